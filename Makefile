@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+# The tasks of this repository. Each builds what it needs in .venv from python3 and make alone.
+#
+# Numba keeps compiled kernels in __pycache__ beside their source, which here is always writable, so
+# NUMBA_CACHE_DIR is left unset; set it yourself where the checkout is read-only. Numba re-compiles
+# a kernel when its own file changes, not when a file it calls into does: `make clean-kernels`.
+
+PYTHON ?= python3
+VENV   := .venv
+RUN    := $(VENV)/bin/python
+# The solvers we compare with hold back versions of our own dependencies, so they live apart.
+BENCH_VENV := .venv-bench
+
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.PHONY: help demo test bench lint format bags folder-is-named confusion clean clean-kernels
+
+help:  ## list the targets
+	@$(PYTHON) tools/make_help.py $(firstword $(MAKEFILE_LIST))
+
+demo: $(VENV)/.ready-run  ## the whole story on a bag that comes with the repository
+	@$(RUN) examples/demo.py
+
+test: lint  ## lint, type check and every test
+	@$(RUN) -m pytest
+
+lint: $(VENV)/.ready-dev  ## ruff (rules and format) and mypy
+	@$(RUN) -m ruff check --quiet .
+	@$(RUN) -m ruff format --check --quiet .
+	@$(RUN) -m mypy --no-error-summary
+
+format: $(VENV)/.ready-dev  ## let ruff put the sources in order
+	@$(RUN) -m ruff check --fix .
+	@$(RUN) -m ruff format .
+
+bench: $(BENCH_VENV)/.ready-bench  ## speed and accuracy beside other solvers
+	@$(BENCH_VENV)/bin/python -m benchmarks
+
+bags: folder-is-named $(VENV)/.ready-run  ## slow: fit and diagnose every bag of a folder, BAGS=folder
+	@$(RUN) -m studies.bags "$(BAGS)"
+
+folder-is-named:
+	@test -n "$(BAGS)" || { echo "which folder holds the bags? make bags BAGS=folder" >&2; exit 2; }
+
+confusion: $(VENV)/.ready-run  ## slow: every effect injected and diagnosed, as a matrix
+	@$(RUN) -m studies.confusion
+
+clean: clean-kernels  ## remove all that these targets have made
+	@rm -rf $(VENV) $(BENCH_VENV) build dist pneu.egg-info out .mypy_cache .ruff_cache .pytest_cache
+
+clean-kernels:  ## remove compiled kernels and byte code
+	@find . -path './.*' -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# One stamp per set of requirements. A finished `dev` or `bench` also marks `run` as ready.
+$(VENV)/.ready-run: pyproject.toml tools/environment.py
+	@$(PYTHON) tools/environment.py $(VENV)
+
+$(VENV)/.ready-dev: pyproject.toml tools/environment.py
+	@$(PYTHON) tools/environment.py $(VENV) --extra dev
+
+$(BENCH_VENV)/.ready-bench: pyproject.toml tools/environment.py
+	@$(PYTHON) tools/environment.py $(BENCH_VENV) --extra bench --optional

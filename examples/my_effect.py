@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An effect of one's own in one file: a line that runs past something hot, such as a motor.
+
+The catalogue warms the whole room; this effect warms the wall of one stretch of one line. Try it
+with ``pneu effects --effects examples/my_effect.py``; ``diagnose``, ``add`` and ``learn`` take it
+alike.
+"""
+
+import numpy as np
+
+from pneu_sim import layout
+from pneu_sim.effects import Effect, EffectParameter, position_along_pipe
+from pneu_sim.rig.build import Model
+from pneu_sim.rig.schema import Rig
+
+
+class HotStretch(Effect):
+    """Wall temperature above the room's, over a stretch of a pipe."""
+
+    name = "hot_stretch"
+    title = "line passes something hot"
+    where = "pipe, at a position"
+    formula = "T_wall = T_room + excess_k where |x - position_m| < length_m / 2"
+    source = "convection at a wall: Incropera and DeWitt, Fundamentals of Heat and Mass Transfer"
+    parameters = (
+        EffectParameter("excess_k", "K", 0.0, -50.0, 150.0, 30.0, 1.0),
+        position_along_pipe(),
+        EffectParameter("length_m", "m", 0.5, 0.05, 5.0, 0.5, 0.02),
+    )
+    order = 6
+    next_experiment = "Repeat the run with the hot part switched off and cold."
+
+    def places(self, rig: Rig) -> list[str]:
+        """Every pipe whose wall exchanges heat."""
+        return [name for name, pipe in rig.pipes.items() if pipe.wall.nusselt > 0.0]
+
+    def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
+        """Nothing: no field of a rig file says how warm a stretch of wall is."""
+
+    def on_model(self, model: Model, rig: Rig, place: str, values: dict[str, float]) -> None:
+        """Warms the wall of the cells in the stretch, in part where it covers them in part."""
+        first, cells = model.plan.pipes[place]
+        faces = np.linspace(0.0, rig.pipes[place].length_m, cells + 1)
+        low = values["position_m"] - 0.5 * values["length_m"]
+        high = low + values["length_m"]
+        covered = np.minimum(faces[1:], high) - np.maximum(faces[:-1], low)
+        share = np.clip(covered, 0.0, None) / np.diff(faces)
+        model.cell[layout.WALL_T, first : first + cells] += values["excess_k"] * share

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a recorded signal is found in a bag or a text file, and its scale to SI units."""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+
+class Channel(BaseModel):
+    """One recorded signal and its conversion ``value_si = raw * scale + offset``.
+
+    Attributes:
+        topic: Topic of the signal in a bag.
+        field: Dotted path of the number inside the message, such as ``fluid_pressure``,
+            ``data`` or ``position[0]``.
+        type: Message type the topic must have, checked where given.
+        column: Column of the signal in a text file: a name, or a number counted from 0.
+        scale: SI units per raw unit (1e5 for bar).
+        offset: Value in SI units at raw zero (101325 for gauge pressure in standard air).
+        stamp: Clock of the samples: the message header's stamp, the recorder's log
+            time, or ``auto``, which is the header's where there is one.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    topic: str | None = None
+    field: str = "data"
+    type: str | None = None
+    column: str | int | None = None
+    scale: float = Field(default=1.0, allow_inf_nan=False)
+    offset: float = Field(default=0.0, allow_inf_nan=False)
+    stamp: Literal["auto", "header", "log"] = "auto"
+
+    @model_validator(mode="after")
+    def _has_source_and_scale(self) -> "Channel":
+        if self.topic is None and self.column is None:
+            raise ValueError("a channel needs a topic (bag) or a column (text file)")
+        if self.scale == 0.0:
+            raise ValueError("the scale of a channel must not be 0")
+        return self
+
+
+class TextFormat(BaseModel):
+    """How the rows of a delimited text recording are laid out.
+
+    Attributes:
+        delimiter: Character between columns; None takes whichever of ``;``, ``,``, tab
+            or blanks the first rows use; a blank means any run of blanks.
+        comment: Lines that start with this are skipped.
+        time: Column of time: a name, or a number counted from 0.
+        time_scale: Seconds per unit of the time column.
+        decimal: Decimal point.
+        thousands_separator: Character that groups thousands. Where it equals the decimal
+            point, the last one in a number is the decimal point and those before it
+            group (``31.102.000`` is 31102.000).
+        skip_rows: Lines dropped from the top of the file, before all else.
+        names: Column names; None takes them from a heading row, or from the last
+            comment line above the numbers where that has as many words as columns.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    delimiter: str | None = Field(default=None, min_length=1, max_length=1)
+    comment: str = "#"
+    time: str | int = 0
+    time_scale: float = Field(default=1.0, gt=0.0, allow_inf_nan=False)
+    decimal: str = Field(default=".", min_length=1, max_length=1)
+    thousands_separator: str | None = Field(default=None, min_length=1, max_length=1)
+    skip_rows: int = Field(default=0, ge=0)
+    names: tuple[str, ...] | None = None

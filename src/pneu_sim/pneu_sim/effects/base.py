@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every physical effect declares: formula, source, parameters, places, and how it acts."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    from pneu_sim.rig.build import Model
+    from pneu_sim.rig.schema import Rig
+
+POSITION = "position_m"
+"""Name of the parameter that says where along a pipe an effect sits."""
+
+RESOLVED_CELLS = 3
+"""Cells a pipe needs before positions along it are told apart."""
+
+
+@dataclass(frozen=True)
+class EffectParameter:
+    """A number of an effect.
+
+    Attributes:
+        name: Name with unit suffix.
+        unit: Unit for people.
+        absent: Value at which the effect vanishes; for a shape parameter its usual value.
+        lower: Lower bound.
+        upper: Upper bound.
+        typical: A strength that is clearly felt on a laboratory rig; tests inject it.
+        step: Step for sensitivities at zero strength.
+    """
+
+    name: str
+    unit: str
+    absent: float
+    lower: float
+    upper: float
+    typical: float
+    step: float
+
+
+def position_along_pipe() -> EffectParameter:
+    """The parameter of effects that sit at a point of a pipe; at most the pipe's length."""
+    return EffectParameter(POSITION, "m", 0.0, 0.0, math.inf, 1.0, 0.01)
+
+
+class Effect(ABC):
+    """A physical effect. Subclasses are one file each, and one line in the registry.
+
+    The first of ``parameters`` is the strength; at its ``absent`` value the rig behaves as if the
+    effect were not there. An effect along a pipe has a parameter named ``position_m``.
+
+    Attributes:
+        name: Identifier, as in ``pneu add NAME``.
+        title: A few words for people.
+        where: Kind of part it sits at, for people.
+        formula: The law.
+        source: Where the law is from.
+        parameters: Strength first, then shape.
+        order: Diagnosis looks at lower orders first when two effects explain equally much
+            (sensors, timing, steady flow, holds, small signals, slow).
+        next_experiment: Recording that shows this effect apart from its look-alikes.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    where: ClassVar[str] = "part of a rig"
+    formula: ClassVar[str]
+    source: ClassVar[str]
+    parameters: ClassVar[tuple[EffectParameter, ...]]
+    order: ClassVar[int] = 5
+    next_experiment: ClassVar[str]
+
+    @property
+    def strength(self) -> EffectParameter:
+        """The parameter that measures how much of the effect there is."""
+        return self.parameters[0]
+
+    @property
+    def has_position(self) -> bool:
+        """Whether the effect sits at a point along a pipe."""
+        return any(p.name == POSITION for p in self.parameters)
+
+    @abstractmethod
+    def places(self, rig: "Rig") -> list[str]:
+        """Names of the parts of a rig that may have this effect.
+
+        Args:
+            rig: The rig.
+        """
+
+    @abstractmethod
+    def on_rig(self, rig: "Rig", place: str, values: dict[str, float]) -> None:
+        """Changes a private copy of the rig to have the effect.
+
+        Args:
+            rig: Copy that may be changed freely.
+            place: One of ``places``.
+            values: Value of every parameter.
+        """
+
+    def on_model(  # noqa: B027 (most effects have nothing to do here)
+        self, model: "Model", rig: "Rig", place: str, values: dict[str, float]
+    ) -> None:
+        """Changes the numbers of the built model, for effects that no rig field expresses.
+
+        Args:
+            model: Model that may be changed freely; rows are named in ``pneu_sim.layout``.
+            rig: The rig it was built from.
+            place: One of ``places``.
+            values: Value of every parameter.
+        """
+
+    def limits(self, parameter: EffectParameter, rig: "Rig", place: str) -> tuple[float, float]:
+        """Bounds of a parameter at a place; a position ends where its pipe does.
+
+        Args:
+            parameter: One of ``parameters``.
+            rig: The rig.
+            place: One of ``places``.
+        """
+        if parameter.name == POSITION:
+            return parameter.lower, min(parameter.upper, rig.pipes[place].length_m)
+        return parameter.lower, parameter.upper
+
+    def sites(self, rig: "Rig", spacing_m: float = 0.25) -> Iterator[tuple[str, dict[str, float]]]:
+        """Places to try, with a position where the effect sits along a pipe.
+
+        A pipe of fewer than ``RESOLVED_CELLS`` cells cannot tell positions apart: only its middle
+        is tried.
+
+        Args:
+            rig: The rig.
+            spacing_m: Distance between tried positions.
+
+        Yields:
+            Place and the shape parameters to start from.
+        """
+        for place in self.places(rig):
+            shape = {p.name: p.typical for p in self.parameters[1:]}
+            if not self.has_position:
+                yield place, shape
+                continue
+            pipe = rig.pipes[place]
+            if pipe.length_m < (RESOLVED_CELLS - 0.5) * (pipe.dx_m or rig.grid.dx_m):
+                yield place, {**shape, POSITION: 0.5 * pipe.length_m}
+                continue
+            count = max(1, round(pipe.length_m / spacing_m))
+            for i in range(count + 1):
+                yield place, {**shape, POSITION: pipe.length_m * i / count}

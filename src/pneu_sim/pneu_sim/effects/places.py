@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names of the parts of a rig at which effects may sit, and the parts by those names."""
+
+from pneu_sim.rig.schema import Orifice, Pipe, Port, Reservoir, Rig
+
+ROOM = "room"
+"""Place of effects that act on the surroundings of the whole rig."""
+
+SOURCE_MARGIN = 0.05
+"""A reservoir whose pressure is this close to the room's (relative) is the room itself."""
+
+
+def is_room(rig: Rig, reservoir: Reservoir) -> bool:
+    """Whether a reservoir is open to the room rather than a source or a vacuum.
+
+    Args:
+        rig: The rig.
+        reservoir: One of its reservoirs.
+    """
+    room = rig.ambient.pressure_pa
+    return abs(reservoir.pressure_pa - room) <= SOURCE_MARGIN * room
+
+
+def sources(rig: Rig) -> list[str]:
+    """Names of the reservoirs that are regulated sources.
+
+    Args:
+        rig: The rig.
+    """
+    return [name for name, reservoir in rig.reservoirs.items() if not is_room(rig, reservoir)]
+
+
+def valve_ports(rig: Rig) -> dict[str, Port]:
+    """Ports of all valves, by ``valve.port``.
+
+    Args:
+        rig: The rig.
+    """
+    return {f"{v}.{p}": port for v, valve in rig.valves.items() for p, port in valve.ports.items()}
+
+
+def flow_paths(rig: Rig) -> dict[str, list[Port | Orifice]]:
+    """Restrictions by place: each valve as a whole, each of several ports alone, each orifice.
+
+    Args:
+        rig: The rig.
+    """
+    paths: dict[str, list[Port | Orifice]] = {}
+    for v, valve in rig.valves.items():
+        paths[v] = list(valve.ports.values())
+        if len(valve.ports) > 1:
+            paths.update({f"{v}.{p}": [port] for p, port in valve.ports.items()})
+    for name, orifice in rig.orifices.items():
+        paths[name] = [orifice]
+    return paths
+
+
+def fill_and_exhaust(rig: Rig, valve: str) -> tuple[list[Port], list[Port]]:
+    """Ports of a valve that lead to a source, and those that lead to the room or a vacuum.
+
+    Args:
+        rig: The rig.
+        valve: Name of the valve.
+    """
+    fill: list[Port] = []
+    exhaust: list[Port] = []
+    for port in rig.valves[valve].ports.values():
+        reached = _reservoirs_behind(rig, port.from_node) | _reservoirs_behind(rig, port.to_node)
+        above = [
+            not is_room(rig, rig.reservoirs[r])
+            and rig.reservoirs[r].pressure_pa > rig.ambient.pressure_pa
+            for r in reached
+        ]
+        if any(above):
+            fill.append(port)
+        elif reached:
+            exhaust.append(port)
+    return fill, exhaust
+
+
+def _reservoirs_behind(rig: Rig, node: str) -> set[str]:
+    """Reservoirs that pipes connect to a node without a valve between."""
+    seen: set[str] = set()
+    front = [node]
+    while front:
+        here = front.pop()
+        if here in seen:
+            continue
+        seen.add(here)
+        if here in rig.reservoirs:
+            continue
+        for pipe in rig.pipes.values():
+            if here in (pipe.from_node, pipe.to_node):
+                front += [pipe.from_node, pipe.to_node]
+    return seen & set(rig.reservoirs)
+
+
+def on_pipe(pipe: Pipe, position_m: float) -> float:
+    """Keeps a position on a pipe, since a difference step may reach just past its end.
+
+    Args:
+        pipe: The pipe.
+        position_m: Position, m.
+    """
+    return min(max(position_m, 0.0), pipe.length_m)

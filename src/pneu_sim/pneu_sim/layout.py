@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Row and column numbers of the arrays that the gas kernel works on.
+
+Every field of a rig lives in one row of a two-dimensional array ``[row, slot * lanes + lane]``.
+A *slot* is a gas cell or one of the two ghost cells that close each pipe; a *lane* is one rig of a
+batch. The lane is the innermost index, so a neighbour in space is ``lanes`` entries away, and the same
+loop vectorises along the pipe for one rig and across rigs for a batch.
+"""
+
+from typing import Final
+
+# --- state rows -----------------------------------------------------------------------------------
+RHO: Final = 0  # mass per volume, kg/m^3
+MOM: Final = 1  # momentum per volume, kg/(m^2 s)
+ENE: Final = 2  # total energy per volume, J/m^3
+Y0: Final = 3  # first of UNSTEADY_TERMS memory states of the unsteady wall friction, m/s
+Z0: Final = 9  # first of UNSTEADY_TERMS memory states of the unsteady wall heat, K
+STATE_ROWS: Final = 15
+
+# --- parameter rows -------------------------------------------------------------------------------
+AREA: Final = 0  # cross-section of the cell, m^2
+FACE: Final = 1  # area of the face between this slot and the next, m^2
+INV_VOLUME: Final = 2  # 1 / volume, 1/m^3; zero marks a ghost
+LENGTH: Final = 3  # cell length, m; negative marks a ghost
+VISCOUS: Final = 4  # laminar drag 8 pi mu / A times the chosen factor, Pa s/m^2
+UNSTEADY: Final = 5  # unsteady drag 4 pi mu / A times the chosen factor, Pa s/m^2
+RELAX: Final = 6  # pi mu N1 / A: decay of the slowest memory state, times density, kg/(m^3 s)
+REYNOLDS: Final = 7  # D / mu, so that Re = rho |u| D / mu
+ROUGH: Final = 8  # (epsilon / (3.7 D))^1.11 of Haaland's formula
+TURBULENT: Final = 9  # gain on the turbulent excess of the drag, 1 = Haaland
+LOSS: Final = 10  # local losses, K / length, 1/m
+HEAT: Final = 11  # quasi-steady wall heat, W/(m^3 K)
+HEAT_UNSTEADY: Final = 12  # unsteady wall heat 4 pi k / A times the chosen factor, W/(m^3 K)
+HEAT_TURBULENT: Final = 13  # gain of turbulence on wall heat (Reynolds analogy)
+WALL_T: Final = 14  # wall temperature, K
+COMPLIANCE: Final = 15  # relative growth of the area per pascal, 1/Pa
+REST_P: Final = 16  # pressure at which the wall has its nominal area, Pa
+TAPER: Final = 17  # relative growth of the area along the pipe, where it tapers smoothly, 1/m
+ONSET: Final = 18  # 1 / Reynolds number at which turbulence sets in
+PARAM_ROWS: Final = 19
+
+# --- work rows ------------------------------------------------------------------------------------
+W_U: Final = 0
+W_P: Final = 1
+W_C: Final = 2
+W_T: Final = 3
+W_RL: Final = 4  # state at the left face of the cell: density, velocity, pressure
+W_UL: Final = 5
+W_PL: Final = 6
+W_RR: Final = 7  # state at the right face of the cell
+W_UR: Final = 8
+W_PR: Final = 9
+W_FM: Final = 10  # flux through the face between this slot and the next, per area
+W_FP: Final = 11
+W_FE: Final = 12
+W_PHI: Final = 13  # wall drag relative to laminar
+W_AU: Final = 14  # decay factor of the slowest memory state of drag
+W_AT: Final = 15  # decay factor of the slowest memory state of heat
+W_FADE: Final = 16  # additional decay of all memory in turbulent flow
+W_RI: Final = 17  # inverse density
+W_IL: Final = 18  # inverse density at the left face
+W_IR: Final = 19  # inverse density at the right face
+W_DRAG: Final = 20  # momentum that the wall gave in the last step, per volume and time, N/m^3
+W_WARM: Final = 21  # heat that the wall gave in the last step, W/m^3
+WORK_ROWS: Final = 22
+
+# --- pipe ends (integer columns) ------------------------------------------------------------------
+E_CELL: Final = 0  # slot of the last cell
+E_GHOST: Final = 1  # slot of the ghost beyond it
+E_FACE: Final = 2  # face number
+E_SIGN: Final = 3  # +1 at the downstream (right) end, -1 at the upstream (left) end
+E_KIND: Final = 4
+E_REF: Final = 5  # reservoir, chamber or partner end
+END_COLUMNS: Final = 6
+
+WALL: Final = 0  # closed end
+RESERVOIR: Final = 1  # constant state as a neighbouring cell (thesis 5.5): reflects no wave
+LINK: Final = 2  # two ends in series: one common face
+BRANCH: Final = 3  # further ends of a thesis joint, with the fictitious wall of thesis fig. 5.6
+CHAMBER: Final = 4  # well-mixed volume
+PORTED: Final = 5  # wall fed only through valve ports
+JUNCTION: Final = 7  # one of three or more ends at a common pressure
+TANK: Final = 6  # large vessel: outflow meets its pressure, inflow its stagnation state
+
+# --- ports (integer columns) ----------------------------------------------------------------------
+P_A: Final = 0  # kind of the side a: one of SIDE_*
+P_AI: Final = 1
+P_B: Final = 2
+P_BI: Final = 3
+P_MODE: Final = 4
+PORT_COLUMNS: Final = 5
+
+SIDE_END: Final = 0
+SIDE_CHAMBER: Final = 1
+SIDE_RESERVOIR: Final = 2
+
+ISO6358: Final = 0  # sonic conductance and critical pressure ratio
+EFFECTIVE_AREA: Final = 1  # Riemann flux through a variable area, thesis sec. 5.4
+
+# --- port parameter rows --------------------------------------------------------------------------
+Q_CONDUCTANCE: Final = 0  # sonic conductance C fully open, m^3/(s Pa)
+Q_RATIO: Final = 1  # critical pressure ratio b
+Q_AREA: Final = 2  # effective area fully open, m^2 (EFFECTIVE_AREA ports)
+Q_LAMINAR: Final = 3  # pressure ratio above which flow is linear in the pressure drop
+PORT_PARAMS: Final = 4
+
+# --- reservoir parameter rows ---------------------------------------------------------------------
+R_PRESSURE: Final = 0
+R_TEMPERATURE: Final = 1
+R_DROOP: Final = 2  # Pa per kg/s drawn
+R_TAU: Final = 3  # time constant of the droop, s
+R_LOSS: Final = 4  # velocity heads lost where gas enters a pipe
+RESERVOIR_PARAMS: Final = 5
+
+# --- chamber parameter rows -----------------------------------------------------------------------
+C_VOLUME: Final = 0  # m^3 at the rest pressure
+C_COMPLIANCE: Final = 1  # m^3/Pa
+C_HEAT: Final = 2  # h S, W/K
+C_WALL_T: Final = 3
+C_REST_P: Final = 4
+CHAMBER_PARAMS: Final = 5
+
+# --- schemes --------------------------------------------------------------------------------------
+HLLC: Final = 0
+EXACT: Final = 1
+MINMOD: Final = 0
+VAN_LEER: Final = 1
+
+UNSTEADY_TERMS: Final = 6
+"""Memory states per cell of the unsteady wall friction (and of the unsteady wall heat)."""
+UNSTEADY_RATE: Final = 28.0
+"""Decay rate of the slowest memory state, in units of nu / R^2; each next one is four times faster."""
+UNSTEADY_WEIGHTS: Final = (1.17738631, 2.27579547, 4.65128154, 9.49798127, 14.11059658, 90.6150335)
+"""Weights m_k of W(tau) = sum m_k exp(-n_k tau), n_k = 28 * 4^k.
+
+Fitted by non-negative least squares to the exact wall shear of oscillating laminar pipe flow,
+``sqrt(s) I1(sqrt s) / I2(sqrt s)`` (Zielke 1968), relative error <= 0.2 % for |s| nu / R^2 up to 3000.
+The ratio of four turns the six exponentials per cell and step into one and its squares.
+"""

@@ -1,0 +1,505 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a rig to the numbers the kernels work on: the grid plan, and one model per parameter set."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+from pneu_sim import layout as L
+from pneu_sim.errors import InputError
+from pneu_sim.gas import AIR, Gas
+from pneu_sim.rig.schema import CLOSED, Pipe, Port, Rig, Valve
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+CURVE_POINTS = 4097
+"""Points of the uniform table into which an opening curve is drawn out."""
+
+# Columns of a valve's row (see Model.spool).
+V_FREQUENCY, V_DAMPING, V_INTEGRAL, V_LIMIT, V_DELAY = 0, 1, 2, 3, 4
+V_HYSTERESIS, V_OFFSET, V_DEAD, V_NULL = 5, 6, 7, 8
+VALVE_COLUMNS = 9
+# Columns of a tap's row (see Model.sensor).
+S_LAG, S_GAIN, S_BIAS, S_OFFSET = 0, 1, 2, 3
+SENSOR_COLUMNS = 4
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The part of a model that its parameters do not change: which slot is what.
+
+    Attributes:
+        pipes: Per pipe, first cell's slot and number of cells.
+        slots: Number of slots, ghosts included.
+        ends: Pipe ends, see ``layout``.
+        ports: Valve ports, then orifices, see ``layout``.
+        port_names: ``valve.port`` or the orifice's name.
+        port_valve: Valve of each port; -1 for an orifice.
+        reservoirs: Names; the last is the room as a sink where no rig reservoir is used.
+        chambers: Names.
+        valves: Names.
+        commands: Command of each valve.
+        taps: Names.
+        dt_s: Largest time step.
+    """
+
+    pipes: dict[str, tuple[int, int]]
+    slots: int
+    ends: Ints
+    ports: Ints
+    port_names: list[str]
+    port_valve: list[int]
+    reservoirs: list[str]
+    chambers: list[str]
+    valves: list[str]
+    commands: list[str]
+    taps: list[str]
+    dt_s: float
+
+
+@dataclass
+class Model:
+    """One rig in numbers; effects may edit any of it before it is run.
+
+    Attributes:
+        plan: Structure.
+        gas: Gas.
+        cell: (PARAM_ROWS, slots) cell parameters.
+        port: (n_ports, PORT_PARAMS).
+        reservoir: (n_reservoirs, RESERVOIR_PARAMS).
+        chamber: (n_chambers, CHAMBER_PARAMS).
+        leaks: Slot, or -1 - chamber, to effective area, m^2.
+        spool: (n_valves, 9) natural frequency rad/s, damping, integral gain, acceleration limit,
+            delay, hysteresis, null offset, dead-band, null voltage.
+        curve: (n_ports, CURVE_POINTS) opening over ``curve_v``; orifices are constant.
+        curve_v: (n_ports, 2) voltage range of the table.
+        tap_slot: (n_taps,) slot left of the tap, or -1 - chamber.
+        tap_weight: (n_taps,) weight of the next slot.
+        sensor: (n_taps, 4) lag, gain, bias, clock offset.
+        ambient: (2,) pressure, temperature.
+        end_area: (n_ends,) area of each pipe at its ends.
+        thesis_joints: Whether pipes are joined as in the thesis, see the rig's grid.
+    """
+
+    plan: Plan
+    gas: Gas
+    cell: Floats
+    port: Floats
+    reservoir: Floats
+    chamber: Floats
+    leaks: dict[int, float]
+    spool: Floats
+    curve: Floats
+    curve_v: Floats
+    tap_slot: Ints
+    tap_weight: Floats
+    sensor: Floats
+    ambient: Floats
+    end_area: Floats
+    order: int = 2
+    flux: int = L.HLLC
+    limiter: int = L.VAN_LEER
+    newton: int = 2
+    memory: bool = True
+    compliant: bool = field(default=False)
+    thesis_joints: bool = False
+
+
+def plan_grid(rig: Rig, dx_m: float | None = None) -> Plan:
+    """Lays out slots, ends and ports of a rig.
+
+    Args:
+        rig: The rig.
+        dx_m: Cell length that replaces the rig's, for every pipe alike in proportion.
+
+    Raises:
+        InputError: The rig asks for a time step above the stable limit.
+    """
+    scale = 1.0 if dx_m is None else dx_m / rig.grid.dx_m
+    pipes: dict[str, tuple[int, int]] = {}
+    slot = 0
+    shortest = math.inf
+    for name, pipe in rig.pipes.items():
+        cells = max(2, round(pipe.length_m / ((pipe.dx_m or rig.grid.dx_m) * scale)))
+        pipes[name] = (slot + 1, cells)
+        slot += cells + 2
+        shortest = min(shortest, pipe.length_m / cells)
+    reservoirs = list(rig.reservoirs)
+    chambers = list(rig.chambers)
+    at_node: dict[str, list[int]] = {}
+    ends = np.zeros((2 * len(pipes), L.END_COLUMNS), dtype=np.int64)
+    ported = {
+        node
+        for valve in rig.valves.values()
+        for port in valve.ports.values()
+        for node in (port.from_node, port.to_node)
+    } | {node for o in rig.orifices.values() for node in (o.from_node, o.to_node)}
+    for k, (name, pipe) in enumerate(rig.pipes.items()):
+        first, cells = pipes[name]
+        last = first + cells - 1
+        for side, node in enumerate((pipe.from_node, pipe.to_node)):
+            e = 2 * k + side
+            ends[e, L.E_CELL] = last if side else first
+            ends[e, L.E_GHOST] = last + 1 if side else first - 1
+            ends[e, L.E_FACE] = last if side else first - 1
+            ends[e, L.E_SIGN] = 1 if side else -1
+            if node == CLOSED:
+                ends[e, L.E_KIND] = L.WALL
+            elif node in reservoirs:
+                ends[e, L.E_KIND] = L.RESERVOIR if rig.grid.thesis_ends else L.TANK
+                ends[e, L.E_REF] = reservoirs.index(node)
+            elif node in chambers:
+                ends[e, L.E_KIND] = L.CHAMBER
+                ends[e, L.E_REF] = chambers.index(node)
+            elif node in ported:
+                ends[e, L.E_KIND] = L.PORTED
+                at_node[node] = [e]
+            else:
+                at_node.setdefault(node, []).append(e)
+    for group in at_node.values():
+        if len(group) < 2:
+            continue
+        if len(group) > 2 and not rig.grid.thesis_joints:
+            for e in group:
+                ends[e, L.E_KIND] = L.JUNCTION
+                ends[e, L.E_REF] = group[0]
+            continue
+        # The first two ends in file order share a face; further ones branch onto the first.
+        a, b, *rest = group
+        ends[a, L.E_KIND] = ends[b, L.E_KIND] = L.LINK
+        ends[a, L.E_REF], ends[b, L.E_REF] = b, a
+        for e in rest:
+            ends[e, L.E_KIND] = L.BRANCH
+            ends[e, L.E_REF] = a
+    ports: list[list[int]] = []
+    names: list[str] = []
+    of_valve: list[int] = []
+
+    def side_of(node: str) -> tuple[int, int]:
+        if node in reservoirs:
+            return L.SIDE_RESERVOIR, reservoirs.index(node)
+        if node in chambers:
+            return L.SIDE_CHAMBER, chambers.index(node)
+        return L.SIDE_END, at_node[node][0]
+
+    for v, (valve_name, valve) in enumerate(rig.valves.items()):
+        for port_name, port in valve.ports.items():
+            mode = L.ISO6358 if port.model == "iso6358" else L.EFFECTIVE_AREA
+            ports.append([*side_of(port.from_node), *side_of(port.to_node), mode])
+            names.append(f"{valve_name}.{port_name}")
+            of_valve.append(v)
+    for orifice_name, orifice in rig.orifices.items():
+        ports.append([*side_of(orifice.from_node), *side_of(orifice.to_node), L.ISO6358])
+        names.append(orifice_name)
+        of_valve.append(-1)
+    stable = rig.grid.cfl * shortest / rig.grid.wave_speed_m_s
+    dt = stable
+    if rig.grid.dt_s is not None and dx_m is None:
+        limit = shortest / rig.grid.wave_speed_m_s
+        if rig.grid.dt_s > limit:
+            raise InputError(
+                f"rig {rig.name!r}: grid.dt_s: found {rig.grid.dt_s:g} s, the stable limit is"
+                f" {limit:.3g} s (shortest cell {shortest:.4g} m over {rig.grid.wave_speed_m_s:g} m/s)"
+            )
+        dt = rig.grid.dt_s
+    return Plan(
+        pipes=pipes,
+        slots=slot,
+        ends=ends,
+        ports=np.array(ports, dtype=np.int64).reshape(-1, L.PORT_COLUMNS),
+        port_names=names,
+        port_valve=of_valve,
+        reservoirs=reservoirs,
+        chambers=chambers,
+        valves=list(rig.valves),
+        commands=[valve.command for valve in rig.valves.values()],
+        taps=list(rig.taps),
+        dt_s=dt,
+    )
+
+
+def _areas(pipe: Pipe, faces: Floats) -> tuple[Floats, Floats]:
+    """Mean area of each cell and area of each face of a pipe, before neighbours are compared."""
+    n = faces.size - 1
+    if pipe.area_profile is None:
+        cell = np.full(n, pipe.area_m2)
+        face = np.full(n + 1, pipe.area_m2)
+    else:
+        x, a = np.array(pipe.area_profile, dtype=float).T
+        # Frustum mean: exact for a radius, close for an area, that varies linearly.
+        fine = np.linspace(0.0, 1.0, 9)
+        grid = faces[:-1, None] + fine * np.diff(faces)[:, None]
+        values = np.interp(grid, x, a)
+        cell = np.trapezoid(values, fine, axis=1)
+        face = np.interp(faces, x, a)
+    whole = cell.copy()
+    for narrowing in pipe.narrowings:
+        low = narrowing.position_m - 0.5 * narrowing.length_m
+        high = narrowing.position_m + 0.5 * narrowing.length_m
+        covered = np.clip(np.minimum(faces[1:], high) - np.maximum(faces[:-1], low), 0.0, None)
+        cell *= 1.0 - narrowing.fraction * covered / np.diff(faces)
+    if pipe.area_profile is None:
+        # Smallest-area faces (thesis 5.3).
+        face[1:-1] = np.minimum(cell[:-1], cell[1:])
+        face[0], face[-1] = cell[0], cell[-1]
+    else:
+        left = cell / whole
+        face *= np.minimum(np.append(left, 1.0), np.insert(left, 0, 1.0))
+    return cell, face
+
+
+def _spread(x: float, centres: Floats) -> list[tuple[int, float]]:
+    """Shares of a point between the two cells around it, so that it can move smoothly."""
+    s = float(np.interp(x, centres, np.arange(centres.size)))
+    i = min(int(s), centres.size - 2)
+    return [(i, 1.0 - (s - i)), (i + 1, s - i)]
+
+
+def _curve(port: Port, valve: Valve) -> tuple[Floats, Floats]:
+    """An opening curve as a table, with the leakage of the closed port added."""
+    source = port.opening
+    if source.mirror is None:
+        x, y = np.array(source.voltage_v), np.array(source.fraction)
+    else:
+        other = valve.ports[source.mirror].opening
+        x = 2.0 * valve.spool.null_v - np.array(other.voltage_v[::-1])
+        y = np.array(other.fraction[::-1])
+    table_v = np.linspace(x[0], x[-1], CURVE_POINTS)
+    table = np.asarray(PchipInterpolator(x, y)(table_v)) if x.size > 2 else np.interp(table_v, x, y)
+    lift = port.leakage
+    return lift + (1.0 - min(lift, 1.0)) * np.maximum(table, 0.0), np.array([x[0], x[-1]])
+
+
+def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
+    """Fills in the numbers of a rig on a grid plan.
+
+    Args:
+        rig: The rig; its attached effects are applied.
+        plan: Grid plan; None makes the rig's own. Rigs run in one batch share one.
+        gas: The gas.
+
+    Returns:
+        The model.
+    """
+    from pneu_sim.effects import apply_to_model, apply_to_rig
+
+    rig = apply_to_rig(rig)
+    plan = plan or plan_grid(rig)
+    ambient_t = rig.ambient.temperature_k
+    mu = float(gas.viscosity(ambient_t))
+    k_gas = float(gas.conductivity(ambient_t))
+    cell = np.zeros((L.PARAM_ROWS, plan.slots))
+    cell[L.LENGTH] = -1.0
+    cell[L.AREA] = 1.0
+    cell[L.ROUGH] = 1.0
+    cell[L.WALL_T] = ambient_t
+    cell[L.REST_P] = rig.ambient.pressure_pa
+    leaks: dict[int, float] = {}
+    for name, pipe in rig.pipes.items():
+        first, n = plan.pipes[name]
+        span = slice(first, first + n)
+        faces = np.linspace(0.0, pipe.length_m, n + 1)
+        centres = 0.5 * (faces[1:] + faces[:-1])
+        dx = pipe.length_m / n
+        area, face = _areas(pipe, faces)
+        diameter = np.sqrt(4.0 * area / math.pi)
+        volume = area * dx
+        volume[0] += pipe.volume_from_m3
+        volume[-1] += pipe.volume_to_m3
+        for extra in pipe.volumes:
+            for i, share in _spread(extra.position_m, centres):
+                volume[i] += share * extra.volume_m3
+        wall = pipe.wall
+        cell[L.AREA, span] = area
+        cell[L.FACE, first - 1 : first + n] = face
+        cell[L.INV_VOLUME, span] = 1.0 / volume
+        cell[L.LENGTH, span] = dx
+        cell[L.VISCOUS, span] = wall.laminar * 8.0 * math.pi * mu / area
+        cell[L.UNSTEADY, span] = wall.unsteady * 4.0 * math.pi * mu / area
+        cell[L.RELAX, span] = L.UNSTEADY_RATE * math.pi * mu / area
+        cell[L.REYNOLDS, span] = diameter / mu
+        cell[L.ROUGH, span] = (wall.roughness_m / (3.7 * diameter)) ** 1.11
+        # the kernel multiplies the laminar drag, so its own factor is taken out of the turbulent part
+        cell[L.TURBULENT, span] = wall.turbulent / max(wall.laminar, 1e-9)
+        cell[L.ONSET, span] = 1.0 / wall.onset_reynolds
+        if wall.heat_kappa is None:
+            cell[L.HEAT, span] = wall.nusselt * math.pi * k_gas / area
+            cell[L.HEAT_TURBULENT, span] = wall.heat_turbulent * wall.laminar
+        else:
+            cell[L.HEAT, span] = wall.heat_kappa / np.sqrt(area)
+        cell[L.HEAT_UNSTEADY, span] = wall.heat_unsteady * 4.0 * math.pi * k_gas / area
+        if pipe.area_profile is not None:
+            cell[L.TAPER, span] = np.diff(face) / (area * dx)
+        cell[L.COMPLIANCE, span] = wall.compliance_per_pa
+        for loss in pipe.losses:
+            for i, share in _spread(loss.position_m, centres):
+                cell[L.LOSS, first + i] += share * loss.k / dx
+        for leak in pipe.leaks:
+            for i, share in _spread(leak.position_m, centres):
+                leaks[first + i] = leaks.get(first + i, 0.0) + share * leak.area_m2
+    if not rig.grid.memory:
+        # One rig of a batch may have memory where the others have none.
+        cell[[L.UNSTEADY, L.HEAT_UNSTEADY]] = 0.0
+    end_area = cell[L.FACE, plan.ends[:, L.E_FACE]]
+    for e in range(plan.ends.shape[0]):
+        kind = plan.ends[e, L.E_KIND]
+        if kind in (L.LINK, L.BRANCH):
+            other = plan.ends[e, L.E_REF]
+            cell[L.FACE, plan.ends[e, L.E_FACE]] = min(end_area[e], end_area[other])
+
+    for c, chamber in enumerate(rig.chambers.values()):
+        if chamber.leak_area_m2 > 0.0:
+            leaks[-1 - c] = chamber.leak_area_m2
+
+    port = np.zeros((plan.ports.shape[0], L.PORT_PARAMS))
+    curve = np.ones((plan.ports.shape[0], CURVE_POINTS))
+    curve_v = np.tile([0.0, 1.0], (plan.ports.shape[0], 1))
+    spool = np.zeros((len(rig.valves), VALVE_COLUMNS))
+    q = 0
+    for v, valve in enumerate(rig.valves.values()):
+        s = valve.spool
+        spool[v] = (
+            0.0 if s.bandwidth_hz is None else 2.0 * math.pi * s.bandwidth_hz,
+            s.damping,
+            s.integral,
+            math.inf if s.max_acceleration_v_s2 is None else s.max_acceleration_v_s2,
+            s.delay_s,
+            s.hysteresis_v,
+            s.null_offset_v,
+            s.dead_band_v,
+            s.null_v,
+        )
+        for p in valve.ports.values():
+            port[q] = (p.conductance_m3_s_pa, p.critical_ratio, p.area_m2, p.laminar_ratio)
+            curve[q], curve_v[q] = _curve(p, valve)
+            q += 1
+    for orifice in rig.orifices.values():
+        port[q] = (
+            orifice.conductance_m3_s_pa,
+            orifice.critical_ratio,
+            0.0,
+            orifice.laminar_ratio,
+        )
+        q += 1
+
+    tap_slot = np.zeros(len(rig.taps), dtype=np.int64)
+    tap_weight = np.zeros(len(rig.taps))
+    sensor = np.zeros((len(rig.taps), SENSOR_COLUMNS))
+    for t, tap in enumerate(rig.taps.values()):
+        sensor[t] = (tap.lag_s, tap.gain, tap.bias_pa, tap.offset_s)
+        if tap.chamber is not None:
+            tap_slot[t] = -1 - plan.chambers.index(tap.chamber)
+            continue
+        assert tap.pipe is not None
+        first, n = plan.pipes[tap.pipe]
+        at = tap.position_m / (rig.pipes[tap.pipe].length_m / n) - 0.5
+        e = 2 * list(rig.pipes).index(tap.pipe)
+        sees_ghost = [
+            plan.ends[e + side, L.E_KIND] in (L.RESERVOIR, L.LINK) for side in (0, 1)
+        ]
+        flat = [plan.ends[e + side, L.E_KIND] == L.WALL for side in (0, 1)]
+        if at < 0.0 and not sees_ghost[0]:
+            left, weight = 0, 0.0 if flat[0] else at
+        elif at > n - 1 and not sees_ghost[1]:
+            left, weight = n - 2, 1.0 if flat[1] else at - (n - 2)
+        else:
+            left = min(max(math.floor(at), -1), n - 1)
+            weight = at - left
+        tap_slot[t] = first + left
+        tap_weight[t] = weight
+
+    model = Model(
+        plan=plan,
+        gas=gas,
+        cell=cell,
+        port=port,
+        reservoir=np.array(
+            [
+                (
+                    r.pressure_pa,
+                    r.temperature_k or ambient_t,
+                    r.droop_pa_s_per_kg,
+                    r.droop_tau_s,
+                    r.inlet_loss,
+                )
+                for r in rig.reservoirs.values()
+            ]
+        ).reshape(-1, L.RESERVOIR_PARAMS),
+        chamber=np.array(
+            [
+                (
+                    c.volume_m3,
+                    c.compliance_m3_per_pa,
+                    c.heat_w_per_k,
+                    ambient_t,
+                    rig.ambient.pressure_pa,
+                )
+                for c in rig.chambers.values()
+            ]
+        ).reshape(-1, L.CHAMBER_PARAMS),
+        leaks=leaks,
+        spool=spool,
+        curve=curve,
+        curve_v=curve_v,
+        tap_slot=tap_slot,
+        tap_weight=tap_weight,
+        sensor=sensor,
+        ambient=np.array([rig.ambient.pressure_pa, ambient_t]),
+        end_area=end_area,
+        order=rig.grid.order,
+        flux=L.HLLC if rig.grid.flux == "hllc" else L.EXACT,
+        limiter=L.MINMOD if rig.grid.limiter == "minmod" else L.VAN_LEER,
+        newton=rig.grid.newton_iterations,
+        memory=rig.grid.memory,
+        thesis_joints=rig.grid.thesis_joints,
+    )
+    apply_to_model(rig, model)
+    model.compliant = bool(np.any(model.cell[L.COMPLIANCE] > 0.0))
+    return model
+
+
+def area_steps(models: Sequence[Model]) -> tuple[Ints, Floats]:
+    """Faces at which the area jumps in any of some models on one plan.
+
+    Args:
+        models: The models.
+
+    Returns:
+        ``(index, area)`` as the kernel takes them: (n_steps, 5) integers and (n_steps, 2, n_models).
+    """
+    plan = models[0].plan
+    if models[0].thesis_joints:
+        return np.zeros((0, 5), dtype=np.int64), np.zeros((0, 2, len(models)))
+    index: list[tuple[int, int, int, int, int]] = []
+    area: list[Floats] = []
+    here = np.stack([m.cell[L.AREA] for m in models], axis=-1)
+    smooth = np.stack([m.cell[L.TAPER] != 0.0 for m in models], axis=-1)
+    jump = (here[:-1] != here[1:]) & ~(smooth[:-1] | smooth[1:])
+    for first, n in plan.pipes.values():
+        for f in (first + np.flatnonzero(jump[first : first + n - 1].any(axis=1))).tolist():
+            face = np.array([m.cell[L.FACE, f] for m in models])
+            index.append((f, f, 1, f + 1, 1))
+            area.append(np.where(jump[f], here[f : f + 2], face))
+    for e, (cell, _, face, sign, kind, other) in enumerate(plan.ends.tolist()):
+        if kind != L.LINK or e > other:
+            continue  # the first of two linked ends carries the face
+        own = np.array([m.end_area[e] for m in models])
+        far = np.array([m.end_area[other] for m in models])
+        if np.any(own != far):
+            turn = -1 if plan.ends[other, L.E_SIGN] == sign else 1
+            there = int(plan.ends[other, L.E_CELL])
+            if sign > 0:
+                index.append((face, cell, 1, there, turn))
+                area.append(np.array([own, far]))
+            else:
+                index.append((face, there, turn, cell, 1))
+                area.append(np.array([far, own]))
+    return (
+        np.array(index, dtype=np.int64).reshape(-1, 5),
+        np.array(area).reshape(-1, 2, len(models)),
+    )

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers of a rig by dotted path: reading one, and a copy of the rig with some changed."""
+
+from typing import Any
+
+from pydantic import BaseModel
+
+from pneu_sim.errors import InputError
+from pneu_sim.rig.schema import Rig
+
+
+def _step(node: Any, part: str, path: str) -> Any:
+    try:
+        if isinstance(node, BaseModel):
+            return getattr(node, part)
+        if isinstance(node, dict):
+            return node[part]
+        return node[int(part)]
+    except (AttributeError, KeyError, IndexError, ValueError, TypeError):
+        if isinstance(node, BaseModel):
+            known = ", ".join(type(node).model_fields)
+        elif isinstance(node, dict):
+            known = ", ".join(node)
+        else:
+            known = f"0 to {len(node) - 1}" if isinstance(node, list) else "nothing"
+        raise InputError(f"parameter {path!r}: no {part!r} there; known are {known}") from None
+
+
+def get_parameter(rig: Rig, path: str) -> float:
+    """Returns the number at a dotted path.
+
+    Args:
+        rig: The rig.
+        path: Such as ``pipes.tube.area_m2`` or ``valves.valve.ports.supply.opening.fraction.3``;
+            ``*`` stands for every part of a mapping (``pipes.*.wall.unsteady``) and reads the first.
+
+    Raises:
+        InputError: There is no number at that path.
+    """
+    node: Any = rig
+    for part in path.split("."):
+        if part == "*":
+            part = next(iter(node))
+        node = _step(node, part, path)
+    if isinstance(node, bool) or not isinstance(node, int | float):
+        raise InputError(f"parameter {path!r}: found {node!r}, a number is needed")
+    return float(node)
+
+
+def with_parameters(rig: Rig, values: dict[str, float]) -> Rig:
+    """Returns a copy of the rig with the numbers at some paths replaced; bounds are not checked.
+
+    Args:
+        rig: The rig, left as it is.
+        values: Path to new value.
+
+    Raises:
+        InputError: A path leads nowhere.
+    """
+    copy = rig.model_copy(deep=True)
+    for path, value in values.items():
+        *parents, last = path.split(".")
+        nodes: list[Any] = [copy]
+        for part in parents:
+            if part == "*":
+                nodes = [child for node in nodes for child in node.values()]
+            else:
+                nodes = [_step(node, part, path) for node in nodes]
+        for node in nodes:
+            _step(node, last, path)
+            if isinstance(node, BaseModel):
+                object.__setattr__(node, last, float(value))
+                node.__pydantic_fields_set__.add(last)
+            elif isinstance(node, dict):
+                node[last] = float(value)
+            else:
+                node[int(last)] = float(value)
+    return copy

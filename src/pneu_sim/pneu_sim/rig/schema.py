@@ -1,0 +1,512 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a rig file may say: pipes, reservoirs, chambers, valves, taps, channels, effects, fit.
+
+A rig is a network of named *nodes*. Pipes run from one node to another; a reservoir or a chamber of
+that name sits at the node; valve ports and orifices connect two nodes. The node ``closed`` is a wall.
+All quantities are SI, pressures absolute.
+"""
+
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from pneu_sim.channels import Channel, TextFormat
+
+SCHEMA_VERSION = 1
+CLOSED = "closed"
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Ratio = Annotated[float, Field(ge=0.0, lt=1.0)]
+
+
+class Part(BaseModel):
+    """Base of every part of a rig: unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid", populate_by_name=True)
+
+
+class Grid(Part):
+    """How the lines are discretised.
+
+    Attributes:
+        dx_m: Cell length.
+        order: 1 is Godunov's scheme, 2 MUSCL-Hancock.
+        flux: ``hllc``, or ``exact`` for the exact Riemann solution.
+        limiter: Slope limiter of order 2.
+        newton_iterations: Iterations for the star pressure of ``exact`` (thesis 4.6.3 uses two).
+        cfl: Courant number of the time step (thesis eq. 4.23).
+        wave_speed_m_s: Fastest wave the step must allow for.
+        dt_s: Time step; None takes it from the CFL condition. One above the stable limit is refused.
+        memory: Whether wall friction and heat are frequency dependent.
+        thesis_ends: Treat a reservoir as a neighbouring cell of constant state (thesis 5.5), which
+            swallows every wave like an endless pipe, instead of as a large vessel.
+        thesis_joints: Join pipes by smallest-area faces and fictitious walls (thesis 5.3, fig. 5.6),
+            which resist steady flow wherever the area changes; else three or more ends share one
+            pressure, and steady flow across an area step is kept as such.
+    """
+
+    dx_m: Positive = 0.05
+    order: Literal[1, 2] = 2
+    flux: Literal["hllc", "exact"] = "hllc"
+    limiter: Literal["minmod", "van_leer"] = "van_leer"
+    newton_iterations: int = Field(default=2, ge=1, le=50)
+    cfl: float = Field(default=0.9, gt=0.0, le=1.0)
+    wave_speed_m_s: Positive = 600.0
+    dt_s: Positive | None = None
+    memory: bool = True
+    thesis_ends: bool = False
+    thesis_joints: bool = False
+
+
+class Ambient(Part):
+    """The room: it surrounds every wall and takes up every leak."""
+
+    pressure_pa: Positive = 101325.0
+    temperature_k: Positive = 293.15
+
+
+class Wall(Part):
+    """How a pipe wall acts on the gas.
+
+    Attributes:
+        laminar: Factor on laminar drag 8 pi mu u; the thesis as printed (4 pi mu u) is 0.5.
+        turbulent: Gain on what turbulence adds to the drag (Haaland); 0 is laminar throughout.
+        onset_reynolds: Reynolds number at which turbulence sets in; full at 1.74 times that.
+        roughness_m: Height of the wall's roughness.
+        unsteady: Factor on frequency-dependent friction (Zielke).
+        nusselt: Nusselt number of quasi-steady wall heat, on the section's mean temperature; 8 is
+            the limit that belongs to the unsteady kernel, 3.66 the developed flow at constant wall
+            temperature, 0 an adiabatic wall.
+        heat_turbulent: Gain of turbulence on wall heat (Reynolds analogy).
+        heat_unsteady: Factor on frequency-dependent wall heat.
+        heat_kappa: Conductivity of thesis eq. 5.3, W/(m^2 K); replaces ``nusselt`` where given.
+        compliance_per_pa: Relative growth of the cross-section per pascal.
+    """
+
+    laminar: NonNegative = 1.0
+    turbulent: NonNegative = 1.0
+    onset_reynolds: Positive = 2300.0
+    roughness_m: NonNegative = 0.0
+    unsteady: NonNegative = 1.0
+    nusselt: NonNegative = 8.0
+    heat_turbulent: NonNegative = 1.0
+    heat_unsteady: NonNegative = 1.0
+    heat_kappa: NonNegative | None = None
+    compliance_per_pa: NonNegative = 0.0
+
+
+class LocalLoss(Part):
+    """A fitting that costs ``k`` velocity heads."""
+
+    position_m: NonNegative
+    k: NonNegative
+
+
+class Leak(Part):
+    """An orifice to the room in a pipe's wall."""
+
+    position_m: NonNegative
+    area_m2: NonNegative
+
+
+class DeadVolume(Part):
+    """A volume that hangs on a pipe: a fitting, a sensor's cavity."""
+
+    position_m: NonNegative
+    volume_m3: NonNegative
+
+
+class Narrowing(Part):
+    """A stretch of a pipe, centred at ``position_m``, that has lost ``fraction`` of its area."""
+
+    position_m: NonNegative
+    length_m: Positive = 0.1
+    fraction: Annotated[float, Field(ge=0.0, le=0.98)]
+
+
+class Pipe(Part):
+    """A line between two nodes.
+
+    Attributes:
+        from_node: Node at position 0.
+        to_node: Node at position ``length_m``.
+        length_m: Length.
+        area_m2: Cross-section.
+        area_profile: Optional (position, area) corners of a cross-section that varies linearly.
+        dx_m: Cell length, where it differs from the grid's.
+        wall: Friction and heat.
+        losses: Local losses.
+        leaks: Leaks to the room.
+        volumes: Dead volumes.
+        narrowings: Stretches of reduced area.
+        volume_from_m3: Volume at the ``from`` end (a valve's chamber, a fitting).
+        volume_to_m3: Volume at the ``to`` end.
+    """
+
+    from_node: str = Field(alias="from")
+    to_node: str = Field(alias="to")
+    length_m: Positive
+    area_m2: Positive
+    area_profile: list[tuple[NonNegative, Positive]] | None = None
+    dx_m: Positive | None = None
+    wall: Wall = Wall()
+    losses: list[LocalLoss] = []
+    leaks: list[Leak] = []
+    volumes: list[DeadVolume] = []
+    narrowings: list[Narrowing] = []
+    volume_from_m3: NonNegative = 0.0
+    volume_to_m3: NonNegative = 0.0
+
+
+class Reservoir(Part):
+    """A source or sink of constant state: compressor, regulator, room.
+
+    Attributes:
+        pressure_pa: Pressure at no flow.
+        temperature_k: Temperature; None is the room's.
+        droop_pa_s_per_kg: Sag of the pressure per flow drawn.
+        droop_tau_s: Time constant of the sag.
+        inlet_loss: Velocity heads lost where gas enters a pipe (0 rounded, 0.5 sharp).
+    """
+
+    pressure_pa: Positive
+    temperature_k: Positive | None = None
+    droop_pa_s_per_kg: NonNegative = 0.0
+    droop_tau_s: NonNegative = 0.002
+    inlet_loss: NonNegative = 0.0
+
+
+class Chamber(Part):
+    """A well-mixed volume.
+
+    Attributes:
+        volume_m3: Volume at the room's pressure.
+        compliance_m3_per_pa: Growth of the volume per pascal above the room (a test lung).
+        heat_w_per_k: Heat conductance of its wall.
+        leak_area_m2: Effective area of its leak to the room.
+    """
+
+    volume_m3: Positive
+    compliance_m3_per_pa: NonNegative = 0.0
+    heat_w_per_k: NonNegative = 0.0
+    leak_area_m2: NonNegative = 0.0
+
+
+class Opening(Part):
+    """A port's opening as a measured curve of spool voltage, monotone cubic between the points.
+
+    Attributes:
+        voltage_v: Voltages of the points, increasing.
+        fraction: Opening at each, 1 = fully open.
+        mirror: Instead of points, the name of another port of the valve: its curve, mirrored about
+            the null voltage, as a symmetrical spool has it.
+    """
+
+    voltage_v: list[Finite] = []
+    fraction: list[NonNegative] = []
+    mirror: str | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "Opening":
+        if self.mirror is not None:
+            if self.voltage_v or self.fraction:
+                raise ValueError("give either mirror or voltage_v and fraction, not both")
+            return self
+        if len(self.voltage_v) < 2:
+            raise ValueError("voltage_v needs at least two points (or name a port to mirror)")
+        if len(self.voltage_v) != len(self.fraction):
+            raise ValueError(
+                f"voltage_v has {len(self.voltage_v)} points and fraction {len(self.fraction)};"
+                " they need equally many"
+            )
+        if any(b <= a for a, b in pairwise(self.voltage_v)):
+            raise ValueError("voltage_v must increase")
+        return self
+
+
+class Port(Part):
+    """One flow path of a valve.
+
+    Attributes:
+        from_node: Node on one side; positive flow leaves it.
+        to_node: Node on the other side.
+        model: ``iso6358`` (sonic conductance) or ``effective_area`` (thesis 5.4).
+        conductance_m3_s_pa: Sonic conductance fully open (1 dm^3/(s bar) = 1e-8).
+        critical_ratio: Critical pressure ratio b.
+        laminar_ratio: Pressure ratio above which flow is linear in the pressure drop (viscous).
+        area_m2: Effective area fully open, for ``effective_area``.
+        opening: Opening fraction against spool voltage.
+        leakage: Opening fraction that remains when the spool closes the port.
+    """
+
+    from_node: str = Field(alias="from")
+    to_node: str = Field(alias="to")
+    model: Literal["iso6358", "effective_area"] = "iso6358"
+    conductance_m3_s_pa: NonNegative = 0.0
+    critical_ratio: Ratio = 0.3
+    laminar_ratio: Annotated[float, Field(gt=0.8, le=1.0)] = 0.999
+    area_m2: NonNegative = 0.0
+    opening: Opening
+    leakage: NonNegative = 0.0
+
+
+class Spool(Part):
+    """How the spool follows its command (thesis eq. 5.4, corrected).
+
+    Attributes:
+        bandwidth_hz: Natural frequency; None follows at once.
+        damping: Damping ratio.
+        integral: Gain of the position loop's integral term, 1/s.
+        max_acceleration_v_s2: Limit of the acceleration; None is unlimited.
+        delay_s: Transport delay of the command.
+        hysteresis_v: Backlash, full width.
+        null_offset_v: Shift of the spool's null.
+        dead_band_v: Overlap on each side of null.
+        null_v: Voltage at which the spool closes; the overlap lies around it.
+    """
+
+    bandwidth_hz: Positive | None = None
+    damping: Positive = 0.8
+    integral: NonNegative = 0.0
+    max_acceleration_v_s2: Positive | None = None
+    delay_s: NonNegative = 0.0
+    hysteresis_v: NonNegative = 0.0
+    null_offset_v: Finite = 0.0
+    dead_band_v: NonNegative = 0.0
+    null_v: Finite = 5.0
+
+
+class Valve(Part):
+    """A spool and the ports it opens."""
+
+    command: str
+    spool: Spool = Spool()
+    ports: dict[str, Port] = Field(min_length=1)
+
+
+class Orifice(Part):
+    """A fixed restriction between two nodes."""
+
+    from_node: str = Field(alias="from")
+    to_node: str = Field(alias="to")
+    conductance_m3_s_pa: NonNegative
+    critical_ratio: Ratio = 0.3
+    laminar_ratio: Annotated[float, Field(gt=0.8, le=1.0)] = 0.999
+
+
+class Tap(Part):
+    """A pressure sensor on a pipe or a chamber.
+
+    Attributes:
+        pipe: Pipe it sits on; exclusive with ``chamber``.
+        position_m: Where on the pipe.
+        chamber: Chamber it sits on.
+        channel: Where its readings are recorded.
+        lag_s: First-order lag of the sensor.
+        gain: Reading per true gauge pressure.
+        bias_pa: Added to the reading.
+        offset_s: Lateness of its clock.
+        noise_pa: White noise, one sigma (simulation).
+        quantum_pa: Quantisation step (simulation).
+    """
+
+    pipe: str | None = None
+    position_m: NonNegative = 0.0
+    chamber: str | None = None
+    channel: Channel | None = None
+    lag_s: NonNegative = 0.0
+    gain: Positive = 1.0
+    bias_pa: Finite = 0.0
+    offset_s: Finite = 0.0
+    noise_pa: NonNegative = 0.0
+    quantum_pa: NonNegative = 0.0
+
+    @model_validator(mode="after")
+    def _check(self) -> "Tap":
+        if (self.pipe is None) == (self.chamber is None):
+            raise ValueError("a tap names either a pipe or a chamber")
+        return self
+
+
+class Command(Part):
+    """A valve command and where it is recorded; volts."""
+
+    channel: Channel | None = None
+
+
+class AttachedEffect(Part):
+    """An effect of the catalogue, attached at a place with given parameters."""
+
+    effect: str
+    place: str
+    parameters: dict[str, Finite] = {}
+
+
+class FitParameter(Part):
+    """A number of the rig that identification may change.
+
+    Attributes:
+        path: Dotted path into the rig, such as ``pipes.tube.area_m2``.
+        lower: Lower bound.
+        upper: Upper bound.
+        std: Uncertainty before (or, after ``pneu fit``, since) calibration; None is the full range.
+        log: Whether steps are relative (positive quantities of unknown size).
+    """
+
+    path: str
+    lower: Finite
+    upper: Finite
+    std: Positive | None = None
+    log: bool = False
+
+    @model_validator(mode="after")
+    def _check(self) -> "FitParameter":
+        if not self.lower < self.upper:
+            raise ValueError(f"{self.path}: lower {self.lower} must be below upper {self.upper}")
+        if self.log and self.lower <= 0.0:
+            raise ValueError(f"{self.path}: a logarithmic parameter needs lower > 0")
+        return self
+
+
+class Fit(Part):
+    """How the rig is identified: parameters and roll-outs (thesis 8.1.1, 8.1.2).
+
+    Attributes:
+        parameters: What may change.
+        horizon_s: Length of each roll-out; None is one roll-out over the whole recording.
+        warm_up_s: Time before each roll-out during which the state is drawn to the taps.
+        nudge_s: Time constant of that pull.
+    """
+
+    parameters: list[FitParameter] = []
+    horizon_s: Positive | None = 0.5
+    warm_up_s: NonNegative = 0.15
+    nudge_s: Positive = 0.004
+
+
+class Calibration(Part):
+    """What ``pneu fit`` leaves in the file beside the values: how good the model was there.
+
+    Attributes:
+        recording: Recording it was fitted to.
+        rmse_pa: Residual left per tap.
+        noise_floor_pa: Sensor noise per tap.
+        held_out_rmse_pa: Residual on the part kept aside.
+    """
+
+    recording: str
+    rmse_pa: dict[str, float]
+    noise_floor_pa: dict[str, float]
+    held_out_rmse_pa: dict[str, float] = {}
+
+
+class Rig(Part):
+    """A rig: everything the models, the bridge and the identification build from."""
+
+    pneu_rig: Literal[1] = 1
+    name: str
+    description: str = ""
+    grid: Grid = Grid()
+    ambient: Ambient = Ambient()
+    pipes: dict[str, Pipe] = Field(min_length=1)
+    reservoirs: dict[str, Reservoir] = {}
+    chambers: dict[str, Chamber] = {}
+    valves: dict[str, Valve] = {}
+    orifices: dict[str, Orifice] = {}
+    commands: dict[str, Command] = {}
+    taps: dict[str, Tap] = Field(min_length=1)
+    text: TextFormat | None = None
+    rate_hz: Positive | None = None
+    effects: list[AttachedEffect] = []
+    fit: Fit = Fit()
+    calibration: Calibration | None = None
+
+    @model_validator(mode="after")
+    def _connected(self) -> "Rig":
+        check_network(self)
+        return self
+
+    def dump(self) -> dict[str, Any]:
+        """Returns the rig as plain data for a YAML file, defaults left out."""
+        data = self.model_dump(mode="json", by_alias=True, exclude_defaults=True)
+        return {"pneu_rig": SCHEMA_VERSION, **data}
+
+
+def check_network(rig: Rig) -> None:
+    """Raises ValueError where parts of the rig do not meet."""
+    ends: dict[str, int] = {}
+    for name, pipe in rig.pipes.items():
+        for node in (pipe.from_node, pipe.to_node):
+            ends[node] = ends.get(node, 0) + 1
+        for part in (*pipe.losses, *pipe.leaks, *pipe.volumes, *pipe.narrowings):
+            if part.position_m > pipe.length_m:
+                raise ValueError(
+                    f"pipes.{name}: position_m {part.position_m} lies beyond length_m {pipe.length_m}"
+                )
+    both = set(rig.reservoirs) & set(rig.chambers)
+    if both:
+        raise ValueError(f"node {sorted(both)[0]!r} is both a reservoir and a chamber")
+    ports: dict[str, int] = {}
+    paths = [
+        (f"valves.{v}.ports.{p}", port)
+        for v, valve in rig.valves.items()
+        for p, port in valve.ports.items()
+    ]
+    paths += [(f"orifices.{o}", orifice) for o, orifice in rig.orifices.items()]
+    for where, port in paths:
+        for node in (port.from_node, port.to_node):
+            ports[node] = ports.get(node, 0) + 1
+            if node == CLOSED or not (node in ends or node in rig.reservoirs or node in rig.chambers):
+                raise ValueError(f"{where}: node {node!r} is no pipe end, reservoir or chamber")
+    for name, pipe in rig.pipes.items():
+        for node in (pipe.from_node, pipe.to_node):
+            fixed = node == CLOSED or node in rig.reservoirs or node in rig.chambers
+            if not fixed and ends[node] == 1 and node not in ports:
+                raise ValueError(
+                    f"pipes.{name}: its end at node {node!r} is unconnected; name a reservoir, a"
+                    f" chamber, another pipe's node, a valve port's node, or {CLOSED!r}"
+                )
+            if not fixed and ends[node] > 1 and node in ports:
+                raise ValueError(
+                    f"node {node!r} joins {ends[node]} pipes and a valve port; declare a chamber there"
+                )
+    for name, valve in rig.valves.items():
+        if valve.command not in rig.commands:
+            raise ValueError(
+                f"valves.{name}.command: {valve.command!r} is not among commands"
+                f" ({', '.join(rig.commands) or 'none declared'})"
+            )
+        for p, port in valve.ports.items():
+            other = port.opening.mirror
+            if other is not None and (
+                other not in valve.ports or valve.ports[other].opening.mirror is not None
+            ):
+                raise ValueError(
+                    f"valves.{name}.ports.{p}.opening.mirror: {other!r} is no port of this valve"
+                    " with a curve of its own"
+                )
+            if port.model == "effective_area":
+                for node in (port.from_node, port.to_node):
+                    if node in rig.reservoirs or node in rig.chambers:
+                        raise ValueError(
+                            f"valves.{name}.ports.{p}: model effective_area needs a pipe at {node!r}"
+                        )
+    for name, tap in rig.taps.items():
+        if tap.pipe is not None:
+            if tap.pipe not in rig.pipes:
+                raise ValueError(
+                    f"taps.{name}.pipe: {tap.pipe!r} is not among pipes ({', '.join(rig.pipes)})"
+                )
+            if tap.position_m > rig.pipes[tap.pipe].length_m * (1.0 + 1e-9):
+                raise ValueError(
+                    f"taps.{name}.position_m: {tap.position_m} lies beyond the pipe's length"
+                    f" {rig.pipes[tap.pipe].length_m}"
+                )
+        elif tap.chamber not in rig.chambers:
+            raise ValueError(
+                f"taps.{name}.chamber: {tap.chamber!r} is not among chambers"
+                f" ({', '.join(rig.chambers) or 'none declared'})"
+            )

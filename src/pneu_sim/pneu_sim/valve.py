@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From commanded volts to port openings: delay, backlash, spool motion, overlap, opening curve."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from pneu_sim.rig import build as B
+
+KNOTS_PER_SAMPLE = 4
+"""Openings are computed this many times per sample interval, and linear between."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _zoh_integral(command, cumulative, dt, t):
+    """Integral of the held command from 0 to t; before the first sample it holds the first value."""
+    if t <= 0.0:
+        return command[0] * t
+    last = command.size - 1
+    i = min(int(t / dt), last)
+    return cumulative[i] + command[i] * (t - i * dt)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def spool_positions(command, dt, knots, row, past, memory, out):
+    """Spool position in volts at every knot, for one valve.
+
+    The command is averaged over each knot interval, so that a delay need not be a whole number of
+    samples and small changes of it change the result smoothly. Backlash is a play operator on the
+    command. The spool obeys thesis eq. 5.4, corrected: an acceleration that opposes the error, with
+    an optional integral term, limited in size.
+
+    Args:
+        command: (past + T,) volts, held between samples.
+        dt: Sample interval, s.
+        knots: Knots per sample interval.
+        row: Valve parameters, see ``pneu_sim.rig.build``.
+        past: How many of the commands lie before the first position.
+        memory: (4,) command after backlash, position, speed and integral term, changed in place; a
+            NaN first has the spool at rest on the first command.
+        out: ((T - 1) * knots + 1,) positions.
+    """
+    w = row[0]
+    zeta = row[1]
+    ki = row[2]
+    limit = row[3]
+    delay = row[4]
+    half = 0.5 * row[5]
+    h = dt / knots
+    cumulative = np.zeros(command.size)
+    for i in range(1, command.size):
+        cumulative[i] = cumulative[i - 1] + command[i - 1] * dt
+    origin = past * dt - delay
+    before = _zoh_integral(command, cumulative, dt, origin)
+    target, x, v, acc = memory
+    if math.isnan(target):
+        target = x = command[past]
+        v = acc = 0.0
+    out[0] = x
+    linear = ki == 0.0 and limit == math.inf
+    sub = max(1, int(math.ceil(h * max(w, 1.0) / 0.05)))
+    hs = h / sub
+    # exact response of the linear spool over one knot interval
+    a11 = a12 = a21 = a22 = 0.0
+    if w > 0.0 and linear:
+        if zeta < 1.0:
+            wd = w * math.sqrt(1.0 - zeta * zeta)
+            e = math.exp(-zeta * w * h)
+            c = math.cos(wd * h)
+            s = math.sin(wd * h) / wd
+        else:
+            wd = w * math.sqrt(max(zeta * zeta - 1.0, 1e-12))
+            e = math.exp(-zeta * w * h)
+            c = math.cosh(wd * h)
+            s = math.sinh(wd * h) / wd
+        a11 = e * (c + zeta * w * s)
+        a12 = e * s
+        a21 = -e * w * w * s
+        a22 = e * (c - zeta * w * s)
+    for k in range(1, out.size):
+        now = _zoh_integral(command, cumulative, dt, origin + k * h)
+        mean = (now - before) / h
+        before = now
+        target = min(max(target, mean - half), mean + half)
+        if w <= 0.0:
+            x = target
+        elif linear:
+            d = x - target
+            x = target + a11 * d + a12 * v
+            v = a21 * d + a22 * v
+        else:
+            for _ in range(sub):
+                acc += ki * w * w * (target - x) * hs
+                f = w * w * (target - x) - 2.0 * zeta * w * v + acc
+                v += hs * min(max(f, -limit), limit)
+                x += hs * v
+        out[k] = x
+    memory[0] = target
+    memory[1] = x
+    memory[2] = v
+    memory[3] = acc
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _port_openings(x, row, lo, hi, table, out):
+    """Opening of one port along the spool's positions."""
+    offset = row[6]
+    dead = row[7]
+    null = row[8]
+    top = table.size - 1
+    scale = top / (hi - lo)
+    for k in range(x.size):
+        s = x[k] - offset - null
+        if dead > 0.0:
+            s = math.copysign(max(abs(s) - dead, 0.0), s)
+        f = min(max((null + s - lo) * scale, 0.0), float(top))
+        i = min(int(f), top - 1)
+        out[k] = table[i] + (f - i) * (table[i + 1] - table[i])
+
+
+@dataclass
+class SpoolState:
+    """Where the spools of a rig stand, and the commands that are still on their way to them.
+
+    Attributes:
+        memory: Per valve, see `spool_positions`.
+        past: Per valve the latest commands, volts.
+        dt_s: Interval of those.
+    """
+
+    memory: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    past: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    dt_s: float = 0.0
+
+    def before(self, valve: str, delay_s: float, dt_s: float) -> NDArray[np.float64]:
+        """Commands at intervals of ``dt_s`` that reach back over a delay.
+
+        Args:
+            valve: Name of the valve.
+            delay_s: How far back, s.
+            dt_s: Interval, s.
+        """
+        held = self.past.get(valve)
+        if held is None or delay_s <= 0.0:
+            return np.empty(0)
+        count = math.ceil(delay_s / dt_s) + 1
+        ago = (np.arange(count, 0, -1) - 0.5) * dt_s
+        index = held.size - 1 - (ago / self.dt_s).astype(int)
+        return np.asarray(held[np.maximum(index, 0)])
+
+
+def openings(
+    model: "B.Model",
+    commands: dict[str, NDArray[np.float64]],
+    dt_s: float,
+    knots: int = KNOTS_PER_SAMPLE,
+    spools: SpoolState | None = None,
+) -> NDArray[np.float64]:
+    """Opening fraction of every port along a recording.
+
+    Args:
+        model: The rig.
+        commands: Per command its (T,) volts, held between samples.
+        dt_s: Sample interval, s.
+        knots: Knots per sample interval.
+        spools: Where the spools stand, brought up to the last sample; None has them at rest.
+
+    Returns:
+        ((T - 1) * knots + 1, n_ports) openings, dimensionless.
+    """
+    plan = model.plan
+    size = 0
+    for series in commands.values():
+        size = series.size
+    count = max((size - 1) * knots + 1, 1)
+    result = np.ones((count, plan.ports.shape[0]))
+    positions: dict[int, NDArray[np.float64]] = {}
+    spools = spools or SpoolState()
+    for v, name in enumerate(plan.commands):
+        x = np.empty(count)
+        valve, delay_s = plan.valves[v], float(model.spool[v, B.V_DELAY])
+        past = spools.before(valve, delay_s, dt_s)
+        series = np.concatenate([past, commands[name]])
+        memory = spools.memory.setdefault(valve, np.full(4, np.nan))
+        spool_positions(series, dt_s, knots, model.spool[v], past.size, memory, x)
+        positions[v] = x
+        # The last command only begins at the last sample.
+        held = series[:-1] if series.size > 1 else series
+        spools.past[valve] = held[-(math.ceil(delay_s / dt_s) + 2) :]
+    spools.dt_s = dt_s
+    for q, v in enumerate(plan.port_valve):
+        if v >= 0:
+            out = np.empty(count)
+            _port_openings(positions[v], model.spool[v], *model.curve_v[q], model.curve[q], out)
+            result[:, q] = out
+    return result

@@ -1,0 +1,515 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every effect against what physics expects of it, worked out by hand."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pneu_sim.gas import AIR
+from pneu_sim.rig import Rig, load_rig
+from pneu_sim.rig.build import build, plan_grid
+from pneu_sim.rig.schema import AttachedEffect, Chamber, Opening
+from pneu_sim.simulate import Rollouts, initial_field, rollouts
+from pneu_sim.valve import KNOTS_PER_SAMPLE, openings
+
+HOUSE = Path(__file__).parents[3]
+DT_S = 0.002
+SUPPLY_PA, ROOM_PA, ROOM_K = 635e3, 101e3, 293.15
+SUPPLY, VALVE_OUT, MIDDLE, END, EXHAUST = range(5)
+FILL, DRAIN = 0, 1  # ports of rig A
+CHOKED = 0.0404149  # m sqrt(T) / (A p) of the isentropic orifice in air, K^0.5 s/m
+
+
+@pytest.fixture
+def rig() -> Rig:
+    """Rig A on a coarse grid, with a valve of straight openings."""
+    rig = load_rig(HOUSE / "rigs" / "rig_a.yaml")
+    rig.grid.dx_m = 0.1
+    # Straight openings from null, so that what a voltage lets through is known.
+    ports = rig.valves["valve"].ports
+    ports["supply"].opening = Opening(voltage_v=[5.0, 10.0], fraction=[0.0, 1.0])
+    ports["exhaust"].opening = Opening(voltage_v=[0.0, 5.0], fraction=[1.0, 0.0])
+    return rig
+
+
+@pytest.fixture
+def bottle(rig: Rig) -> Rig:
+    """Rig A with a bottle at the end of its tube."""
+    rig.pipes["tube"].to_node = "bottle"
+    rig.chambers["bottle"] = Chamber(volume_m3=1e-4)
+    return rig
+
+
+@pytest.fixture
+def blow_through() -> Rig:
+    """A choked orifice feeds a tube that is open to the room; two taps, 0.6 m apart."""
+    return Rig.model_validate(
+        {
+            "name": "blow-through",
+            "grid": {"dx_m": 0.05},
+            "ambient": {"pressure_pa": ROOM_PA, "temperature_k": ROOM_K},
+            "reservoirs": {"source": {"pressure_pa": 5e5}, "room": {"pressure_pa": ROOM_PA}},
+            "pipes": {"tube": {"from": "in", "to": "room", "length_m": 1.0, "area_m2": 20e-6}},
+            "orifices": {"jet": {"from": "source", "to": "in", "conductance_m3_s_pa": 1.5e-9}},
+            "taps": {
+                "near": {"pipe": "tube", "position_m": 0.2},
+                "far": {"pipe": "tube", "position_m": 0.8},
+            },
+        }
+    )
+
+
+def attach(rig: Rig, effect: str, place: str, **parameters: float) -> Rig:
+    """A copy of the rig with one more effect."""
+    copy = rig.model_copy(deep=True)
+    attached = AttachedEffect(effect=effect, place=place, parameters=parameters)
+    copy.effects = [*copy.effects, attached]
+    return copy
+
+
+def run(rigs: list[Rig], volts: np.ndarray, start_pa: list[float], dt_s: float = DT_S) -> Rollouts:
+    """Rolls rigs out from rest, all on the grid of the first."""
+    plan = plan_grid(rigs[0])
+    models = [build(r, plan) for r in rigs]
+    commands = {name: volts for name in rigs[0].commands}
+    start = np.tile(start_pa, (volts.size, 1))
+    return rollouts(models, initial_field(rigs[0], plan), commands, dt_s, [0], volts.size, start)
+
+
+def rig_a(rigs: list[Rig], volts: np.ndarray, tube_pa: float = ROOM_PA) -> tuple[np.ndarray, ...]:
+    """Readings (rigs, samples, taps) and port flows of rig A and its variants."""
+    out = run(rigs, volts, [SUPPLY_PA, tube_pa, tube_pa, tube_pa, ROOM_PA])
+    return out.readings[:, 0], out.flows[:, 0]
+
+
+def hold(volts: float, seconds: float, rest_s: float = 0.02) -> np.ndarray:
+    """A closed valve for ``rest_s``, then a step that is held."""
+    steps = [5.0] * round(rest_s / DT_S) + [volts] * round(seconds / DT_S)
+    return np.array(steps)
+
+
+def step_and_hold() -> np.ndarray:
+    """Fill, closed, exhaust, closed."""
+    return np.repeat([5.0, 8.0, 5.0, 2.0, 5.0], [10, 40, 50, 40, 50])
+
+
+# --- valve ----------------------------------------------------------------------------------------
+
+
+def test_delay_shifts_all_taps_by_itself(rig: Rig) -> None:
+    late = attach(rig, "valve_delay", "valve", delay_s=2.0 * DT_S)
+    (plain, delayed), _ = rig_a([rig, late], step_and_hold(), 3e5)
+    np.testing.assert_allclose(delayed[2:], plain[:-2], rtol=1e-6)
+
+
+def test_slow_spool_lags_a_ramp_by_the_lag(rig: Rig) -> None:
+    ramp = 5.0 + np.arange(500) * DT_S * 2.0  # 2 V/s over a port of 5 V
+    for bandwidth in (60.0, None):
+        rig.valves["valve"].spool.bandwidth_hz = bandwidth
+        slow = attach(rig, "spool_bandwidth", "valve", lag_s=6e-3)
+        plain, lagging = (openings(build(r), {"voltage": ramp}, DT_S)[:, FILL] for r in (rig, slow))
+        behind = np.mean((plain - lagging)[-100 * KNOTS_PER_SAMPLE :])
+        # An instant spool stands at the mean command of the knot interval, half of it late.
+        half_knot = 0.5 * DT_S / KNOTS_PER_SAMPLE if bandwidth is None else 0.0
+        assert behind / (2.0 / 5.0) == pytest.approx(6e-3 - half_knot, rel=1e-3)
+
+
+def test_nothing_flows_inside_the_dead_band(rig: Rig) -> None:
+    dead = attach(rig, "dead_band", "valve", width_v=0.25)
+    for volts in (5.24, 4.76):
+        (plain, banded), (some, none) = rig_a([rig, dead], hold(volts, 0.1), 3e5)
+        assert np.all(none == 0.0)
+        assert np.max(np.abs(some)) > 1e-5
+        np.testing.assert_allclose(banded, np.broadcast_to(banded[0], banded.shape), rtol=1e-6)
+        assert np.max(np.abs(plain - banded)) > 5e3
+    # Beyond it the valve opens as it would at a command nearer null by the overlap.
+    (beyond,), _ = rig_a([dead], hold(7.25, 0.1), 3e5)
+    (nearer,), _ = rig_a([rig], hold(7.0, 0.1), 3e5)
+    assert beyond[-1] == pytest.approx(nearer[-1], rel=0.01)
+
+
+def test_hysteresis_parts_the_branches_by_its_width(rig: Rig) -> None:
+    rig.valves["valve"].spool.bandwidth_hz = None
+    wide = attach(rig, "hysteresis", "valve", width_v=0.4)
+    triangle = np.concatenate([np.linspace(5.0, 9.0, 400), np.linspace(9.0, 5.0, 400)])
+    x = openings(build(wide), {"voltage": triangle}, DT_S)[:, FILL]
+    u = np.interp(np.arange(x.size) / KNOTS_PER_SAMPLE, np.arange(triangle.size), triangle)
+    top = int(np.argmax(u))
+    up = np.interp(0.5, x[:top], u[:top])
+    down = np.interp(-0.5, -x[top:], u[top:])
+    assert up - down == pytest.approx(0.4, abs=0.02)
+
+
+def test_null_offset_is_a_shifted_command(rig: Rig) -> None:
+    shifted = attach(rig, "null_offset", "valve", offset_v=0.3)
+    volts = step_and_hold()
+    (plain,), _ = rig_a([rig], volts, 3e5)
+    (moved,), _ = rig_a([shifted], volts + 0.3, 3e5)
+    np.testing.assert_allclose(moved, plain, rtol=1e-9)
+
+
+def test_spool_leakage_is_a_choked_port(rig: Rig) -> None:
+    leaky = attach(rig, "spool_leakage", "valve.supply", fraction=0.01)
+    _, (none, some) = rig_a([rig, leaky], hold(5.0, 0.1), ROOM_PA)
+    np.testing.assert_allclose(none, 0.0, atol=1e-12)
+    expected = 0.01 * 0.9e-8 * 1.185 * SUPPLY_PA  # C rho_0 p_1, ISO 6358-1
+    assert some[-1, FILL] == pytest.approx(expected, rel=0.01)
+    assert some[-1, DRAIN] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_flow_gain_scales_choked_flow(rig: Rig) -> None:
+    both = attach(rig, "flow_gain", "valve", error=0.2)
+    one = attach(rig, "flow_gain", "valve.exhaust", error=0.2)
+    _, flows = rig_a([rig, both, one], hold(5.05, 0.1), ROOM_PA)
+    assert flows[1:, -1, FILL] / flows[0, -1, FILL] == pytest.approx([1.2, 1.0], rel=0.01)
+    _, flows = rig_a([rig, both, one], hold(4.95, 0.03), 6e5)
+    assert flows[1:, -1, DRAIN] / flows[0, -1, DRAIN] == pytest.approx([1.2, 1.2], rel=0.02)
+
+
+def test_asymmetry_favours_one_way(rig: Rig) -> None:
+    uneven = attach(rig, "fill_exhaust_asymmetry", "valve", difference=0.2)
+    _, flows = rig_a([rig, uneven], hold(5.05, 0.1), ROOM_PA)
+    assert flows[1, -1, FILL] / flows[0, -1, FILL] == pytest.approx(1.1, rel=0.01)
+    _, flows = rig_a([rig, uneven], hold(4.95, 0.03), 6e5)
+    assert flows[1, -1, DRAIN] / flows[0, -1, DRAIN] == pytest.approx(0.9, rel=0.02)
+
+
+def test_critical_ratio_acts_on_subsonic_flow_only(rig: Rig) -> None:
+    other = attach(rig, "critical_ratio", "valve", shift=0.2)
+    _, flows = rig_a([rig, other], hold(5.2, 0.05), ROOM_PA)
+    assert flows[1, -1, FILL] == pytest.approx(flows[0, -1, FILL], rel=1e-3)
+    pressure = 0.8 * SUPPLY_PA
+    _, flows = rig_a([rig, other], hold(5.1, 0.03), pressure)
+    ellipse = [math.sqrt(1.0 - ((0.8 - b) / (1.0 - b)) ** 2) for b in (0.3, 0.5)]
+    assert flows[1, -1, FILL] / flows[0, -1, FILL] == pytest.approx(
+        ellipse[1] / ellipse[0], rel=0.02
+    )
+
+
+# --- line -----------------------------------------------------------------------------------------
+
+
+def test_leak_empties_a_closed_line_as_an_orifice_does(rig: Rig) -> None:
+    area = 5e-8
+    volts = hold(5.0, 0.3)
+    whole, holed = (
+        rig_a([r], volts, 5e5)[0][0]
+        for r in (rig, attach(rig, "leak", "tube", area_m2=area, position_m=2.5))
+    )
+    np.testing.assert_allclose(whole[-1], whole[0], rtol=1e-6)
+    # p'/p = -n A 0.0404 R sqrt(T) / V with n between 1 (isothermal) and 1.4 (adiabatic)
+    volume = 2.5 * 6e-6
+    rate = CHOKED * area * AIR.r_specific * math.sqrt(ROOM_K) / volume
+    fall = -math.log(holed[-1, MIDDLE] / holed[20, MIDDLE]) / ((volts.size - 21) * DT_S)
+    assert rate < fall < 1.4 * rate
+    assert np.all(holed[-1, [SUPPLY, EXHAUST]] == pytest.approx([SUPPLY_PA, ROOM_PA]))
+
+
+@pytest.mark.parametrize(
+    ("effect", "strength"),
+    [("blockage", {"fraction": 0.6}), ("local_loss", {"K": 20.0})],
+)
+def test_what_sits_along_the_tube_echoes_after_its_distance(
+    rig: Rig, effect: str, strength: dict[str, float]
+) -> None:
+    rig.grid.dx_m = 0.05
+    rig.valves["valve"].spool.bandwidth_hz = None
+    at = attach(rig, effect, "tube", position_m=1.5, **strength)
+    (plain, changed), _ = rig_a([rig, at], hold(10.0, 0.03, rest_s=0.0), ROOM_PA)
+    echo = np.abs(changed - plain)[:, VALVE_OUT]
+    there_and_back = 2.0 * 1.4 / AIR.sound_speed(ROOM_K)
+    first = np.argmax(echo > 0.05 * np.max(echo)) * DT_S
+    # The pulse compresses and carries the gas it runs through, so it may be faster than sound.
+    assert 0.55 * there_and_back < first < 1.25 * there_and_back
+
+
+def steady_drop(rig: Rig) -> tuple[float, float]:
+    """Pressure drop between the taps of the blow-through rig at steady flow, and that flow."""
+    out = run([rig], np.zeros(400), [ROOM_PA + 1e3, ROOM_PA])
+    near, far = out.readings[0, 0, -1]
+    return near - far, float(out.flows[0, 0, -1, 0])
+
+
+def test_choked_source_sets_the_flow(blow_through: Rig) -> None:
+    _, flow = steady_drop(blow_through)
+    assert flow == pytest.approx(1.5e-9 * 1.185 * 5e5, rel=1e-3)
+
+
+def mean_density(drop_pa: float) -> float:
+    """Density between the taps, from the pressure halfway to the open end."""
+    return float(AIR.density(ROOM_PA + drop_pa / 0.6 * 0.5, ROOM_K))
+
+
+def test_local_loss_costs_velocity_heads(blow_through: Rig) -> None:
+    drop, flow = steady_drop(blow_through)
+    lossy, _ = steady_drop(attach(blow_through, "local_loss", "tube", K=4.0, position_m=0.5))
+    head = 0.5 * (flow / 20e-6) ** 2 / mean_density(drop)
+    assert lossy - drop == pytest.approx(4.0 * head, rel=0.05)
+
+
+def test_blockage_loses_what_borda_and_carnot_say(blow_through: Rig) -> None:
+    drop, flow = steady_drop(blow_through)
+    narrow = attach(blow_through, "blockage", "tube", fraction=0.5, position_m=0.5, length_m=0.1)
+    blocked, _ = steady_drop(narrow)
+    head = 0.5 * (flow / 20e-6) ** 2 / mean_density(drop)
+    # (A / A_narrow - 1)^2 heads at the widening, and 0.1 m of friction at twice the speed
+    reynolds = flow * math.sqrt(4.0 * 20e-6 / math.pi) / (AIR.viscosity(ROOM_K) * 20e-6)
+    pipe_heads = haaland(reynolds) * 0.1 / math.sqrt(4.0 * 20e-6 / math.pi)
+    expected = (1.0 + pipe_heads * (2.0**2.5 - 1.0)) * head
+    assert 0.75 * expected < blocked - drop < 1.35 * expected
+
+
+def haaland(reynolds: float, roughness: float = 0.0) -> float:
+    """Darcy friction factor; ``roughness`` relative to the diameter."""
+    return (-1.8 * math.log10(6.9 / reynolds + (roughness / 3.7) ** 1.11)) ** -2
+
+
+def test_turbulent_friction_and_roughness_follow_haaland(blow_through: Rig) -> None:
+    drop, flow = steady_drop(blow_through)
+    diameter = math.sqrt(4.0 * 20e-6 / math.pi)
+    reynolds = flow * diameter / (AIR.viscosity(ROOM_K) * 20e-6)
+    assert reynolds > 4000.0
+    heads = 0.5 * (flow / 20e-6) ** 2 / mean_density(drop) * 0.6 / diameter
+    gained, _ = steady_drop(attach(blow_through, "turbulent_friction", "tube", gain=0.3))
+    assert gained - drop == pytest.approx(
+        0.3 * (haaland(reynolds) - 64.0 / reynolds) * heads, rel=0.05
+    )
+    rough, _ = steady_drop(attach(blow_through, "roughness", "tube", height_m=5e-5))
+    expected = (haaland(reynolds, 5e-5 / diameter) - haaland(reynolds)) * heads
+    assert rough - drop == pytest.approx(expected, rel=0.06)
+
+
+def test_laminar_friction_follows_poiseuille(blow_through: Rig) -> None:
+    blow_through.orifices["jet"].conductance_m3_s_pa = 1.2e-10
+    drop, flow = steady_drop(blow_through)
+    more, _ = steady_drop(attach(blow_through, "laminar_friction", "tube", gain=1.0))
+    rho = float(AIR.density(ROOM_PA, ROOM_K))
+    expected = 8.0 * math.pi * AIR.viscosity(ROOM_K) * flow / rho / 20e-6**2 * 0.6
+    assert drop == pytest.approx(expected, rel=0.02)
+    assert more - drop == pytest.approx(expected, rel=0.02)
+
+
+def ringing(y: np.ndarray) -> float:
+    """Size of what still moves at the end of a hold."""
+    return float(np.std(np.diff(y[-40:, END])))
+
+
+def test_unsteady_friction_damps_the_ringing(rig: Rig) -> None:
+    rig.pipes["tube"].wall.heat_unsteady = 0.0
+    quiet = attach(rig, "unsteady_friction", "tube", gain=1.0)
+    freer = attach(rig, "unsteady_friction", "tube", gain=-1.0)
+    pulse = np.repeat([10.0, 5.0], [4, 60])
+    y, _ = rig_a([freer, rig, quiet], pulse, 3e5)
+    assert ringing(y[0]) > 1.2 * ringing(y[1]) > 1.4 * ringing(y[2])
+
+
+def test_unsteady_friction_gives_one_pipe_of_a_thesis_rig_a_memory(rig: Rig) -> None:
+    only = rig.model_copy(deep=True)
+    for name, pipe in only.pipes.items():
+        pipe.wall.unsteady = 1.0 if name == "tube" else 0.0
+        pipe.wall.heat_unsteady = 0.0
+    rig.grid.memory = False
+    gained = attach(rig, "unsteady_friction", "tube", gain=1.0)
+    volts = step_and_hold()
+    y, _ = rig_a([rig, gained, only], volts, 3e5)
+    np.testing.assert_allclose(y[1], y[2], rtol=1e-12)
+    assert np.max(np.abs(y[0] - y[1])) > 1e3
+    (alone,), _ = rig_a([rig], volts, 3e5)
+    np.testing.assert_allclose(y[0], alone, rtol=1e-9)  # memory elsewhere in a batch is no matter
+
+
+def test_wall_heat_sags_after_a_fill_and_rises_after_an_exhaust(rig: Rig) -> None:
+    for pipe in rig.pipes.values():
+        pipe.wall.nusselt = pipe.wall.heat_unsteady = 0.0
+    warm = attach(rig, "wall_heat", "tube", gain=1.0)
+    for volts, start, sign in ((9.0, 2e5, -1.0), (2.0, 6e5, 1.0)):
+        command = np.repeat([volts, 5.0], [12, 300])
+        y, _ = rig_a([rig, warm], command, start)
+        inside = y[:, :, VALVE_OUT : END + 1].mean(axis=2)
+        drift = inside[:, -100:].mean(axis=1) - inside[:, 16:30].mean(axis=1)
+        assert sign * (drift[1] - drift[0]) > 3e3
+        assert abs(drift[0]) < 0.3 * abs(drift[1])
+
+
+def test_dead_volume_slows_a_choked_fill_in_proportion(rig: Rig) -> None:
+    added = attach(rig, "dead_volume", "tube", volume_m3=5e-6, position_m=2.5)
+    y, flows = rig_a([rig, added], hold(5.05, 0.16), ROOM_PA)
+    assert flows[1, -1, FILL] == pytest.approx(flows[0, -1, FILL], rel=1e-2)
+    gain = y[:, -1, MIDDLE] - y[:, 30, MIDDLE]
+    assert gain[1] / gain[0] == pytest.approx(2.5 * 6e-6 / (2.5 * 6e-6 + 5e-6), rel=0.03)
+
+
+def test_wider_and_longer_tubes_fill_in_proportion(rig: Rig) -> None:
+    wide = attach(rig, "area_error", "tube", error=0.25)
+    long = attach(rig, "length_error", "tube", error=0.25)
+    y, _ = rig_a([rig, wide, long], hold(5.05, 0.16), ROOM_PA)
+    gain = y[:, -1, MIDDLE] - y[:, 30, MIDDLE]
+    np.testing.assert_allclose(gain[1:] / gain[0], 1.0 / 1.25, rtol=0.03)
+
+
+def arrival_s(rig: Rig, tap: int, tube_pa: float) -> float:
+    """Time at which half a small pulse's height reaches a tap."""
+    rig.grid.dx_m = 0.02
+    rig.valves["valve"].spool.bandwidth_hz = None
+    fine_s = 2e-4
+    # Over before its echo from the end comes by the middle.
+    pulse = np.repeat([5.3, 5.0], [10, 60 if tap == END else 26])
+    start = [SUPPLY_PA, tube_pa, tube_pa, tube_pa, ROOM_PA]
+    y = run([rig], pulse, start, fine_s).readings[0, 0, :, tap]
+    level = y[0] + 0.5 * (np.max(y) - y[0])
+    k = int(np.argmax(y > level))
+    return (k - (y[k] - level) / (y[k] - y[k - 1])) * fine_s
+
+
+def test_longer_tube_delays_the_arrival_by_its_length(rig: Rig) -> None:
+    long = attach(rig, "length_error", "tube", error=0.2)
+    extra = 0.2 * 2.475 / AIR.sound_speed(ROOM_K)
+    later = arrival_s(long, END, 3e5) - arrival_s(rig, END, 3e5)
+    assert later == pytest.approx(extra, rel=0.08)
+
+
+def test_yielding_wall_slows_waves_the_more_the_higher_the_pressure(rig: Rig) -> None:
+    kappa = 5e-7
+    soft = attach(rig, "wall_compliance", "tube", compliance_per_pa=kappa)
+    for pressure in (2e5, 5e5):
+        later = arrival_s(soft, MIDDLE, pressure) - arrival_s(rig, MIDDLE, pressure)
+        # Moens and Korteweg, with gas of bulk modulus gamma p
+        slower = math.sqrt(1.0 + 1.4 * pressure * kappa / (1.0 + kappa * (pressure - ROOM_PA)))
+        expected = 1.25 / AIR.sound_speed(ROOM_K) * (slower - 1.0)
+        assert later == pytest.approx(expected, rel=0.12)
+
+
+def test_yielding_wall_holds_more_gas_and_keeps_it(rig: Rig) -> None:
+    kappa = 1e-6
+    soft = attach(rig, "wall_compliance", "tube", compliance_per_pa=kappa)
+    (_, rest), _ = rig_a([rig, soft], hold(5.0, 0.2), 5e5)
+    np.testing.assert_allclose(rest, np.broadcast_to(rest[0], rest.shape), rtol=1e-9)
+    # Filled and left alone until warm as the room, the mass that went in is A L s p / (R T) more.
+    command = np.repeat([6.0, 5.0], [50, 600])
+    y, flows = rig_a([rig, soft], command, 2e5)
+    taken = flows[:, :, FILL].sum(axis=1) * DT_S
+    for k, mass in ((0.0, taken[0]), (kappa, taken[1])):
+        p = y[int(k > 0.0), -1, MIDDLE]
+        held = [q * (1.0 + k * (q - ROOM_PA)) for q in (2e5, p)]
+        assert mass == pytest.approx(
+            2.5 * 6e-6 * (held[1] - held[0]) / (AIR.r_specific * ROOM_K), rel=0.02
+        )
+
+
+# --- chambers -------------------------------------------------------------------------------------
+
+
+def test_chamber_leak_is_an_adiabatic_orifice(bottle: Rig) -> None:
+    area = 2e-7
+    holed = attach(bottle, "chamber_leak", "bottle", area_m2=area)
+    bottle.pipes["tube"].area_m2 = holed.pipes["tube"].area_m2 = 1e-7  # next to no gas in the tube
+    (whole, leaky), _ = rig_a([bottle, holed], hold(5.0, 0.2), 5e5)
+    np.testing.assert_allclose(whole[-1], whole[0], rtol=1e-6)
+    rate = 1.4 * CHOKED * area * AIR.r_specific * math.sqrt(ROOM_K) / 1e-4
+    fall = -math.log(leaky[100, END] / leaky[10, END]) / (90 * DT_S)
+    assert fall == pytest.approx(rate, rel=0.03)
+
+
+def test_chamber_volume_and_compliance_slow_a_choked_fill(bottle: Rig) -> None:
+    bottle.pipes["tube"].length_m = 0.5
+    for tap, at in (("middle", 0.25), ("end", 0.475)):
+        bottle.taps[tap].position_m = at
+    bigger = attach(bottle, "chamber_volume", "bottle", error=0.3)
+    softer = attach(bottle, "chamber_compliance", "bottle", compliance_per_pa=1e-6)
+    y, _ = rig_a([bottle, bigger, softer], hold(5.1, 0.3), ROOM_PA)
+    gain = y[:, -1, END] - y[:, 40, END]
+    tube = 0.5 * 6e-6
+    assert gain[1] / gain[0] == pytest.approx((1e-4 + tube) / (1.3e-4 + tube), rel=0.02)
+    # Adiabatic filling of a yielding vessel: p' (V + gamma p dV/dp) = gamma R T m, V grows as well.
+    p = y[2, 40:, END].mean()
+    volume = 1e-4 * (1.0 + 1e-6 * (p - ROOM_PA)) + tube
+    assert gain[2] / gain[0] == pytest.approx(
+        (1e-4 + tube) / (volume + 1.4 * p * 1e-4 * 1e-6), rel=0.04
+    )
+
+
+def test_chamber_heat_settles_an_emptied_bottle_back_to_the_room(bottle: Rig) -> None:
+    warm = attach(bottle, "chamber_heat", "bottle", conductance_w_per_k=0.5)
+    command = np.repeat([0.0, 5.0], [60, 340])
+    (adiabatic, heated), _ = rig_a([bottle, warm], command, 6e5)
+    rise = heated[-1, END] - heated[80, END]
+    assert rise > 5e3
+    assert rise > 3.0 * abs(adiabatic[-1, END] - adiabatic[80, END])
+
+
+# --- supply and room ------------------------------------------------------------------------------
+
+
+def test_droop_lowers_the_supply_in_proportion_to_flow(rig: Rig) -> None:
+    sagging = attach(rig, "regulator_droop", "supply", droop_pa_s_per_kg=2e7)
+    (plain, sagged), (_, flow) = rig_a([rig, sagging], hold(5.4, 0.12), ROOM_PA)
+    drop = plain[-1, SUPPLY] - sagged[-1, SUPPLY]
+    assert drop == pytest.approx(2e7 * flow[-1, FILL], rel=0.05)
+    (plain, sagged), _ = rig_a([rig, sagging], hold(5.0, 0.05), ROOM_PA)
+    np.testing.assert_allclose(sagged, plain, rtol=1e-9)  # no flow, no droop
+
+
+def test_supply_level_shows_wherever_the_supply_reaches(rig: Rig) -> None:
+    higher = attach(rig, "supply_level", "supply", offset_pa=1e4)
+    (plain, raised), _ = rig_a([rig, higher], hold(7.0, 2.0), 5.5e5)
+    shift = raised[-1] - plain[-1]
+    np.testing.assert_allclose(shift[[SUPPLY, VALVE_OUT, MIDDLE, END]], 1e4, rtol=0.05)
+    assert shift[EXHAUST] == pytest.approx(0.0, abs=1.0)
+
+
+def test_warm_supply_passes_less_mass(blow_through: Rig) -> None:
+    warm = attach(blow_through, "supply_temperature", "source", offset_k=60.0)
+    _, cold_flow = steady_drop(blow_through)
+    _, warm_flow = steady_drop(warm)
+    assert warm_flow / cold_flow == pytest.approx(math.sqrt(ROOM_K / (ROOM_K + 60.0)), rel=1e-3)
+
+
+def test_warm_room_warms_the_supply_too(blow_through: Rig) -> None:
+    _, cold_flow = steady_drop(blow_through)
+    _, warm_flow = steady_drop(attach(blow_through, "ambient_temperature", "room", offset_k=30.0))
+    assert warm_flow / cold_flow == pytest.approx(math.sqrt(ROOM_K / (ROOM_K + 30.0)), rel=1e-3)
+
+
+def test_barometer_moves_what_is_open_to_the_room(rig: Rig) -> None:
+    low = attach(rig, "ambient_pressure", "room", offset_pa=-3e3)
+    out = run([rig, low], hold(1.0, 1.5), [SUPPLY_PA, 3e5, 3e5, 3e5, ROOM_PA])
+    shift = out.readings[1, 0, -1] - out.readings[0, 0, -1]
+    np.testing.assert_allclose(shift[[VALVE_OUT, MIDDLE, END, EXHAUST]], -3e3, rtol=0.05)
+    assert shift[SUPPLY] == pytest.approx(0.0, abs=1.0)
+
+
+# --- sensors --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameters"),
+    [
+        ("sensor_lag", {"lag_s": 6e-3}),
+        ("sensor_bias", {"bias_pa": 2e3}),
+        ("sensor_gain", {"error": 0.05}),
+        ("clock_offset", {"offset_s": 2.0 * DT_S}),
+        ("clock_offset", {"offset_s": -2.0 * DT_S}),
+    ],
+)
+def test_sensor_effects_touch_their_own_tap_only(
+    rig: Rig, effect: str, parameters: dict[str, float]
+) -> None:
+    odd = attach(rig, effect, "end", **parameters)
+    (p, r), _ = rig_a([rig, odd], step_and_hold(), 3e5)
+    others = [SUPPLY, VALVE_OUT, MIDDLE, EXHAUST]
+    assert np.all(r[:, others] == p[:, others])
+    p, r = p[:, END], r[:, END]
+    if effect == "sensor_bias":
+        np.testing.assert_allclose(r, p + 2e3)
+    elif effect == "sensor_gain":
+        np.testing.assert_allclose(r - ROOM_PA, 1.05 * (p - ROOM_PA))
+    elif effect == "clock_offset" and parameters["offset_s"] > 0.0:
+        np.testing.assert_allclose(r[2:], p[:-2], rtol=1e-9)
+    elif effect == "clock_offset":
+        np.testing.assert_allclose(r[:-2], p[2:], rtol=1e-9)
+    else:  # lag r' + r = p, integrated over everything: lag (r_end - r_start) = integral of p - r
+        area = float(np.sum(0.5 * (p - r)[1:] + 0.5 * (p - r)[:-1])) * DT_S
+        assert 6e-3 * (r[-1] - r[0]) == pytest.approx(area, rel=0.02)
+        assert np.max(np.abs(np.diff(r))) < np.max(np.abs(np.diff(p)))

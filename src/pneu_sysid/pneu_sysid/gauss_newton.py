@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bounded Gauss-Newton with a batched Jacobian: every column and every trial step is one batch."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+Floats = NDArray[np.float64]
+Residuals = Callable[[Sequence[Floats]], Floats]
+"""Maps K parameter vectors to (K, n_clusters, m) residuals in one batched call."""
+
+DAMPINGS = (1e-6, 1e-3, 1e-1, 1e1)
+HUBER = 3.0
+"""Residuals beyond this many noise deviations count linearly under the robust loss."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A quantity to estimate.
+
+    Attributes:
+        name: Its name.
+        value: Start value, and centre of the prior.
+        lower: Lower bound.
+        upper: Upper bound.
+        step: Difference step.
+        std: Standard deviation of the prior; inf for none.
+    """
+
+    name: str
+    value: float
+    lower: float
+    upper: float
+    step: float
+    std: float = np.inf
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Result of a fit.
+
+    Attributes:
+        values: (P,) estimates.
+        std_errors: (P,) standard errors, robust against correlation within a roll-out.
+        covariance: (P, P).
+        correlation: (P, P).
+        condition: Condition number of the column-scaled Jacobian.
+        cost: Half the sum of squares at the end, prior included.
+        history: Cost after each iteration, the start first.
+        residual: (n_clusters, m) at the estimate.
+        jacobian: (n_clusters, m, P) at the last linearisation.
+        at_bound: (P,) which estimates sit on a bound.
+        visible: (P,) whether the data constrain the parameter at all.
+    """
+
+    values: Floats
+    std_errors: Floats
+    covariance: Floats
+    correlation: Floats
+    condition: float
+    cost: float
+    history: list[float]
+    residual: Floats
+    jacobian: Floats
+    at_bound: NDArray[np.bool_]
+    visible: NDArray[np.bool_]
+
+
+def jacobian(residuals: Residuals, x: Floats, variables: Sequence[Variable]) -> tuple[Floats, Floats]:
+    """Residuals and their forward-difference Jacobian, in one batched call.
+
+    Args:
+        residuals: Batched residual function.
+        x: (P,) point.
+        variables: Steps and bounds; a step that would leave the bounds is taken the other way.
+
+    Returns:
+        (n_clusters, m) residuals and (n_clusters, m, P) Jacobian.
+    """
+    points = [x]
+    steps = []
+    for k, v in enumerate(variables):
+        h = v.step if x[k] + v.step <= v.upper else -v.step
+        y = x.copy()
+        y[k] += h
+        points.append(y)
+        steps.append(h)
+    r = residuals(points)
+    j = np.stack([(r[k + 1] - r[0]) / h for k, h in enumerate(steps)], axis=-1)
+    return r[0], j
+
+
+def _weights(r: Floats, robust: bool) -> Floats:
+    """Square roots of the Huber weights."""
+    if not robust:
+        return np.ones_like(r)
+    return np.sqrt(np.minimum(1.0, HUBER / np.maximum(np.abs(r), 1e-12)))
+
+
+def _cost(r: Floats, robust: bool) -> float:
+    if not robust:
+        return 0.5 * float(np.sum(r * r))
+    a = np.abs(r)
+    return float(np.sum(np.where(a <= HUBER, 0.5 * a * a, HUBER * (a - 0.5 * HUBER))))
+
+
+def minimise(
+    residuals: Residuals,
+    variables: Sequence[Variable],
+    iterations: int = 10,
+    tolerance: float = 1e-3,
+    robust: bool = False,
+    progress: Callable[[int, float], None] | None = None,
+    ties: tuple[Floats, Floats] | None = None,
+) -> Estimate:
+    """Minimises the sum of squared residuals plus a Gaussian prior, within bounds.
+
+    Each iteration linearises by one batched call, solves the bounded linear problem at several
+    dampings, and tries all of those steps in one more batched call (thesis 8.1.2, with bounds by an
+    active set instead of a barrier).
+
+    Args:
+        residuals: Batched residual function, in units of the noise.
+        variables: What to estimate.
+        iterations: At most this many.
+        tolerance: Stops when the cost falls by less than this fraction.
+        robust: Huber loss instead of squares.
+        progress: Called with the iteration and its cost.
+        ties: Prior relations between variables, (K, P) matrix and (K,) right side, in units of
+            their standard deviation: the smoothness of a curve.
+
+    Returns:
+        The estimate.
+    """
+    tie_a, tie_b = ties if ties is not None else (np.zeros((0, len(variables))), np.zeros(0))
+    x = np.array([v.value for v in variables], dtype=float)
+    lower = np.array([v.lower for v in variables])
+    upper = np.array([v.upper for v in variables])
+    span = np.array([v.upper - v.lower for v in variables])
+    centre = x.copy()
+    precision = np.array([0.0 if np.isinf(v.std) else 1.0 / v.std for v in variables])
+    x = np.clip(x, lower, upper)
+
+    prior = precision
+
+    def total(r: Floats, at: Floats) -> float:
+        apart = np.concatenate([(at - centre) * prior, scale * (tie_a @ at - tie_b)])
+        return _cost(r, robust) + 0.5 * float(np.sum(apart**2))
+
+    scale = 1.0
+    history: list[float] = []
+    r, j = jacobian(residuals, x, variables)
+    history.append(total(r, x))
+    for iteration in range(iterations):
+        # While the model misses by many noise deviations, its misfit is the noise the prior meets.
+        scale = max(1.0, float(np.sqrt(np.mean(r * r))))
+        prior = precision * scale
+        cost = total(r, x)
+        w = _weights(r, robust)
+        flat = (j * w[..., None]).reshape(-1, x.size)
+        rhs = (r * w).ravel()
+        # residual is measured - model, so the model's sensitivities are -j
+        a = np.vstack([flat * span, np.diag(prior * span), scale * tie_a * span])
+        b = np.concatenate([rhs, prior * (x - centre), scale * (tie_a @ x - tie_b)])
+        q, upper_r = np.linalg.qr(a)
+        c = q.T @ b
+        norms = np.linalg.norm(upper_r, axis=0)
+        trials = []
+        for damping in DAMPINGS:
+            d = np.sqrt(damping) * np.maximum(norms, 1e-6 * norms.max())
+            step = lsq_linear(
+                np.vstack([upper_r, np.diag(d)]),
+                np.concatenate([-c, np.zeros(x.size)]),
+                bounds=((lower - x) / span - 1e-12, (upper - x) / span + 1e-12),
+                method="bvls" if x.size < 60 else "trf",
+            ).x
+            trials.append(np.clip(x + step * span, lower, upper))
+        found = residuals(trials)
+        costs = [total(found[k], trials[k]) for k in range(len(trials))]
+        best = int(np.nanargmin(costs))
+        if not costs[best] < cost:
+            break
+        gain = (cost - costs[best]) / max(cost, 1e-300)
+        x, cost = trials[best], costs[best]
+        r = found[best]
+        history.append(cost)
+        if progress is not None:
+            progress(iteration + 1, cost)
+        if gain < tolerance or iteration == iterations - 1:
+            break
+        r, j = jacobian(residuals, x, variables)
+    return _summary(x, r, j, variables, prior, history[-1], history, robust, scale * tie_a)
+
+
+def _summary(
+    x: Floats,
+    r: Floats,
+    j: Floats,
+    variables: Sequence[Variable],
+    precision: Floats,
+    cost: float,
+    history: list[float],
+    robust: bool,
+    tie_a: Floats,
+) -> Estimate:
+    w = _weights(r, robust)
+    jw = j * w[..., None]
+    flat = jw.reshape(-1, x.size)
+    lower = np.array([v.lower for v in variables])
+    upper = np.array([v.upper for v in variables])
+    span = np.array([v.upper - v.lower for v in variables])
+    norms = np.linalg.norm(flat, axis=0)
+    # Invisible: even the whole allowed range would not move the residual by one noise deviation.
+    visible = norms * span > 1.0
+    at_bound = (x - lower < 1e-9 * span) | (upper - x < 1e-9 * span)
+    scale = np.where(norms > 0.0, norms, 1.0)
+    prior = np.diag(precision**2) + tie_a.T @ tie_a
+    hessian = (flat.T @ flat + prior) / np.outer(scale, scale)
+    values = np.linalg.eigvalsh(hessian)
+    condition = float(np.sqrt(values[-1] / max(values[0], 1e-300)))
+    inverse = np.linalg.pinv(hessian, rcond=1e-12)
+    scores = np.einsum("smp,sm->sp", jw, r * w) / scale
+    meat = scores.T @ scores + prior / np.outer(scale, scale)
+    clusters = max(j.shape[0], 2)
+    covariance = inverse @ (meat * clusters / (clusters - 1)) @ inverse / np.outer(scale, scale)
+    white = inverse / np.outer(scale, scale)
+    # The cluster estimate is noisy where roll-outs are few: never below the white-noise one.
+    sd = np.sqrt(np.maximum(np.diag(covariance), np.diag(white)))
+    sd = np.where(visible, sd, np.inf)
+    correlation = white / np.sqrt(np.outer(np.diag(white), np.diag(white)) + 1e-300)
+    return Estimate(
+        values=x,
+        std_errors=sd,
+        covariance=covariance,
+        correlation=correlation,
+        condition=condition,
+        cost=cost,
+        history=history,
+        residual=r,
+        jacobian=j,
+        at_bound=at_bound,
+        visible=visible,
+    )

@@ -1,0 +1,506 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Channels out of rosbag2 MCAP recordings, decoded by the definitions inside the file.
+
+The container is walked record by record in file order (``mcap``), because a reader
+that sorts by time would hide clocks that jump back and messages that came late. The
+messages are decoded by ``rosbags`` from the schemas the file carries.
+"""
+
+import difflib
+import io
+import re
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import reduce
+from operator import attrgetter
+from pathlib import Path, PurePath
+from typing import Any, BinaryIO, Literal
+
+import numpy as np
+import zstandard
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel as McapChannel
+from mcap.records import Chunk, DataEnd, McapRecord, Message, Schema, Statistics
+from mcap.stream_reader import StreamReader, breakup_chunk
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from pneu_sim.channels import Channel
+from pneu_sim.errors import InputError
+from pneu_sysid.records.recording import Finding
+from pneu_sysid.records.stream import STAMP_LIMIT_NS, Stream
+
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no CDR message starts so: its first byte is 0
+_DATA_OPCODES = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK}
+_STEP = re.compile(r"([A-Za-z]\w*)((?:\[\d+\])*)$")
+_IDL_SEPARATOR = "=" * 80 + "\n"
+
+
+@dataclass
+class _Topic:
+    """Raw messages of one topic with one type."""
+
+    msgtype: str
+    schema: Schema | None
+    encoding: str
+    count: int = 0
+    arrival: list[int] = field(default_factory=list)
+    log_ns: list[int] = field(default_factory=list)
+    data: list[bytes] = field(default_factory=list)
+
+
+_Topics = dict[str, dict[str, _Topic]]  # by topic name, then by message type
+
+
+def bag_topics(path: Path) -> dict[str, tuple[str, int]]:
+    """Return message type and number of messages of every topic in a bag.
+
+    Args:
+        path: rosbag2 folder or .mcap file.
+
+    Raises:
+        InputError: The bag is missing, damaged or not an MCAP recording.
+    """
+    topics, _ = _collect(path, set())
+    return {
+        name: (" or ".join(sorted(kinds)), sum(kind.count for kind in kinds.values()))
+        for name, kinds in sorted(topics.items())
+    }
+
+
+def read_bag(
+    path: Path, commands: dict[str, Channel], pressures: dict[str, Channel]
+) -> tuple[list[Stream], list[Finding]]:
+    """Read the mapped channels of a bag.
+
+    Args:
+        path: rosbag2 folder (metadata.yaml and .mcap files) or bare .mcap file, either
+            compressed with zstd by message, chunk or file, or not.
+        commands: Held channels by name.
+        pressures: Interpolated channels by name.
+
+    Returns:
+        One stream per channel in file order, with ``stamp_ns`` set to the log time, and
+        the findings about the files.
+
+    Raises:
+        InputError: The bag is unreadable, or a channel's topic, type or field is not in it.
+    """
+    for name, channel in {**commands, **pressures}.items():
+        if channel.topic is None:
+            raise InputError(f"{path}: channel '{name}' has no topic, which a bag needs")
+    wanted = {c.topic for c in (*commands.values(), *pressures.values()) if c.topic}
+    topics, findings = _collect(path, wanted)
+    decoded: dict[tuple[str, str], list[Any]] = {}
+    streams = []
+    roles: list[tuple[Literal["command", "pressure"], dict[str, Channel]]] = [
+        ("command", commands),
+        ("pressure", pressures),
+    ]
+    for role, channels in roles:
+        for name, channel in channels.items():
+            assert channel.topic is not None
+            topic = _find_topic(path, name, channel, topics)
+            where = f"{path}: channel '{name}': topic '{channel.topic}' ({topic.msgtype})"
+            store = _typestore(where, topic, name, findings)
+            _check_number(where, store, topic.msgtype, channel.field)
+            key = (channel.topic, topic.msgtype)
+            if key not in decoded:
+                decoded[key] = _decode(where, store, topic)
+            messages = decoded[key]
+            raw = _values(where, messages, channel.field)
+            log_ns = np.array(topic.log_ns, dtype=np.int64)
+            stamp = _stamp_path(store, topic.msgtype)
+            if channel.stamp == "header" and stamp is None:
+                raise InputError(
+                    f"{where} has no header stamp, but stamp 'header' was asked for "
+                    "(allowed here: 'auto' or 'log')"
+                )
+            streams.append(
+                Stream(
+                    name=name,
+                    role=role,
+                    source=f"topic {channel.topic}, field {channel.field}",
+                    arrival=np.array(topic.arrival, dtype=np.int64),
+                    log_ns=log_ns,
+                    header_ns=None if stamp is None else _stamps_ns(messages, stamp),
+                    values=raw * channel.scale + channel.offset,
+                    stamp_ns=log_ns,
+                )
+            )
+    return streams, findings
+
+
+# ---- the container ------------------------------------------------------------------------
+
+
+def _collect(path: Path, wanted: set[str]) -> tuple[_Topics, list[Finding]]:
+    """Return every topic of all files of a bag, with the messages of the wanted ones."""
+    files, expected, findings = _bag_files(path)
+    topics: _Topics = {}
+    total = 0
+    for file in files:
+        total = _scan_file(file, wanted, topics, total, findings)
+    if expected is not None and total < expected:
+        raise InputError(
+            f"{path}: the bag is truncated: it holds {total} of the {expected} messages "
+            "that metadata.yaml lists"
+        )
+    return topics, findings
+
+
+def _bag_files(path: Path) -> tuple[list[Path], int | None, list[Finding]]:
+    """Return the storage files of a bag in order and its listed number of messages."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    if path.is_file():
+        return [path], None, []
+    meta_path = path / "metadata.yaml"
+    if not meta_path.exists():
+        files = sorted(
+            (p for p in path.iterdir() if p.name.endswith((".mcap", ".mcap.zstd"))),
+            key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)],
+        )
+        if not files:
+            raise InputError(
+                f"{path}: neither metadata.yaml nor a .mcap file is in this folder, "
+                "so it is not a rosbag2 MCAP recording"
+            )
+        note = f"no metadata.yaml; the {len(files)} .mcap file(s) were read in order of name"
+        return files, None, [Finding(path.name, "no_metadata", 1, note)]
+    try:
+        info = YAML(typ="safe").load(meta_path.read_text(encoding="utf-8"))
+        info = info["rosbag2_bagfile_information"]
+        storage = str(info["storage_identifier"])
+        names = [PurePath(str(p)).name for p in info["relative_file_paths"]]
+        expected = int(info["message_count"])
+    except (OSError, UnicodeDecodeError, YAMLError, KeyError, TypeError, ValueError) as err:
+        what = " ".join(str(err).split())[:120]
+        raise InputError(f"{meta_path}: not valid rosbag2 metadata ({what})") from err
+    if storage != "mcap":
+        raise InputError(
+            f"{path}: the storage is '{storage}', only 'mcap' is read "
+            "(convert it with 'ros2 bag convert')"
+        )
+    for name in names:
+        if not (path / name).is_file():
+            raise InputError(f"{path}: metadata.yaml lists '{name}', which is not in the folder")
+    return [path / name for name in names], expected, []
+
+
+def _records(file: BinaryIO, limit: int) -> Iterator[McapRecord]:
+    yield from StreamReader(
+        file, emit_chunks=True, validate_crcs=True, record_size_limit=limit
+    ).records
+
+
+def _scan_file(
+    path: Path, wanted: set[str], topics: _Topics, arrival: int, findings: list[Finding]
+) -> int:
+    """Add the messages of one MCAP file to ``topics``; return the running message count."""
+    file, size = _open(path)
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, tuple[_Topic, bool]] = {}
+    first = arrival
+    good = 0  # end of the last complete record, in bytes
+    data_ended = False
+    listed: int | None = None
+    damage: str | None = None
+    with file:
+        try:
+            for record in _records(file, size):
+                inner = (
+                    breakup_chunk(record, validate_crc=True)
+                    if isinstance(record, Chunk)
+                    else [record]
+                )
+                for item in inner:
+                    if isinstance(item, Message):
+                        topic, keep = channels[item.channel_id]
+                        topic.count += 1
+                        if keep:
+                            topic.arrival.append(arrival)
+                            topic.log_ns.append(min(item.log_time, STAMP_LIMIT_NS))
+                            topic.data.append(item.data)
+                        arrival += 1
+                    elif isinstance(item, Schema):
+                        schemas[item.id] = item
+                    elif isinstance(item, McapChannel):
+                        channels[item.id] = _add_topic(item, schemas, wanted, topics)
+                    elif isinstance(item, DataEnd):
+                        data_ended = True
+                    elif isinstance(item, Statistics):
+                        listed = item.message_count
+                good = file.tell()
+        except (
+            McapError,
+            zstandard.ZstdError,
+            struct.error,
+            ValueError,
+            KeyError,
+            RuntimeError,
+            OverflowError,
+            MemoryError,
+            EOFError,
+        ) as err:
+            damage = " ".join(str(err).split())[:100] or type(err).__name__
+        if damage is not None:
+            file.seek(good)
+            opcode = file.read(1)
+    if listed is not None and arrival - first < listed:
+        raise InputError(
+            f"{path}: damaged: it holds {arrival - first} of the {listed} messages that its "
+            "summary lists"
+        )
+    if damage is None:
+        return arrival
+    if good == 0:
+        raise InputError(f"{path}: not an MCAP file, or cut off in its first record ({size} bytes)")
+    only_index = (
+        data_ended
+        or not opcode
+        or (opcode[0] not in _DATA_OPCODES and 0 < opcode[0] <= Opcode.DATA_END)
+    )
+    if not only_index or arrival == first:
+        raise InputError(
+            f"{path}: truncated or damaged: of {size} bytes only the first {good} are whole "
+            f"records, with {arrival - first} messages ('mcap recover' saves what is left)"
+        )
+    note = (
+        f"the file ends after its last whole chunk, at byte {good} of {size}, without "
+        f"index or footer; its {arrival - first} messages were read"
+    )
+    findings.append(Finding(path.name, "truncated", 1, note))
+    return arrival
+
+
+def _open(path: Path) -> tuple[BinaryIO, int]:
+    """Open a storage file, unpacked first where the file as a whole is compressed."""
+    try:
+        with path.open("rb") as file:
+            compressed = file.read(4) == _ZSTD_MAGIC
+        if not compressed:
+            return path.open("rb"), max(path.stat().st_size, 1)
+        # Whole-file compression has no index into it, so it is unpacked in memory.
+        with path.open("rb") as file:
+            data = zstandard.ZstdDecompressor().stream_reader(file).read()
+        return io.BytesIO(data), max(len(data), 1)
+    except OSError as err:
+        raise InputError(f"{path}: cannot be read ({err.strerror})") from err
+    except zstandard.ZstdError as err:
+        raise InputError(f"{path}: the zstd compression of the file is damaged ({err})") from err
+
+
+def _add_topic(
+    channel: McapChannel, schemas: dict[int, Schema], wanted: set[str], topics: _Topics
+) -> tuple[_Topic, bool]:
+    schema = schemas.get(channel.schema_id)
+    msgtype = schema.name if schema else "unknown"
+    kinds = topics.setdefault(channel.topic, {})
+    topic = kinds.setdefault(msgtype, _Topic(msgtype, schema, channel.message_encoding))
+    return topic, channel.topic in wanted
+
+
+# ---- topics, types and fields ---------------------------------------------------------------
+
+
+def _full_type(name: str) -> str:
+    """Return a type name in its long form, as in sensor_msgs/msg/FluidPressure."""
+    parts = name.split("/")
+    return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else name
+
+
+def _find_topic(path: Path, name: str, channel: Channel, topics: _Topics) -> _Topic:
+    assert channel.topic is not None
+    kinds = topics.get(channel.topic)
+    if not kinds:
+        near = difflib.get_close_matches(channel.topic, topics, n=3, cutoff=0.5)
+        listed = sorted(topics)
+        shown = near or listed[:8]
+        more = f" and {len(listed) - 8} more" if not near and len(listed) > 8 else ""
+        hint = "nearest" if near else "it has"
+        raise InputError(
+            f"{path}: channel '{name}': no topic '{channel.topic}' in the bag ({hint}: "
+            f"{', '.join(shown) or 'no topic at all'}{more})"
+        )
+    if channel.type is not None:
+        wanted = _full_type(channel.type)
+        match = {_full_type(kind): topic for kind, topic in kinds.items()}.get(wanted)
+        if match is None:
+            raise InputError(
+                f"{path}: channel '{name}': topic '{channel.topic}' has message type "
+                f"{' and '.join(sorted(kinds))}, expected {wanted}"
+            )
+    elif len(kinds) > 1:
+        raise InputError(
+            f"{path}: channel '{name}': topic '{channel.topic}' carries several message types "
+            f"({', '.join(sorted(kinds))}); name one with 'type'"
+        )
+    else:
+        match = next(iter(kinds.values()))
+    if not match.count:
+        raise InputError(
+            f"{path}: channel '{name}': topic '{channel.topic}' is in the bag but holds no message"
+        )
+    if match.encoding != "cdr":
+        raise InputError(
+            f"{path}: channel '{name}': topic '{channel.topic}' is encoded as "
+            f"'{match.encoding}', only 'cdr' (ROS 2) is read"
+        )
+    return match
+
+
+def _typestore(where: str, topic: _Topic, name: str, findings: list[Finding]) -> Typestore:
+    """Return the types that a topic's embedded definition declares."""
+    schema = topic.schema
+    if schema is None or not schema.data:
+        # Recorders write an empty definition when they cannot find the package.
+        store = get_typestore(Stores.ROS2_JAZZY)
+        if topic.msgtype not in store.fielddefs:
+            raise InputError(f"{where}: the bag has no definition of this message type")
+        note = f"the bag has no definition of {topic.msgtype}; that of ROS 2 Jazzy was used"
+        findings.append(Finding(name, "no_definition", 1, note))
+        return store
+    store = get_typestore(Stores.EMPTY)
+    try:
+        text = schema.data.decode()
+        if schema.encoding == "ros2msg":
+            store.register(get_types_from_msg(text, topic.msgtype))
+        elif schema.encoding in ("ros2idl", "omgidl"):
+            parts = [text]
+            if text.startswith(_IDL_SEPARATOR + "IDL: "):
+                parts = [part.split("\n", 1)[1] for part in text.split(_IDL_SEPARATOR)[1:]]
+            for part in parts:
+                store.register(get_types_from_idl(part))
+        else:
+            raise InputError(
+                f"{where}: the definition is written in '{schema.encoding}' "
+                "(allowed: ros2msg, ros2idl)"
+            )
+    except InputError:
+        raise
+    except Exception as err:  # a parser fed hostile text raises many kinds
+        what = " ".join(str(err).split())[:120]
+        raise InputError(f"{where}: the embedded definition cannot be parsed ({what})") from err
+    return store
+
+
+def _fields(store: Typestore, msgtype: str) -> dict[str, Any]:
+    return dict(store.fielddefs[msgtype][1])
+
+
+def _split_field(where: str, path: str) -> list[tuple[str, list[int]]]:
+    steps = []
+    for part in path.split("."):
+        match = _STEP.match(part)
+        if match is None:
+            raise InputError(
+                f"{where}: field '{path}' is not a path such as 'data' or 'position[0]'"
+            )
+        steps.append((match[1], [int(i) for i in re.findall(r"\d+", match[2])]))
+    return steps
+
+
+def _check_number(where: str, store: Typestore, msgtype: str, path: str) -> None:
+    """Raise unless a field path leads to one number of the message type."""
+    current = msgtype
+    steps = _split_field(where, path)
+    for depth, (name, indices) in enumerate(steps):
+        fields = _fields(store, current)
+        if name not in fields:
+            raise InputError(
+                f"{where} has no field '{path}': the fields of {current} are "
+                f"{', '.join(n for n in fields if n != 'structure_needs_at_least_one_member')}"
+            )
+        kind, detail = fields[name]
+        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            if len(indices) != 1:
+                raise InputError(
+                    f"{where}: field '{path}': '{name}' is an array, write '{name}[0]'"
+                )
+            (kind, detail), length = detail
+            if fields[name][0] == Nodetype.ARRAY and indices[0] >= length:
+                raise InputError(f"{where}: field '{path}': '{name}' has only {length} elements")
+        elif indices:
+            raise InputError(f"{where}: field '{path}': '{name}' is not an array")
+        last = depth == len(steps) - 1
+        if kind == Nodetype.NAME:
+            if last:
+                raise InputError(
+                    f"{where}: field '{path}' is a {detail}, not a number: its fields are "
+                    f"{', '.join(_fields(store, detail))}"
+                )
+            current = detail
+        elif not last:
+            raise InputError(f"{where}: field '{path}': '{name}' is a {detail[0]}, without fields")
+        elif detail[0] in ("string", "wstring", "wchar"):
+            raise InputError(f"{where}: field '{path}' is a {detail[0]}, not a number")
+
+
+def _stamp_path(store: Typestore, msgtype: str) -> str | None:
+    """Return the path of a message's own time stamp, if it has one."""
+    fields = _fields(store, msgtype)
+    if fields.get("header") == (Nodetype.NAME, "std_msgs/msg/Header"):
+        return "header.stamp"
+    if fields.get("stamp") == (Nodetype.NAME, "builtin_interfaces/msg/Time"):
+        return "stamp"
+    return None
+
+
+# ---- values ---------------------------------------------------------------------------------
+
+
+def _decode(where: str, store: Typestore, topic: _Topic) -> list[Any]:
+    unpack = zstandard.ZstdDecompressor().decompressobj
+    messages = []
+    for number, raw in enumerate(topic.data):
+        try:
+            if raw[:4] == _ZSTD_MAGIC:
+                raw = unpack().decompress(raw)
+            messages.append(store.deserialize_cdr(raw, topic.msgtype))
+        except Exception as err:  # generated code meets hostile bytes
+            what = " ".join(str(err).split())[:100]
+            raise InputError(
+                f"{where}: message {number + 1} of {topic.count} does not decode ({what})"
+            ) from err
+    return messages
+
+
+def _getter(steps: list[tuple[str, list[int]]]) -> Callable[[Any], float]:
+    if not any(indices for _, indices in steps):
+        return attrgetter(".".join(name for name, _ in steps))
+
+    def step(value: Any, part: tuple[str, list[int]]) -> Any:
+        value = getattr(value, part[0])
+        for index in part[1]:
+            value = value[index]
+        return value
+
+    def get(message: Any) -> float:
+        try:
+            return float(reduce(step, steps, message))
+        except IndexError:  # a variable-length array may be shorter in some messages
+            return float("nan")
+
+    return get
+
+
+def _values(where: str, messages: list[Any], path: str) -> np.ndarray:
+    steps = _split_field(where, path)
+    values = np.fromiter(map(_getter(steps), messages), np.float64, len(messages))
+    if any(indices for _, indices in steps) and np.isnan(values).all():
+        raise InputError(f"{where}: no message has a numeric element '{path}'")
+    return values
+
+
+def _stamps_ns(messages: list[Any], path: str) -> np.ndarray:
+    stamp = attrgetter(path)
+    count = len(messages)
+    seconds = np.fromiter((stamp(m).sec for m in messages), np.int64, count)
+    nanoseconds = np.fromiter((stamp(m).nanosec for m in messages), np.int64, count)
+    return seconds * 1_000_000_000 + nanoseconds

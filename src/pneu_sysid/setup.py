@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build pneu_sysid as an ament_python package with colcon; pip uses the root pyproject.toml."""
+
+from setuptools import find_packages, setup
+
+package_name = "pneu_sysid"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(include=[package_name, f"{package_name}.*"]),
+    package_data={
+        "": ["py.typed", "**/*.yaml", "**/*.html", "**/*.css", "**/*.js", "**/*.json"],
+    },
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="The Pneu developers",
+    maintainer_email="pneu@example.org",
+    description="Identification of pneumatic rigs from recordings, and of missing physics",
+    license="Apache-2.0",
+    entry_points={
+        "pneu.commands": ["sysid = pneu_sysid.commands:register"],
+    },
+)

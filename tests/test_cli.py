@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The `pneu` command: plugins, one-line errors and exit status."""
+
+import importlib.metadata
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from pneu_sim.cli import COMMANDS_GROUP, build_app
+
+PLUGIN = '''
+"""A plugin as another distribution would bring it."""
+import signal
+from pneu_sim.errors import InputError
+
+def register(app):
+    @app.command()
+    def wrong(bag: str):
+        """Reject its input."""
+        raise InputError(f"{bag}: no topic\\n'/valve', only '/tank'")
+
+    @app.command()
+    def broken():
+        """Fail."""
+        raise ZeroDivisionError("by zero")
+
+    @app.command()
+    def unreadable():
+        """Open a file that is not there."""
+        open("no/such/file")
+
+    @app.command()
+    def endless():
+        """Be interrupted as by Ctrl-C."""
+        signal.raise_signal(signal.SIGINT)
+
+    @app.command()
+    def fine():
+        """Print."""
+        print("fine")
+        return "a value that must not become the exit status"
+'''
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Run the application with the plugin above and return the finished call."""
+    (tmp_path / "plugin_under_test.py").write_text(PLUGIN)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delenv("PNEU_TRACEBACK", raising=False)
+    entry = importlib.metadata.EntryPoint("x", "plugin_under_test:register", COMMANDS_GROUP)
+    yield lambda *arguments: CliRunner().invoke(build_app([entry]), arguments, prog_name="pneu")
+    sys.modules.pop("plugin_under_test", None)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "line"),
+    [
+        (["wrong", "a.mcap"], 2, "pneu: a.mcap: no topic '/valve', only '/tank'\n"),
+        (["unreadable"], 2, "pneu: no/such/file: No such file or directory\n"),
+        (["endless"], 130, "pneu: interrupted\n"),
+    ],
+)
+def test_failure_is_one_line_and_a_status(run, arguments, status, line):
+    result = run(*arguments)
+    assert (result.exit_code, result.stderr, result.stdout) == (status, line, "")
+
+
+@pytest.mark.parametrize("arguments", [["wrong"], ["nonsense"], ["fine", "--nonsense"]])
+def test_wrong_usage_is_one_line_and_status_2(run, arguments):
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("pneu: ") and result.stderr.count("\n") == 1
+    assert "--help" in result.stderr
+
+
+def test_fault_of_the_program_shows_its_traceback_only_when_asked(run, monkeypatch):
+    result = run("broken")
+    assert result.exit_code == 1
+    assert "ZeroDivisionError: by zero" in result.stderr and result.stderr.count("\n") == 1
+    monkeypatch.setenv("PNEU_TRACEBACK", "1")
+    result = run("broken")
+    assert result.exit_code == 1
+    assert 'raise ZeroDivisionError("by zero")' in result.stderr
+
+
+def test_success_and_help_exit_with_zero(run):
+    result = run("fine")
+    assert (result.exit_code, result.stdout, result.stderr) == (0, "fine\n", "")
+    for arguments in ([], ["--help"]):
+        result = run(*arguments)
+        assert result.exit_code == 0
+        assert "Reject its input." in result.stdout
+    assert run("--version").stdout.startswith("pneu ")
+
+
+def test_plugin_that_cannot_be_loaded_is_left_out(capsys):
+    entry = importlib.metadata.EntryPoint("x", "no_such_module_at_all:register", COMMANDS_GROUP)
+    app = build_app([entry])
+    printed = capsys.readouterr().err
+    assert printed.startswith("pneu: commands of no_such_module_at_all:register left out")
+    assert CliRunner().invoke(app, ["--help"]).exit_code == 0
+
+
+def test_installed_command_knows_both_packages():
+    pneu = Path(sys.executable).with_name("pneu")
+    if not pneu.exists():
+        pytest.skip("pneu is not installed in this environment")
+    result = subprocess.run([pneu, "--help"], capture_output=True, text=True, check=True)
+    assert result.stderr == ""
+    assert "effects" in result.stdout and "diagnose" in result.stdout

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The repository's own rules: file headers, versions, dependencies, portability."""
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGES = ("pneu_sim", "pneu_sysid")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+SPDX = "# SPDX-License-Identifier: Apache-2.0"
+
+# Import names that differ from the name of the distribution that brings them.
+DISTRIBUTION_OF = {"ruamel": "ruamel.yaml", "mpl_toolkits": "matplotlib"}
+
+
+def repository_files():
+    """Files that are, or would be, under version control."""
+    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
+    try:
+        listed = subprocess.run(command, cwd=ROOT, capture_output=True, check=True).stdout
+        paths = [ROOT / name for name in listed.decode().split("\0") if name]
+    except (OSError, subprocess.CalledProcessError):  # an unpacked archive
+        hidden = re.compile(r"/(\.(venv|git|\w+_cache)|__pycache__|build|dist|out|\S+\.egg-info)/")
+        paths = [path for path in ROOT.rglob("*") if not hidden.search(f"/{path}/")]
+    return sorted(path for path in paths if path.is_file())
+
+
+FILES = repository_files()
+PYTHON_FILES = [path for path in FILES if path.suffix == ".py"]
+
+
+def relative(path):
+    return str(path.relative_to(ROOT))
+
+
+def test_the_repository_is_found():
+    assert ROOT / "pyproject.toml" in FILES
+    assert len(PYTHON_FILES) > 5
+
+
+@pytest.mark.parametrize("path", PYTHON_FILES, ids=relative)
+def test_source_starts_with_licence_and_says_what_it_is_about(path):
+    text = path.read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines()[:2] if not line.startswith("#!")]
+    assert lines and lines[0] == SPDX, f"first line of {relative(path)} is not '{SPDX}'"
+    assert ast.get_docstring(ast.parse(text)), f"{relative(path)} has no module docstring"
+
+
+@pytest.mark.parametrize("name", ["Makefile", ".ci/run"])
+def test_script_names_its_licence(name):
+    assert SPDX in (ROOT / name).read_text(encoding="utf-8").splitlines()[:2]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_package_xml_is_complete_and_of_the_project_version(package):
+    manifest = ElementTree.parse(ROOT / "src" / package / "package.xml").getroot()
+    assert (manifest.tag, manifest.get("format")) == ("package", "3")
+    assert manifest.findtext("name") == package
+    assert manifest.findtext("version") == PROJECT["version"]
+    assert manifest.findtext("license") == PROJECT["license"]
+    assert re.fullmatch(r"\S+@\S+\.\S+", manifest.find("maintainer").get("email"))
+    assert manifest.findtext("export/build_type") == "ament_python"
+    assert " ".join(manifest.findtext("description").split())
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_setup_py_agrees_with_pyproject(package):
+    setup = setup_arguments(ROOT / "src" / package / "setup.py")
+    assert setup["version"] == PROJECT["version"]
+    assert setup["license"] == PROJECT["license"]
+
+    of_project = {"console_scripts": PROJECT["scripts"], **PROJECT["entry-points"]}
+    expected = {
+        group: sorted(f"{name} = {value}" for name, value in entries.items() if package in value)
+        for group, entries in of_project.items()
+    }
+    assert setup["entry_points"] == {group: lines for group, lines in expected.items() if lines}
+
+
+def setup_arguments(path):
+    """Literal keyword arguments of the call to setup()."""
+    calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+    (call,) = [node for node in calls if getattr(node.func, "id", None) == "setup"]
+    arguments = {}
+    for keyword in call.keywords:
+        try:
+            arguments[keyword.arg] = ast.literal_eval(keyword.value)
+        except ValueError:  # computed, such as the list of packages
+            continue
+    return arguments
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_ament_marker_is_there(package):
+    assert (ROOT / "src" / package / "resource" / package).is_file()
+    assert (ROOT / "src" / package / package / "py.typed").is_file()
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_what_the_package_imports_is_declared(package):
+    declared = {distribution(requirement) for requirement in PROJECT["dependencies"]}
+    undeclared = {
+        f"{relative(path)} imports {module}"
+        for path in (ROOT / "src" / package / package).rglob("*.py")
+        for module in imported_modules(path)
+        if module not in sys.stdlib_module_names
+        and module not in PACKAGES
+        and DISTRIBUTION_OF.get(module, module) not in declared
+    }
+    assert not undeclared, "\n".join(sorted(undeclared))
+
+
+def test_the_simulator_does_not_import_the_identification():
+    offenders = [
+        relative(path)
+        for path in (ROOT / "src/pneu_sim/pneu_sim").rglob("*.py")
+        if "pneu_sysid" in imported_modules(path)
+    ]
+    assert not offenders
+
+
+def distribution(requirement):
+    return re.match(r"[\w.-]+", requirement)[0].lower()
+
+
+def imported_modules(path):
+    """Top-level names of all absolute imports of a file, also those inside functions."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            yield node.module.partition(".")[0]
+
+
+# Written in pieces so that this file does not contain what it looks for.
+MACHINE_PATHS = re.compile(
+    r"(?<![\w.])/(?:" + "|".join(["work", "root", "home/" + r"\w+", "opt/" + "pypi"]) + r")/"
+    r"|\.\./" + "shared" + r"\b|--(?:extra-)?index" + "-url|--find" + "-links"
+)
+
+
+def test_no_file_names_a_path_of_one_machine():
+    found = []
+    for path in FILES:
+        content = path.read_bytes()
+        if b"\0" in content[:8192]:
+            continue  # a recording or an image
+        for number, line in enumerate(content.decode(errors="replace").splitlines(), start=1):
+            if MACHINE_PATHS.search(line):
+                found.append(f"{relative(path)}:{number}: {line.strip()[:100]}")
+    assert not found, "\n" + "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    ("line", "is_one"),
+    [
+        ("open('/" + "work/main/x')", True),
+        ("see .." + "/shared/data", True),
+        ("pip install --index" + "-url https://x", True),
+        ("docs/work/notes.md", False),
+        ("$(HOME)/.cache", False),
+        ("/home is where the heart is", False),
+    ],
+)
+def test_machine_paths_are_recognised(line, is_one):
+    assert bool(MACHINE_PATHS.search(line)) == is_one

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build the virtual environment that the Makefile's targets run in.
+
+Needs nothing beyond the standard library. Creates the environment if it is missing or broken,
+installs this repository into it in editable mode with the extras asked for, shows one name per
+package as pip reaches it, and marks the environment ready only once all of it is in place. What pip
+said in full is kept in `pip.log` inside the environment.
+"""
+
+import argparse
+import importlib.util
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+OLDEST_PYTHON = (3, 11)
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+class EnvironmentSetupError(Exception):
+    """Something the user has to put right; its text is shown as it is."""
+
+
+def main():
+    """Run the command line and return its exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("venv", type=Path, help="folder of the environment")
+    parser.add_argument("--extra", help="extra of pyproject.toml to install as well")
+    parser.add_argument(
+        "--optional",
+        action="store_true",
+        help="install the extra's packages one by one and go on without those that fail",
+    )
+    options = parser.parse_args()
+    try:
+        build(options.venv, options.extra, options.optional)
+    except EnvironmentSetupError as problem:
+        print(f"environment: {problem}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("\nenvironment: interrupted", file=sys.stderr)
+        return 130
+    return 0
+
+
+def build(venv, extra, optional):
+    """Create the environment where needed, install into it, and leave its stamps."""
+    if sys.version_info < OLDEST_PYTHON:
+        raise EnvironmentSetupError(
+            "{} is Python {}.{}, and {}.{} or newer is needed; name another with "
+            "`make PYTHON=python3.12 ...`".format(
+                sys.executable, *sys.version_info[:2], *OLDEST_PYTHON
+            )
+        )
+    started_s = time.monotonic()
+    pip = pip_of(venv)
+    log = venv / "pip.log"
+    log.write_text("", encoding="utf-8")
+
+    together = extra and not optional
+    target = f"{REPOSITORY}[{extra}]" if together else str(REPOSITORY)
+    print(
+        f"installing pneu{f' with its {extra} tools' if together else ''} into {venv}:",
+        end="",
+        flush=True,
+    )
+    if not install(pip, ["--editable", target], log):
+        raise EnvironmentSetupError(f"pip could not install pneu; the end of {log}:\n{tail(log)}")
+    if extra and optional:
+        for requirement in extra_requirements(extra):
+            print(f"installing {requirement}:", end="", flush=True)
+            if not install(pip, [requirement], log):
+                print(f"  {requirement} cannot be installed here and is left out (see {log})")
+
+    for name in {"run", extra or "run"}:
+        (venv / f".ready-{name}").touch()
+    print(f"{venv} is ready after {time.monotonic() - started_s:.0f} s")
+
+
+def pip_of(venv):
+    """Return the command that runs pip on the environment, creating it if it does not work."""
+    python = venv / "bin" / "python"
+    inside = [str(python), "-m", "pip"]
+    outside = [sys.executable, "-m", "pip", "--python", str(python)]
+    if works([str(python), "-c", ""]):
+        if works([*inside, "--version"]):
+            return inside
+        if works([*outside, "--version"]):
+            return outside
+    make = [sys.executable, "-m", "venv", "--clear", str(venv)]
+    if importlib.util.find_spec("ensurepip") and works(make):
+        return inside
+    # Debian and Ubuntu ship python3 without ensurepip; a pip outside can still fill .venv.
+    if works([*make, "--without-pip"]) and works([*outside, "--version"]):
+        return outside
+    if works([sys.executable, "-m", "virtualenv", "--clear", str(venv)]):
+        return inside
+    raise EnvironmentSetupError(
+        f"{sys.executable} can neither create a virtual environment with pip (module ensurepip) "
+        "nor run a pip of its own; install its venv package (Debian and Ubuntu: apt install "
+        "python3-venv) or name another interpreter with `make PYTHON=...`"
+    )
+
+
+def works(command):
+    """Return whether a command runs and succeeds."""
+    try:
+        return subprocess.run(command, capture_output=True, check=False).returncode == 0
+    except OSError:
+        return False
+
+
+def install(pip, requirements, log):
+    """Run `pip install`, name the packages as they come, log the rest; return success."""
+    command = [*pip, "install", "--disable-pip-version-check", "--no-input", *requirements]
+    with log.open("a", encoding="utf-8") as record:
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+        )
+        try:
+            for line in process.stdout:
+                record.write(line)
+                found = re.match(r"Collecting ([\w.-]+)", line)
+                if found:
+                    print(f" {found[1]}", end="", flush=True)
+                elif line.startswith("Installing collected packages"):
+                    print(" ... unpacking", end="", flush=True)
+        finally:
+            if process.poll() is None and sys.exc_info()[0] is not None:
+                process.terminate()
+            status = process.wait()
+    print()
+    return status == 0
+
+
+def extra_requirements(extra):
+    """Return the requirements that pyproject.toml lists under an extra."""
+    import tomllib  # not there on the older interpreters that build() turns away
+
+    with (REPOSITORY / "pyproject.toml").open("rb") as file:
+        return tomllib.load(file)["project"]["optional-dependencies"][extra]
+
+
+def tail(path, lines=15):
+    """Return the last lines of a text file."""
+    return "\n".join(path.read_text(encoding="utf-8").splitlines()[-lines:])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
