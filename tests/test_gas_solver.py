@@ -487,6 +487,31 @@ def test_pulse_at_a_joint(areas: tuple[float, ...], turned: bool) -> None:
         assert passed / incident == pytest.approx(2.0 * first / sum(areas), abs=0.01)
 
 
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("compliance", [0.0, 1e-7, 3e-7])
+def test_yielding_wall_slows_waves(order: int, compliance: float) -> None:
+    mean = 7e5
+    wall = {**SMOOTH, "compliance_per_pa": compliance}
+    tube = rig(
+        {"tube": pipe("closed", "closed", 1.0, 6e-6, wall=wall)},
+        {"dx_m": 0.01, "wave_speed_m_s": 350.0, "memory": False, "order": order},
+        taps={"tap": {"pipe": "tube", "position_m": 0.1}},
+    )
+    simulator = Simulator(tube)
+    simulator.reset({"tube": mean})
+    state = simulator.state("tube")
+    p = mean + 50.0 * np.cos(np.pi * state["x_m"])
+    simulator.set_state("tube", state["density"] * (p / mean) ** (1.0 / 1.4), 0.0, p)
+    energy = simulator.energy_j()
+    record = simulator.run(0.3, sample_s=1e-4)
+    # Korteweg; the relative growth of the area is that of the area as it is
+    growth = compliance / (1.0 + compliance * (mean - P0))
+    expected = 0.5 * SOUND / np.sqrt(1.0 + 1.4 * mean * growth)
+    signal = record.pressures["tap"] - mean
+    assert zero_crossing_frequency(record.time_s, signal) == pytest.approx(expected, rel=1e-3)
+    assert simulator.energy_j() == pytest.approx(energy, rel=1e-12)
+
+
 def test_area_step_in_steady_flow_keeps_or_loses_what_it_should() -> None:
     narrow, wide = 4e-6, 12e-6
 

@@ -901,6 +901,21 @@ def _ports(
             pb, zb, tb = _side(
                 kb, ib, w, j, gamma, order, ends, port_net, P, S, X, res_par, res_p, ch_p, ch_t
             )
+            # The jet behind a port does not recover all of the velocity head of the line it enters:
+            # the port works against p + jet rho u^2 / 2, linearised about the last step's flow.
+            jet = port_par[k, L.Q_JET, j]
+            m_old = port_m[k, 0, j]
+            if jet > 0.0 and m_old != 0.0:
+                entered_kind, entered = (kb, ib) if m_old > 0.0 else (ka, ia)
+                if entered_kind == L.SIDE_END:
+                    i = ends[entered, L.E_CELL] * w + j
+                    x = jet * abs(m_old) / (S[L.RHO, i] * P[L.AREA, i] * P[L.AREA, i])
+                    if m_old > 0.0:
+                        zb += x
+                        pb -= 0.5 * x * m_old
+                    else:
+                        za += x
+                        pa += 0.5 * x * m_old
             c = opening[k, j] * port_par[k, L.Q_CONDUCTANCE, j]
             m = iso6358_flow(pa, za, ta, pb, zb, tb, c, port_par[k, L.Q_RATIO, j],
                 port_par[k, L.Q_LAMINAR, j],

@@ -102,7 +102,8 @@ Q_CONDUCTANCE: Final = 0  # sonic conductance C fully open, m^3/(s Pa)
 Q_RATIO: Final = 1  # critical pressure ratio b
 Q_AREA: Final = 2  # effective area fully open, m^2 (EFFECTIVE_AREA ports)
 Q_LAMINAR: Final = 3  # pressure ratio above which flow is linear in the pressure drop
-PORT_PARAMS: Final = 4
+Q_JET: Final = 4  # velocity heads of the entered line that the port's jet does not recover
+PORT_PARAMS: Final = 5
 
 # --- reservoir parameter rows ---------------------------------------------------------------------
 R_PRESSURE: Final = 0

@@ -202,7 +202,7 @@ class Simulator:
             raise InputError(f"the rig has no chamber {chamber!r} ({known})")
         for what, value in (("pressure", pressure), ("temperature", temperature)):
             if not (np.isfinite(value).all() and np.min(value) > 0.0):
-                raise InputError(f"chamber {chamber!r}, {what}: found {value}, must be positive")
+                raise InputError(f"chamber {chamber!r}, {what}: found {value!r}, must be positive")
         c = self._plan.chambers.index(chamber)
         w = self._tile.lanes
         others = self._tile.chamber_state.copy()
@@ -285,7 +285,7 @@ class Simulator:
         taps, flows, chambers = tiles.advance(
             self._tile, steps + 1, n_sub, sample_s / n_sub, opening
         )
-        time: Floats = self.time_s + np.arange(steps + 1) * sample_s
+        time: Floats = self.time_s + np.arange(steps + 1, dtype=np.float64) * sample_s
         self.time_s += steps * sample_s
         return Readings(
             time,

@@ -75,7 +75,11 @@ class Tile:
 
 
 def lanes(arrays: Sequence[Floats]) -> Floats:
-    """Stacks per-rig arrays with the rig as the innermost index."""
+    """Stacks per-rig arrays with the rig as the innermost index.
+
+    Args:
+        arrays: One array per rig, of one shape.
+    """
     return np.ascontiguousarray(np.stack(arrays, axis=-1))
 
 

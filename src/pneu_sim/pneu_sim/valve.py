@@ -10,22 +10,26 @@ from numpy.typing import NDArray
 
 from pneu_sim.rig import build as B
 
+Floats = NDArray[np.float64]
+
 KNOTS_PER_SAMPLE = 4
 """Openings are computed this many times per sample interval, and linear between."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _zoh_integral(command, cumulative, dt, t):
-    """Integral of the held command from 0 to t; before the first sample it holds the first value."""
+def _zoh_integral(command: Floats, cumulative: Floats, dt: float, t: float) -> float:
+    """Integral of the held command from 0 to t; the first value also holds before it."""
     if t <= 0.0:
-        return command[0] * t
+        return float(command[0] * t)
     last = command.size - 1
     i = min(int(t / dt), last)
     return cumulative[i] + command[i] * (t - i * dt)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def spool_positions(command, dt, knots, row, past, memory, out):
+def spool_positions(
+    command: Floats, dt: float, knots: int, row: Floats, past: int, memory: Floats, out: Floats
+) -> None:
     """Spool position in volts at every knot, for one valve.
 
     The command is averaged over each knot interval, so that a delay need not be a whole number of
@@ -61,7 +65,7 @@ def spool_positions(command, dt, knots, row, past, memory, out):
         v = acc = 0.0
     out[0] = x
     linear = ki == 0.0 and limit == math.inf
-    sub = max(1, int(math.ceil(h * max(w, 1.0) / 0.05)))
+    sub = max(1, math.ceil(h * max(w, 1.0) / 0.05))
     hs = h / sub
     # exact response of the linear spool over one knot interval
     a11 = a12 = a21 = a22 = 0.0
@@ -105,7 +109,9 @@ def spool_positions(command, dt, knots, row, past, memory, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _port_openings(x, row, lo, hi, table, out):
+def _port_openings(
+    x: Floats, row: Floats, lo: float, hi: float, table: Floats, out: Floats
+) -> None:
     """Opening of one port along the spool's positions."""
     offset = row[6]
     dead = row[7]
@@ -194,6 +200,7 @@ def openings(
     for q, v in enumerate(plan.port_valve):
         if v >= 0:
             out = np.empty(count)
-            _port_openings(positions[v], model.spool[v], *model.curve_v[q], model.curve[q], out)
+            lo, hi = model.curve_v[q]
+            _port_openings(positions[v], model.spool[v], lo, hi, model.curve[q], out)
             result[:, q] = out
     return result

@@ -23,11 +23,12 @@ class Variable:
 
     Attributes:
         name: Its name.
-        value: Start value, and centre of the prior.
+        value: Start value.
         lower: Lower bound.
         upper: Upper bound.
         step: Difference step.
         std: Standard deviation of the prior; inf for none.
+        centre: Centre of the prior; None is the start value.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Variable:
     upper: float
     step: float
     std: float = np.inf
+    centre: float | None = None
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,7 @@ def minimise(
     lower = np.array([v.lower for v in variables])
     upper = np.array([v.upper for v in variables])
     span = np.array([v.upper - v.lower for v in variables])
-    centre = x.copy()
+    centre = np.array([v.value if v.centre is None else v.centre for v in variables])
     precision = np.array([0.0 if np.isinf(v.std) else 1.0 / v.std for v in variables])
     x = np.clip(x, lower, upper)
 

@@ -10,6 +10,9 @@ from pneu_sysid.gauss_newton import Variable
 SLOPE_CHANGE = 0.2
 """Expected change of an opening curve's slope between neighbouring intervals, of its mean slope."""
 
+EXPONENT_CHANGE = 0.15
+"""Expected change of a power-law curve's local exponent between neighbouring intervals."""
+
 STEP_FRACTION = 2e-3
 """Difference step as a fraction of the range (of the value, for a logarithmic parameter)."""
 
@@ -19,6 +22,8 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
 
     Valve conductances, critical ratios, opening curves, spool dynamics; pipe areas, wall drag and
     heat, volumes at valves and closed ends; tap positions; reservoir pressures above the room's.
+    A lumped model has its openings against voltage, full opening included, and the spool (thesis
+    8.1.3): volumes, polytropic exponent and discharge factor only scale what the openings do.
 
     Args:
         rig: The rig.
@@ -32,23 +37,40 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
         value = get_parameter(rig, path)
         add(path, value / factor, value * factor, value * relative_std, log=True)
 
+    lumped = rig.model != "pde"
     for v, valve in rig.valves.items():
         if valve.spool.bandwidth_hz is not None:
             around(f"valves.{v}.spool.bandwidth_hz", 3.0, 0.3)
             add(f"valves.{v}.spool.damping", 0.3, 3.0, 0.4)
         for p, port in valve.ports.items():
             base = f"valves.{v}.ports.{p}"
-            if port.model == "iso6358":
+            size = "conductance_m3_s_pa" if port.model == "iso6358" else "area_m2"
+            if lumped:
+                around(f"{base}.{size}", 5.0, 1.0)
+            elif port.model == "iso6358":
                 around(f"{base}.conductance_m3_s_pa", 2.0, 0.3)
                 add(f"{base}.critical_ratio", 0.02, 0.7, 0.1)
                 add(f"{base}.laminar_ratio", 0.85, 0.9995, 0.02)
+                add(f"{base}.jet_loss", 0.0, 4.0, 1.0)
             else:
                 around(f"{base}.area_m2", 3.0, 0.5)
-            last = len(port.opening.fraction) - 1
-            for k, fraction in enumerate(port.opening.fraction):
-                # the outermost points stay: fully shut, and the fully open the conductance is for
-                if 0 < k < last:
-                    add(f"{base}.opening.fraction.{k}", 0.0, max(0.1, min(1.2, 3.0 * fraction)), max(0.05, 0.5 * fraction))
+            if not lumped:
+                add(f"{base}.leakage", 0.0, 0.02, 0.002)
+            curve = port.opening
+            if curve.mirror is not None:
+                continue
+            last = len(curve.fraction) - 1
+            for k, fraction in enumerate(curve.fraction):
+                path = f"{base}.opening.fraction.{k}"
+                if curve.interpolation == "power":
+                    # the point furthest from null is the full opening the conductance is for
+                    if k != (last if curve.voltage_v[-1] > valve.spool.null_v else 0):
+                        around(path, 10.0, 0.7)
+                elif 0 < k < last:
+                    top = max(0.1, min(1.2, 3.0 * fraction))
+                    add(path, 0.0, top, max(0.05, 0.5 * fraction))
+    if lumped:
+        return out
     valve_nodes = {
         node
         for valve in rig.valves.values()
@@ -61,9 +83,14 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
         add(f"{base}.wall.turbulent", 0.2, 4.0, 0.5)
         add(f"{base}.wall.nusselt", 0.0, 40.0, 8.0)
         for end, node in (("from", pipe.from_node), ("to", pipe.to_node)):
-            if node in valve_nodes or node == CLOSED:
+            if node not in rig.chambers and (node in valve_nodes or node == CLOSED):
                 reach = pipe.area_m2 * min(pipe.length_m, 0.3)
                 add(f"{base}.volume_{end}_m3", 0.0, 3.0 * reach, 0.3 * reach)
+        for k in range(len(pipe.losses)):
+            add(f"{base}.losses.{k}.k", 0.0, 5.0, 0.5)
+            add(f"{base}.losses.{k}.resistance_pa_s_m", 0.0, 3000.0, 300.0)
+    for name in rig.chambers:
+        around(f"chambers.{name}.volume_m3", 4.0, 0.5)
     add("pipes.*.wall.laminar", 0.3, 3.0, 0.3)
     add("pipes.*.wall.unsteady", 0.0, 3.0, 0.5)
     add("pipes.*.wall.heat_unsteady", 0.0, 3.0, 0.5)
@@ -156,7 +183,12 @@ def curve_ties(rig: Rig, parameters: list[FitParameter]) -> tuple[np.ndarray, np
             if curve.mirror is not None:
                 continue
             x, y = np.array(curve.voltage_v), np.array(curve.fraction)
-            mean_slope = 1.0 / abs(x[np.argmax(y)] - valve.spool.null_v)
+            if curve.interpolation == "power":
+                # in the logarithms a slope is the exponent of the local power law
+                x, y = np.log(np.abs(x - valve.spool.null_v)), np.log(y)
+                change = EXPONENT_CHANGE
+            else:
+                change = SLOPE_CHANGE / abs(x[np.argmax(y)] - valve.spool.null_v)
             base = f"valves.{v}.ports.{p}.opening.fraction"
             for k in range(1, x.size - 1):
                 left, right = 1.0 / (x[k] - x[k - 1]), 1.0 / (x[k + 1] - x[k])
@@ -164,7 +196,7 @@ def curve_ties(rig: Rig, parameters: list[FitParameter]) -> tuple[np.ndarray, np
                 row, side = np.zeros(len(parameters)), 0.0
                 for i, weight in weights.items():
                     at = index.get(f"{base}.{i}")
-                    scaled = weight / (SLOPE_CHANGE * mean_slope)
+                    scaled = weight / change
                     if at is None:
                         side -= scaled * y[i]
                     else:

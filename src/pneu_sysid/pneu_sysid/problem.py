@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording and a rig made into one estimation problem: roll-outs, residuals, what is held out."""
+"""A recording and a rig as one estimation problem: roll-outs, residuals, what is held out."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
+from pneu_sim import lumped
 from pneu_sim.errors import InputError
 from pneu_sim.rig.build import Model, Plan, build, plan_grid
 from pneu_sim.rig.schema import Rig
@@ -80,7 +82,7 @@ class Problem:
         """Rolls rigs out along the recording, in one batch.
 
         Args:
-            rigs: Rigs of one structure.
+            rigs: Rigs of one structure and one ``model``.
             starts: Roll-outs to run; None is all.
             progress: Called with the fraction done.
 
@@ -88,9 +90,11 @@ class Problem:
             Predictions without the warm-up: (n_rigs, n_starts, horizon, ...).
         """
         plan, initial = self._plan(rigs[0])
-        models = self._models(rigs, plan)
-        out = rollouts(
-            models,
+        if rigs[0].model == "pde":
+            run = partial(rollouts, self._models(rigs, plan))
+        else:
+            run = partial(lumped.rollouts, [lumped.build(rig, plan) for rig in rigs])
+        out = run(
             initial,
             self.recording.commands,
             self.dt_s,
@@ -105,7 +109,9 @@ class Problem:
         w = self.warm_up
         return Rollouts(out.readings[:, :, w:], out.flows[:, :, w:], out.chambers[:, :, w:])
 
-    def predict(self, rigs: Sequence[Rig], progress: Callable[[float], None] | None = None) -> Floats:
+    def predict(
+        self, rigs: Sequence[Rig], progress: Callable[[float], None] | None = None
+    ) -> Floats:
         """(n_rigs, n_starts, horizon, n_taps) predicted readings, Pa.
 
         Args:

@@ -261,18 +261,38 @@ def _spread(x: float, centres: Floats) -> list[tuple[int, float]]:
 
 
 def _curve(port: Port, valve: Valve) -> tuple[Floats, Floats]:
-    """An opening curve as a table, with the leakage of the closed port added."""
-    source = port.opening
-    if source.mirror is None:
-        x, y = np.array(source.voltage_v), np.array(source.fraction)
+    """An opening curve as a table over voltage, with the leakage of the closed port added."""
+    null = valve.spool.null_v
+    source = port.opening if port.opening.mirror is None else valve.ports[port.opening.mirror].opening
+    x, y = np.array(source.voltage_v), np.array(source.fraction)
+    if source.interpolation == "power":
+        sign = 1.0 if x[-1] > null else -1.0
+        table_v = np.linspace(min(null, x[0]), max(null, x[-1]), CURVE_POINTS)
+        order = np.argsort(np.abs(x - null))
+        table = _power_law(np.abs(x - null)[order], y[order], np.maximum(sign * (table_v - null), 0.0))
     else:
-        other = valve.ports[source.mirror].opening
-        x = 2.0 * valve.spool.null_v - np.array(other.voltage_v[::-1])
-        y = np.array(other.fraction[::-1])
-    table_v = np.linspace(x[0], x[-1], CURVE_POINTS)
-    table = np.asarray(PchipInterpolator(x, y)(table_v)) if x.size > 2 else np.interp(table_v, x, y)
+        table_v = np.linspace(x[0], x[-1], CURVE_POINTS)
+        table = (
+            np.asarray(PchipInterpolator(x, y)(table_v)) if x.size > 2 else np.interp(table_v, x, y)
+        )
+    if port.opening.mirror is not None:
+        table_v, table = 2.0 * null - table_v[::-1], table[::-1]
     lift = port.leakage
-    return lift + (1.0 - min(lift, 1.0)) * np.maximum(table, 0.0), np.array([x[0], x[-1]])
+    table = lift + (1.0 - min(lift, 1.0)) * np.maximum(table, 0.0)
+    return table, np.array([table_v[0], table_v[-1]])
+
+
+def _power_law(s: Floats, f: Floats, at: Floats) -> Floats:
+    """Opening at distances ``at`` from null: monotone cubic in the logarithms, a power law below."""
+    out = np.zeros_like(at)
+    ls, lf = np.log(s), np.log(f)
+    inside = at >= s[0]
+    law = PchipInterpolator(ls, lf) if s.size > 2 else lambda z: np.interp(z, ls, lf)
+    out[inside] = np.exp(law(np.minimum(np.log(at[inside]), ls[-1])))
+    exponent = max((lf[1] - lf[0]) / (ls[1] - ls[0]), 0.2)
+    below = ~inside & (at > 0.0)
+    out[below] = f[0] * (at[below] / s[0]) ** exponent
+    return out
 
 
 def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
@@ -339,6 +359,13 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         for loss in pipe.losses:
             for i, share in _spread(loss.position_m, centres):
                 cell[L.LOSS, first + i] += share * loss.k / dx
+                if loss.resistance_pa_s_m > 0.0:
+                    # A viscous part that turbulence does not raise: taken out of the gains on it.
+                    own = cell[L.VISCOUS, first + i]
+                    total = own + share * loss.resistance_pa_s_m / dx
+                    cell[L.VISCOUS, first + i] = total
+                    cell[L.TURBULENT, first + i] *= own / total
+                    cell[L.HEAT_TURBULENT, first + i] *= total / max(own, 1e-30)
         for leak in pipe.leaks:
             for i, share in _spread(leak.position_m, centres):
                 leaks[first + i] = leaks.get(first + i, 0.0) + share * leak.area_m2
@@ -375,7 +402,13 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
             s.null_v,
         )
         for p in valve.ports.values():
-            port[q] = (p.conductance_m3_s_pa, p.critical_ratio, p.area_m2, p.laminar_ratio)
+            port[q] = (
+                p.conductance_m3_s_pa,
+                p.critical_ratio,
+                p.area_m2,
+                p.laminar_ratio,
+                p.jet_loss,
+            )
             curve[q], curve_v[q] = _curve(p, valve)
             q += 1
     for orifice in rig.orifices.values():
@@ -384,6 +417,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
             orifice.critical_ratio,
             0.0,
             orifice.laminar_ratio,
+            0.0,
         )
         q += 1
 

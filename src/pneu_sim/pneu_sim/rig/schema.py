@@ -99,10 +99,18 @@ class Wall(Part):
 
 
 class LocalLoss(Part):
-    """A fitting that costs ``k`` velocity heads."""
+    """A fitting or valve body in a pipe.
+
+    Attributes:
+        position_m: Where it sits.
+        k: Velocity heads it costs (turbulent).
+        resistance_pa_s_m: Pressure drop per velocity (viscous), the "added viscosity just for the
+            valve-adjacent cell" of thesis 5.4.
+    """
 
     position_m: NonNegative
-    k: NonNegative
+    k: NonNegative = 0.0
+    resistance_pa_s_m: NonNegative = 0.0
 
 
 class Leak(Part):
@@ -196,17 +204,21 @@ class Chamber(Part):
 
 
 class Opening(Part):
-    """A port's opening as a measured curve of spool voltage, monotone cubic between the points.
+    """A port's opening as a measured curve of spool voltage.
 
     Attributes:
         voltage_v: Voltages of the points, increasing.
         fraction: Opening at each, 1 = fully open.
+        interpolation: ``cubic`` is monotone cubic between the points; ``power`` is monotone cubic in
+            the logarithms of opening and distance from the null voltage, so that two points are a
+            power law, and goes on as one down to zero at null. Its points lie on one side of null.
         mirror: Instead of points, the name of another port of the valve: its curve, mirrored about
             the null voltage, as a symmetrical spool has it.
     """
 
     voltage_v: list[Finite] = []
     fraction: list[NonNegative] = []
+    interpolation: Literal["cubic", "power"] = "cubic"
     mirror: str | None = None
 
     @model_validator(mode="after")
@@ -237,6 +249,7 @@ class Port(Part):
         conductance_m3_s_pa: Sonic conductance fully open (1 dm^3/(s bar) = 1e-8).
         critical_ratio: Critical pressure ratio b.
         laminar_ratio: Pressure ratio above which flow is linear in the pressure drop (viscous).
+        jet_loss: Velocity heads of the entered pipe that the jet behind the port does not recover.
         area_m2: Effective area fully open, for ``effective_area``.
         opening: Opening fraction against spool voltage.
         leakage: Opening fraction that remains when the spool closes the port.
@@ -248,6 +261,7 @@ class Port(Part):
     conductance_m3_s_pa: NonNegative = 0.0
     critical_ratio: Ratio = 0.3
     laminar_ratio: Annotated[float, Field(gt=0.8, le=1.0)] = 0.999
+    jet_loss: NonNegative = 0.0
     area_m2: NonNegative = 0.0
     opening: Opening
     leakage: NonNegative = 0.0
@@ -352,7 +366,8 @@ class FitParameter(Part):
         path: Dotted path into the rig, such as ``pipes.tube.area_m2``.
         lower: Lower bound.
         upper: Upper bound.
-        std: Uncertainty before (or, after ``pneu fit``, since) calibration; None is the full range.
+        std: Uncertainty before calibration; None is the full range.
+        std_error: Standard error that ``pneu fit`` found; None where it could not be identified.
         log: Whether steps are relative (positive quantities of unknown size).
     """
 
@@ -360,6 +375,7 @@ class FitParameter(Part):
     lower: Finite
     upper: Finite
     std: Positive | None = None
+    std_error: Positive | None = None
     log: bool = False
 
     @model_validator(mode="after")
@@ -403,12 +419,56 @@ class Calibration(Part):
     held_out_rmse_pa: dict[str, float] = {}
 
 
+class Lumped(Part):
+    """How the lumped models (``model: thin_plate`` or ``delay_line``) treat the gas.
+
+    Attributes:
+        discharge: Factor on the effective area of every port, the fudge factor C_e of thesis
+            eq. 3.16. An area that follows from a sonic conductance already contains it.
+        exponent: Polytropic exponent of the closed volumes: 1 is isothermal, the gas's ratio of
+            specific heats (1.4 for air) adiabatic.
+        resistance: Law of the line's resistance in the ``delay_line`` model: ``laminar``,
+            ``turbulent`` (Blasius), or ``larger``, whichever resists more at the present flow. Over
+            metres of line and grams per second the turbulent law lets little of the flow through.
+    """
+
+    discharge: Positive = 1.0
+    exponent: float = Field(default=1.0, ge=1.0, le=5.0 / 3.0)
+    resistance: Literal["laminar", "turbulent", "larger"] = "laminar"
+
+
 class Rig(Part):
-    """A rig: everything the models, the bridge and the identification build from."""
+    """A rig: everything the models, the bridge and the identification build from.
+
+    Attributes:
+        pneu_rig: Version of this schema.
+        name: Name.
+        description: What it is, for people.
+        model: How its gas is modelled: ``pde``, the equations of gas dynamics along every pipe;
+            ``thin_plate``, closed volumes filled through orifices (thesis 3.2.1); ``delay_line``,
+            the same with the delay and attenuation of the line (thesis 3.2.2).
+        lumped: Settings of the latter two.
+        grid: How the lines are discretised.
+        ambient: The room.
+        pipes: Lines between nodes.
+        reservoirs: Sources and sinks of constant state.
+        chambers: Well-mixed volumes.
+        valves: Spools and the ports they open.
+        orifices: Fixed restrictions.
+        commands: What the valves follow.
+        taps: Pressure sensors.
+        text: Layout of text recordings.
+        rate_hz: Rate at which recordings are used; None is their own.
+        effects: Attached effects.
+        fit: How the rig is identified.
+        calibration: How good the model was where it was fitted.
+    """
 
     pneu_rig: Literal[1] = 1
     name: str
     description: str = ""
+    model: Literal["pde", "thin_plate", "delay_line"] = "pde"
+    lumped: Lumped = Lumped()
     grid: Grid = Grid()
     ambient: Ambient = Ambient()
     pipes: dict[str, Pipe] = Field(min_length=1)
@@ -481,6 +541,13 @@ def check_network(rig: Rig) -> None:
             )
         for p, port in valve.ports.items():
             other = port.opening.mirror
+            if other is None and port.opening.interpolation == "power":
+                side = [v - valve.spool.null_v for v in port.opening.voltage_v]
+                if not (min(side) > 0.0 or max(side) < 0.0) or min(port.opening.fraction) <= 0.0:
+                    raise ValueError(
+                        f"valves.{name}.ports.{p}.opening: interpolation power needs positive"
+                        " fractions, at voltages all above or all below spool.null_v"
+                    )
             if other is not None and (
                 other not in valve.ports or valve.ports[other].opening.mirror is not None
             ):

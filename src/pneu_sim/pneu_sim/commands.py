@@ -1,0 +1,334 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Subcommands of `pneu` that need no recording: `effects`, `check` and `simulate`."""
+
+import csv
+import math
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from pneu_sim.bag import write_bag
+from pneu_sim.effects import load_effect_file
+from pneu_sim.effects.document import as_table
+from pneu_sim.errors import InputError
+from pneu_sim.lumped import reduce_network
+from pneu_sim.rig.build import build, plan_grid
+from pneu_sim.rig.load import load_rig
+from pneu_sim.rig.schema import Rig
+from pneu_sim.run import add_noise, check_commands, run_rig
+
+Floats = NDArray[np.float64]
+
+PLAIN_WIDTH = 160
+"""Width of tables that go to a file or a pipe."""
+
+RigPath = Annotated[Path, typer.Option("--rig", help="Rig file (YAML).", show_default=False)]
+EffectsPath = Annotated[
+    Path | None,
+    typer.Option("--effects", help="Python file with effects of your own.", show_default=False),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Adds these subcommands to the `pneu` application.
+
+    Args:
+        app: The application.
+    """
+    app.command("effects")(effects)
+    app.command("check")(check)
+    app.command("simulate")(simulate)
+
+
+def effects(
+    effects_file: EffectsPath = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option("--rig", help="List only what this rig can have, and where."),
+    ] = None,
+) -> None:
+    """List the physical effects that a rig may have."""
+    if effects_file is not None:
+        load_effect_file(effects_file)
+    rows = as_table(None if rig is None else load_rig(rig))
+    _print_table(
+        "",
+        ("effect", "what", "where" if rig is None else "places", "strength", "unit", "typical"),
+        [(r.name, r.title, r.where, r.strength, r.unit, r.typical) for r in rows],
+    )
+
+
+def check(
+    rig_file: Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (YAML).")],
+    effects_file: EffectsPath = None,
+) -> None:
+    """Check a rig file and show what would be simulated."""
+    if effects_file is not None:
+        load_effect_file(effects_file)
+    rig = load_rig(rig_file)
+    plan = plan_grid(rig)
+    build(rig, plan)
+    cells = sum(n for _, n in plan.pipes.values())
+    print(f"{rig.name}: {rig.description.strip()}" if rig.description else rig.name)
+    print(
+        f"model {rig.model}, {cells} cells in {len(rig.pipes)} pipes, time step"
+        f" {1e6 * plan.dt_s:.3g} us (order {rig.grid.order}, {rig.grid.flux})"
+    )
+    print(f"closed volumes of the lumped models: {_volumes(rig)}")
+    _print_table(
+        "pipes",
+        ("name", "from", "to", "length [m]", "area [mm2]", "cells", "cell [mm]"),
+        [
+            (
+                name,
+                pipe.from_node,
+                pipe.to_node,
+                f"{pipe.length_m:g}",
+                f"{1e6 * pipe.area_m2:g}",
+                str(plan.pipes[name][1]),
+                f"{1e3 * pipe.length_m / plan.pipes[name][1]:.3g}",
+            )
+            for name, pipe in rig.pipes.items()
+        ],
+    )
+    _print_table(
+        "reservoirs and chambers",
+        ("name", "kind", "size"),
+        [(n, "reservoir", f"{r.pressure_pa / 1e3:g} kPa") for n, r in rig.reservoirs.items()]
+        + [(n, "chamber", f"{1e6 * c.volume_m3:g} cm3") for n, c in rig.chambers.items()],
+    )
+    _print_table(
+        "ports",
+        ("name", "from", "to", "C [dm3/(s bar)]", "b", "area [mm2]", "command"),
+        [
+            (
+                f"{v}.{p}",
+                port.from_node,
+                port.to_node,
+                f"{1e8 * port.conductance_m3_s_pa:g}" if port.model == "iso6358" else "",
+                f"{port.critical_ratio:g}" if port.model == "iso6358" else "",
+                f"{1e6 * port.area_m2:g}" if port.model == "effective_area" else "",
+                valve.command,
+            )
+            for v, valve in rig.valves.items()
+            for p, port in valve.ports.items()
+        ]
+        + [
+            (n, o.from_node, o.to_node, f"{1e8 * o.conductance_m3_s_pa:g}",
+             f"{o.critical_ratio:g}", "", "")
+            for n, o in rig.orifices.items()
+        ],
+    )  # fmt: skip
+    _print_table(
+        "taps",
+        ("name", "on", "position [m]", "recorded as"),
+        [
+            (
+                name,
+                str(tap.pipe or tap.chamber),
+                "" if tap.pipe is None else f"{tap.position_m:g}",
+                "" if tap.channel is None else str(tap.channel.topic or tap.channel.column),
+            )
+            for name, tap in rig.taps.items()
+        ],
+    )
+    _print_table(
+        "attached effects",
+        ("effect", "place", "parameters"),
+        [
+            (e.effect, e.place, ", ".join(f"{k} {v:g}" for k, v in e.parameters.items()))
+            for e in rig.effects
+        ],
+    )
+
+
+def simulate(
+    rig: RigPath,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="A .csv file, a .mcap file, or a folder for a rosbag2 recording.",
+            show_default=False,
+        ),
+    ],
+    command: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--command",
+            help="NAME=FILE.csv with rows of time in s and volts, held; once per command.",
+        ),
+    ] = None,
+    steps: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--steps", help="NAME=VOLTS:SECONDS,VOLTS:SECONDS,... instead of a file, held in turn."
+        ),
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Seconds; else until the last command ends.")
+    ] = None,
+    rate: Annotated[float, typer.Option(help="Samples per second.")] = 500.0,
+    seed: Annotated[
+        int | None, typer.Option(help="Adds the noise of the rig's sensors from this seed.")
+    ] = None,
+    noise: Annotated[
+        float | None, typer.Option(help="Noise in Pa, one sigma, instead of the rig's.")
+    ] = None,
+    effects_file: EffectsPath = None,
+) -> None:
+    """Run a rig from rest along valve commands and write what its sensors read."""
+    if effects_file is not None:
+        load_effect_file(effects_file)
+    if noise is not None and (seed is None or not noise >= 0.0):
+        raise InputError("--noise: needs a value of 0 or more and a --seed to draw it from")
+    if not 0.0 < rate <= 1e6:
+        raise InputError(f"--rate: found {rate:g}, allowed is above 0 and up to 1e6")
+    loaded = load_rig(rig)
+    curves = {name: _from_file(name, Path(text)) for name, text in _named("--command", command)}
+    for name, text in _named("--steps", steps):
+        if name in curves:
+            raise InputError(f"--steps: command {name!r} is already given by --command")
+        curves[name] = _from_steps(name, text)
+    check_commands(loaded, curves)
+    span = max((end for _, _, end in curves.values()), default=0.0)
+    if duration is not None:
+        span = duration
+    samples = round(span * rate) + 1 if math.isfinite(span) else 0
+    if samples < 2:
+        raise InputError(
+            f"--duration: found {span:g} s, needed is at least one sample of {1 / rate:g} s"
+        )
+    time_s = np.arange(samples) / rate
+    commands = {name: _held(t, v, time_s) for name, (t, v, _) in curves.items()}
+    taps = run_rig(loaded, commands, 1.0 / rate)
+    if seed is not None:
+        taps = add_noise(loaded, taps, np.random.default_rng(seed), noise)
+    if output.suffix == ".csv":
+        _write_csv(output, time_s, commands, taps)
+    elif output.suffix in ("", ".mcap"):
+        write_bag(output, loaded, rate, commands, taps)
+    else:
+        raise InputError(f"{output}: found suffix {output.suffix!r}, allowed are .csv, .mcap, none")
+    print(
+        f"{output}: {len(taps)} taps, {samples} samples at {rate:g} Hz,"
+        f" model {loaded.model} of rig {loaded.name}"
+    )
+
+
+def _print_table(title: str, columns: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> None:
+    rows = list(rows)
+    if not rows:
+        return
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=PLAIN_WIDTH)
+    table = Table(title=title or None, title_justify="left")
+    for column in columns:
+        table.add_column(escape(column), overflow="fold")
+    for row in rows:
+        table.add_row(*map(escape, row))
+    console.print(table)
+
+
+def _volumes(rig: Rig) -> str:
+    """The volumes that a lumped model of a rig would have, in words."""
+    try:
+        network = reduce_network(rig)
+    except InputError:
+        return "none (a lumped model needs a line that ends closed behind a valve)"
+    return "; ".join(" + ".join((*v.pipes, *v.chambers)) for v in network.volumes)
+
+
+def _named(option: str, texts: list[str] | None) -> list[tuple[str, str]]:
+    pairs = []
+    for text in texts or []:
+        name, equals, rest = text.partition("=")
+        if not equals or not name or not rest:
+            raise InputError(f"{option}: found {text!r}, it is the command's name, '=', a value")
+        pairs.append((name, rest))
+    names = [name for name, _ in pairs]
+    if len(set(names)) < len(names):
+        raise InputError(f"{option}: a command is given twice, found {', '.join(names)}")
+    return pairs
+
+
+def _from_steps(name: str, text: str) -> tuple[Floats, Floats, float]:
+    """Start times, volts and total duration of ``VOLTS:SECONDS,...``."""
+    volts, lengths = [], []
+    for part in text.split(","):
+        try:
+            v, s = (float(word) for word in part.split(":"))
+        except ValueError:
+            v = s = math.nan
+        if not (math.isfinite(v) and math.isfinite(s) and s > 0.0):
+            raise InputError(
+                f"--steps {name}: found {part!r}, each step is VOLTS:SECONDS with seconds above 0"
+            )
+        volts.append(v)
+        lengths.append(s)
+    ends = np.cumsum(lengths)
+    return np.concatenate([[0.0], ends[:-1]]), np.array(volts), float(ends[-1])
+
+
+def _from_file(name: str, path: Path) -> tuple[Floats, Floats, float]:
+    """Times, volts and last time of a file with two columns; a heading is skipped."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            rows = [row for row in csv.reader(stream) if any(word.strip() for word in row)]
+    except (OSError, UnicodeDecodeError) as error:
+        what = getattr(error, "strerror", None) or "it is not text"
+        raise InputError(f"{path}: command {name!r} cannot be read ({what})") from None
+    if rows and not _number(rows[0][0]):
+        rows = rows[1:]
+    for row in rows:
+        if len(row) < 2 or not (_number(row[0]) and _number(row[1])):
+            raise InputError(
+                f"{path}: command {name!r}: found row {','.join(row)!r}, needed are time and volts"
+            )
+    if not rows:
+        raise InputError(f"{path}: command {name!r}: found no rows of time and volts")
+    table = np.array([[float(row[0]), float(row[1])] for row in rows])
+    if np.any(np.diff(table[:, 0]) <= 0.0):
+        raise InputError(f"{path}: command {name!r}: times must increase from row to row")
+    return table[:, 0] - table[0, 0], table[:, 1], float(table[-1, 0] - table[0, 0])
+
+
+def _number(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False
+
+
+def _held(times_s: Floats, volts: Floats, at_s: Floats) -> Floats:
+    """Volts at given times, each held until the next."""
+    latest = np.searchsorted(times_s, at_s + 1e-9, side="right") - 1
+    return np.asarray(volts[np.maximum(latest, 0)])
+
+
+def _write_csv(
+    path: Path, time_s: Floats, commands: dict[str, Floats], taps: dict[str, Floats]
+) -> None:
+    """Writes a table of time, commands in volts and pressures in Pa, whole or not at all."""
+    aside = path.with_name(f".{path.name}.part")
+    try:
+        with aside.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.writer(stream)
+            writer.writerow(["time_s", *commands, *taps])
+            for row in zip(time_s, *commands.values(), *taps.values(), strict=True):
+                writer.writerow([f"{value:.9g}" for value in row])
+        os.replace(aside, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+    finally:
+        aside.unlink(missing_ok=True)

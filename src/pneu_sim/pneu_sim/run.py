@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One run of a rig from rest along given commands, by whichever model the rig names."""
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sim import lumped, sensors
+from pneu_sim.errors import InputError
+from pneu_sim.rig.build import plan_grid
+from pneu_sim.rig.schema import Rig
+from pneu_sim.simulate import initial_field
+from pneu_sim.simulator import Simulator
+
+Floats = NDArray[np.float64]
+
+
+def check_commands(rig: Rig, names: Iterable[str]) -> None:
+    """Raises InputError unless some commands are exactly those of a rig.
+
+    Args:
+        rig: The rig.
+        names: Names of the commands that are given.
+    """
+    given = set(names)
+    known = ", ".join(rig.commands) or "none"
+    for name in sorted(given - set(rig.commands)):
+        raise InputError(f"rig {rig.name!r}: found command {name!r}, its commands are {known}")
+    for name in sorted(set(rig.commands) - given):
+        raise InputError(
+            f"rig {rig.name!r}: found nothing for command {name!r}, needed are {known}"
+        )
+
+
+def run_rig(rig: Rig, commands: Mapping[str, Floats], sample_s: float) -> dict[str, Floats]:
+    """Tap readings of a rig that starts from rest.
+
+    Lines open to a reservoir start at its pressure, all else at the room's.
+
+    Args:
+        rig: The rig.
+        commands: (T,) volts per command, each held until the next.
+        sample_s: Interval of commands and readings, s.
+
+    Returns:
+        Per tap its (T,) readings, Pa, without noise.
+
+    Raises:
+        InputError: A command is missing or not the rig's, or the simulation became unstable.
+    """
+    check_commands(rig, commands)
+    samples = max((series.size for series in commands.values()), default=0)
+    if samples < 2:
+        raise InputError(f"rig {rig.name!r}: found {samples} samples to run along, needed are 2")
+    if rig.model == "pde":
+        return Simulator(rig).run((samples - 1) * sample_s, commands, sample_s).taps
+    plan = plan_grid(rig)
+    nothing = np.full((samples, len(rig.taps)), np.nan)
+    out = lumped.rollouts(
+        [lumped.build(rig, plan)],
+        initial_field(rig, plan),
+        dict(commands),
+        sample_s,
+        [0],
+        samples,
+        nothing,
+    )
+    return {name: out.readings[0, 0, :, t] for t, name in enumerate(rig.taps)}
+
+
+def add_noise(
+    rig: Rig, taps: Mapping[str, Floats], rng: np.random.Generator, noise_pa: float | None = None
+) -> dict[str, Floats]:
+    """Readings with the noise and quantisation of the rig's sensors.
+
+    Args:
+        rig: The rig.
+        taps: Per tap its (T,) readings, Pa.
+        rng: Source of the noise.
+        noise_pa: Standard deviation that replaces those of the rig.
+    """
+    parts = [rig.taps[name] for name in taps]
+    sigma = [tap.noise_pa if noise_pa is None else noise_pa for tap in parts]
+    quantum = [tap.quantum_pa for tap in parts]
+    clean = np.stack(list(taps.values()), axis=-1)
+    noisy = sensors.corrupt(clean, np.array(sigma), np.array(quantum), rng)
+    return dict(zip(taps, noisy.T, strict=True))

@@ -1,0 +1,470 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Subcommands of `pneu` that work on a recording: fit, compare, diagnose, add, learn."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from pneu_sim.effects import load_effect_file
+from pneu_sim.errors import InputError
+from pneu_sim.rig import get_parameter, load_rig, save_rig
+from pneu_sim.rig.schema import Rig
+from pneu_sysid.compare import compare as run_compare
+from pneu_sysid.compare import compare_table
+from pneu_sysid.diagnose import Diagnosis, diagnose as run_diagnose, result_of_diagnosis
+from pneu_sysid.fit import FitOutcome, fit_rig, pairs_above
+from pneu_sysid.learn import add_effect, learn as run_learn, result_of_learning
+from pneu_sysid.problem import make_problem, record_for
+from pneu_sysid.records import Recording
+from pneu_sysid.report import write_report
+from pneu_sysid.results import (
+    Correlation,
+    FitResult,
+    FittedParameter,
+    Head,
+    LearnResult,
+    Step,
+    pneu_version,
+    write_json,
+)
+
+BagPath = Annotated[
+    Path, typer.Argument(metavar="BAG", help="rosbag2 folder, .mcap, or text recording.")
+]
+RigPath = Annotated[Path, typer.Option("--rig", help="Rig file (YAML).", show_default=False)]
+JsonPath = Annotated[
+    Path | None, typer.Option("--json", help="Write the result as JSON.", show_default=False)
+]
+HtmlPath = Annotated[
+    Path | None, typer.Option("--report", help="Write an HTML report.", show_default=False)
+]
+EffectsPath = Annotated[
+    Path | None,
+    typer.Option("--effects", help="Python file with effects of your own.", show_default=False),
+]
+Workers = Annotated[
+    int | None, typer.Option("--workers", help="Threads; all cores by default.", min=1)
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Adds these subcommands to the `pneu` application.
+
+    Args:
+        app: The application.
+    """
+    app.command("fit")(fit)
+    app.command("compare")(compare)
+    app.command("diagnose")(diagnose)
+    app.command("add")(add)
+    app.command("learn")(learn)
+
+
+def _console() -> Console:
+    console = Console()
+    return console if console.is_terminal else Console(width=140)
+
+
+def _writable(path: Path | None) -> None:
+    """Refuses an output that could not be written, before hours of work rather than after."""
+    if path is None:
+        return
+    folder = path.parent
+    if not folder.is_dir():
+        raise InputError(f"{path}: folder {folder} does not exist")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, a file is needed")
+    probe = folder / f".{path.name}.part"
+    try:
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def _folder(path: Path) -> None:
+    """Makes an output folder and refuses one that cannot be written."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be made a folder ({error.strerror})") from None
+    _writable(path / "learn.json")
+
+
+@contextmanager
+def _progress() -> Iterator[Progress]:
+    console = Console(stderr=True)
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    ) as bar:
+        yield bar
+
+
+def _read(bag: Path, rig: Rig, console: Console) -> Recording:
+    recording = record_for(rig, str(bag))
+    for finding in recording.report:
+        console.print(f"[yellow]{escape(str(finding))}[/yellow]")
+    return recording
+
+
+def _findings(recording: Recording) -> list[str]:
+    return [str(f) for f in recording.report]
+
+
+def _error_table(title: str, columns: dict[str, dict[str, float | None]]) -> Table:
+    """Errors per tap side by side, Pa."""
+    table = Table(title=title)
+    table.add_column("tap")
+    for name in columns:
+        table.add_column(f"{name}, Pa", justify="right")
+    taps = list(next(iter(columns.values())))
+    for tap in taps:
+        cells = []
+        for values in columns.values():
+            value = values.get(tap)
+            cells.append("-" if value is None else f"{value:.0f}")
+        table.add_row(tap, *cells)
+    return table
+
+
+def fit(
+    bag: BagPath,
+    rig: RigPath,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Fitted rig file.")],
+    robust: Annotated[bool, typer.Option(help="Huber loss, for recordings with outliers.")] = False,
+    hold_out: Annotated[bool, typer.Option(help="Keep a third of the recording aside.")] = False,
+    iterations: Annotated[int, typer.Option(help="Gauss-Newton iterations.", min=1)] = 8,
+    json_path: JsonPath = None,
+    report: HtmlPath = None,
+    workers: Workers = None,
+) -> None:
+    """Fit a rig's base parameters to a recording."""
+    console = _console()
+    for path in (output, json_path, report):
+        _writable(path)
+    start = load_rig(rig)
+    recording = _read(bag, start, console)
+    with _progress() as bar:
+        task = bar.add_task("fitting", total=None)
+        outcome = fit_rig(
+            start,
+            recording,
+            robust=robust,
+            hold_out=hold_out,
+            iterations=iterations,
+            workers=workers,
+            progress=lambda stage, i, cost: bar.update(
+                task, description=f"roll-outs of {stage}, step {i}, cost {cost:.4g}"
+            ),
+        )
+    save_rig(outcome.rig, output)
+    result = fit_result(str(rig), str(output), recording, outcome)
+    table = Table(title=f"{start.name} fitted to {recording.name}")
+    for column, side in (("parameter", "left"), ("start", "right"), ("value", "right"),
+                         ("std. error", "right"), ("", "left")):
+        table.add_column(column, justify=side)  # type: ignore[arg-type]
+    for p in result.parameters:
+        note = "at bound" if p.at_bound else "" if p.identified else "not identified"
+        error = "-" if p.std_error is None else f"{p.std_error:.2g}"
+        table.add_row(p.path, f"{p.start:.5g}", f"{p.value:.5g}", error, note)
+    console.print(table)
+    columns = {"noise": result.noise_floor_pa, "fitted": result.rmse_pa}
+    if result.held_out_rmse_pa:
+        columns["held out"] = result.held_out_rmse_pa
+    console.print(_error_table("error per tap", columns))
+    for warning in outcome.warnings:
+        console.print(f"[yellow]{escape(warning)}[/yellow]")
+    console.print(f"condition number {outcome.estimate.condition:.2g}; wrote {output}")
+    _finish(result, json_path, report, console, fit=result.as_dict())
+
+
+def fit_result(
+    rig: str, output: str | None, recording: Recording, outcome: FitOutcome
+) -> FitResult:
+    """The JSON result of a fit.
+
+    Args:
+        rig: Rig file the fit started from.
+        output: Rig file written.
+        recording: The recording.
+        outcome: The outcome.
+    """
+    estimate = outcome.estimate
+    parameters = [
+        FittedParameter(
+            path=p.path,
+            value=get_parameter(outcome.rig, p.path),
+            start=start,
+            std_error=p.std_error,
+            at_bound=bool(bound),
+            identified=bool(seen),
+            lower=p.lower,
+            upper=p.upper,
+        )
+        for p, start, bound, seen in zip(
+            outcome.parameters, outcome.start, estimate.at_bound, estimate.visible, strict=True
+        )
+    ]
+    names = [p.path for p in outcome.parameters]
+    calibration = outcome.rig.calibration
+    assert calibration is not None
+    return FitResult(
+        pneu_version=pneu_version(),
+        recording=recording.name,
+        rigs=[outcome.rig.name],
+        taps=list(outcome.rig.taps),
+        noise_floor_pa=dict(calibration.noise_floor_pa),
+        findings=_findings(recording),
+        rig=rig,
+        output=output,
+        parameters=parameters,
+        correlations=[
+            Correlation(a=names[a], b=names[b], value=float(estimate.correlation[a, b]))
+            for a, b in pairs_above(estimate.correlation, 0.9)
+        ],
+        condition=estimate.condition,
+        warnings=outcome.warnings,
+        rmse_pa=dict(outcome.rmse_pa),
+        held_out_rmse_pa=dict(outcome.held_out_rmse_pa),
+        history=list(estimate.history),
+    )
+
+
+def compare(
+    bag: BagPath,
+    rig: Annotated[
+        list[Path], typer.Option("--rig", help="Rig file; repeat to compare several.")
+    ],
+    refine: Annotated[bool, typer.Option(help="Run the first model on a finer grid too.")] = True,
+    json_path: JsonPath = None,
+    report: HtmlPath = None,
+) -> None:
+    """Show how far models are from a recording, and where."""
+    console = _console()
+    for path in (json_path, report):
+        _writable(path)
+    rigs = [load_rig(path) for path in rig]
+    recording = _read(bag, rigs[0], console)
+    with _progress() as bar:
+        task = bar.add_task("comparing", total=1.0)
+        result = run_compare(
+            recording,
+            [(_model_name(r, path), r, str(path)) for r, path in zip(rigs, rig, strict=True)],
+            refine=refine,
+            progress=lambda done: bar.update(task, completed=done),
+        )
+    console.print(compare_table(result))
+    _finish(result, json_path, report, console, compare=result.as_dict())
+
+
+def _model_name(rig: Rig, path: Path) -> str:
+    return path.stem if rig.model == "pde" else f"{path.stem} ({rig.model.replace('_', '-')})"
+
+
+def diagnose(
+    bag: BagPath,
+    rig: RigPath,
+    refine: Annotated[bool, typer.Option(help="Check the grid first.")] = True,
+    effects: EffectsPath = None,
+    json_path: JsonPath = None,
+    report: HtmlPath = None,
+    workers: Workers = None,
+) -> None:
+    """Rank what is missing in a model, and say which effect it is."""
+    console = _console()
+    for path in (json_path, report):
+        _writable(path)
+    if effects is not None:
+        load_effect_file(effects)
+    loaded = load_rig(rig)
+    recording = _read(bag, loaded, console)
+    with _progress() as bar:
+        tell = _stages(bar)
+        found = run_diagnose(loaded, recording, refine=refine, workers=workers, progress=tell)
+    console.print(diagnosis_table(found))
+    console.print(f"[bold]{escape(found.sentence)}[/bold]")
+    result = result_of_diagnosis(loaded.name, found, _findings(recording))
+    if result.numerics.discretisation:
+        console.print(f"[yellow]{escape(result.numerics.sentence)}[/yellow]")
+    _finish(result, json_path, report, console, diagnose=result.as_dict())
+
+
+def _stages(bar: Progress):  # type: ignore[no-untyped-def]
+    tasks: dict[str, object] = {}
+
+    def tell(stage: str, done: float) -> None:
+        if stage not in tasks:
+            tasks[stage] = bar.add_task(stage, total=1.0)
+        bar.update(tasks[stage], completed=done)  # type: ignore[arg-type]
+
+    return tell
+
+
+def diagnosis_table(found: Diagnosis) -> Table:
+    """The ranking as a table.
+
+    Args:
+        found: The diagnosis.
+    """
+    table = Table(title="candidates, best first")
+    for column in ("effect", "place"):
+        table.add_column(column)
+    for column in ("strength", "score", "refit", "held out", "t"):
+        table.add_column(column, justify="right")
+    table.add_column("not to be told from")
+    for k, r in enumerate(found.finalists):
+        strength = f"{r.strength:.3g} ± {r.std_error:.1g} {r.site.effect.strength.unit}"
+        table.add_row(
+            r.site.effect.name,
+            r.site.label.split("@", 1)[1],
+            strength,
+            f"{100 * r.score_explained:.0f} %",
+            f"{100 * r.explained:.0f} %",
+            f"{100 * r.held_out:.0f} %",
+            f"{r.t:.1f}",
+            ", ".join(found.alike(k)),
+        )
+    return table
+
+
+def add(
+    effect: Annotated[str, typer.Argument(metavar="EFFECT[@PLACE[:POSITION]]")],
+    rig: RigPath,
+    bag: Annotated[Path, typer.Option("--bag", help="Recording to refit on.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Better rig file.")],
+    effects: EffectsPath = None,
+    json_path: JsonPath = None,
+    workers: Workers = None,
+) -> None:
+    """Add an effect to a rig and refit it."""
+    console = _console()
+    for path in (output, json_path):
+        _writable(path)
+    if effects is not None:
+        load_effect_file(effects)
+    name, _, where = effect.partition("@")
+    place, _, position = where.partition(":")
+    try:
+        at = float(position) if position else None
+    except ValueError:
+        raise InputError(
+            f"effect {effect!r}: position {position!r} is no number of metres"
+        ) from None
+    loaded = load_rig(rig)
+    recording = _read(bag, loaded, console)
+    better, before, after = add_effect(loaded, recording, name, place or None, at, workers)
+    save_rig(better, output)
+    console.print(step_table([before, after]))
+    console.print(f"wrote {output}")
+    if json_path is not None:
+        problem = make_problem(better, recording)
+        write_json(
+            json_path,
+            LearnResult(
+                pneu_version=pneu_version(),
+                recording=recording.name,
+                rigs=[loaded.name],
+                taps=problem.taps,
+                noise_floor_pa=dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True)),
+                findings=_findings(recording),
+                steps=[before, after],
+                verdict="effect",
+                sentence=f"{name} added at {after.place}.",
+                output=str(output),
+            ),
+        )
+
+
+def step_table(steps: list[Step]) -> Table:
+    """Errors after every added effect, held-out part, as a table.
+
+    Args:
+        steps: The steps.
+    """
+    table = Table(title="held-out error per tap, Pa")
+    table.add_column("added")
+    table.add_column("strength")
+    for tap in steps[0].held_out_rmse_pa or steps[0].rmse_pa:
+        table.add_column(tap, justify="right")
+    table.add_column("times noise", justify="right")
+    for step in steps:
+        errors = step.held_out_rmse_pa or step.rmse_pa
+        name = "nothing yet" if step.added is None else f"{step.added}@{step.place}"
+        strength = ""
+        if step.strength is not None:
+            strength = f"{step.strength:.3g} ± {step.std_error or 0.0:.1g} {step.unit}"
+        table.add_row(
+            name,
+            strength,
+            *("-" if v is None else f"{v:.0f}" for v in errors.values()),
+            "-" if step.held_out_times_noise is None else f"{step.held_out_times_noise:.2f}",
+        )
+    return table
+
+
+def learn(
+    bag: BagPath,
+    rig: RigPath,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")],
+    effects: EffectsPath = None,
+    json_path: JsonPath = None,
+    workers: Workers = None,
+) -> None:
+    """Name, add and refit effect after effect until nothing more is worth adding."""
+    console = _console()
+    _writable(json_path)
+    _folder(output)
+    if effects is not None:
+        load_effect_file(effects)
+    loaded = load_rig(rig)
+    recording = _read(bag, loaded, console)
+    with _progress() as bar:
+        learned = run_learn(
+            loaded, recording, out=output, workers=workers, progress=_stages(bar)
+        )
+    console.print(step_table(learned.steps))
+    console.print(f"[bold]{escape(learned.sentence)}[/bold]")
+    problem = make_problem(learned.rig, recording)
+    result = result_of_learning(
+        loaded.name, learned, problem, _findings(recording), str(output)
+    )
+    save_rig(learned.rig, output / "rig.yaml")
+    write_json(output / "learn.json", result)
+    if json_path is not None:
+        write_json(json_path, result)
+    names = [("before", learned.rigs[0], None)]
+    if len(learned.rigs) > 1:
+        names.append(("after", learned.rigs[-1], str(output / "rig.yaml")))
+    compared = run_compare(recording, names, refine=False)
+    first = result_of_diagnosis(loaded.name, learned.diagnoses[0], _findings(recording))
+    path = write_report(
+        output / "report.html",
+        compare=compared.as_dict(),
+        diagnose=first.as_dict(),
+        learn=result.as_dict(),
+        title=f"{loaded.name}: {recording.name}",
+    )
+    console.print(f"report: {path}")
+
+
+def _finish(
+    result: Head, json_path: Path | None, report: Path | None, console: Console, **sections: object
+) -> None:
+    if json_path is not None:
+        write_json(json_path, result)
+        console.print(f"wrote {json_path}")
+    if report is not None:
+        write_report(report, title=result.recording, **sections)  # type: ignore[arg-type]
+        console.print(f"report: {report}")

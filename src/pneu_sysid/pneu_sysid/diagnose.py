@@ -1,0 +1,384 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is missing in a model: candidates ranked, and one honest verdict."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sim.effects.base import POSITION
+from pneu_sim.rig.schema import Rig
+from pneu_sysid.candidates import (
+    Refit,
+    Score,
+    all_sites,
+    best_per_place,
+    cosine,
+    refit,
+    residual_matrix,
+    score,
+)
+from pneu_sysid.compare import grid_check
+from pneu_sysid.dependence import dependences
+from pneu_sysid.fit import tap_rmse
+from pneu_sysid.gauss_newton import jacobian
+from pneu_sysid.parameters import default_parameters, rig_at, variables_of
+from pneu_sysid.problem import Problem, make_problem
+from pneu_sysid.records import Recording
+from pneu_sysid.results import Candidate, DiagnoseResult, Numerics, pneu_version
+
+Floats = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+FINALISTS = 8
+"""Candidates that are refitted."""
+WORTH = 0.10
+"""A held-out gain below this fraction of the squared residual is not worth a parameter."""
+BEYOND_CALIBRATION = 0.25
+"""... nor is one below this fraction of what the calibration itself left over."""
+SIGNIFICANT = 3.0
+"""Jackknife t below which a candidate is not believed."""
+ALIKE = 0.95
+"""Cosine above which two effects change the prediction alike."""
+EQUALLY_GOOD = 0.10
+"""Held-out gains within this fraction of the best are as good."""
+MOST = 0.5
+"""An effect must explain this fraction of the excess over the floor to be the answer by itself."""
+
+
+@dataclass
+class Diagnosis:
+    """A verdict with everything behind it.
+
+    Attributes:
+        verdict: ``nothing_missing``, ``effect``, ``ambiguous`` or ``unknown``.
+        sentence: The verdict in words.
+        finalists: Refitted candidates, best first.
+        scores: All candidates by their score, one per effect and place.
+        rmse_pa: Error per tap before anything is added.
+        depends_on: Variables the residual depends on, for ``unknown``.
+        excess: Held-out squared residual over the floor, as a ratio.
+        left_over: The same after the best candidate.
+        numerics: Whether the grid is to blame.
+        problem: The problem it was made on.
+    """
+
+    verdict: str
+    sentence: str
+    finalists: list[Refit]
+    scores: list[Score]
+    rmse_pa: dict[str, float]
+    depends_on: list[tuple[str, str, float]]
+    excess: float
+    left_over: float
+    numerics: Numerics | None
+    problem: Problem = field(repr=False)
+
+    def alike(self, k: int) -> list[str]:
+        """Labels of finalists that the recording cannot tell from finalist ``k``.
+
+        Args:
+            k: Index into ``finalists``.
+        """
+        me = self.finalists[k]
+        near = max(me.held_out, 1e-9)
+        return [
+            other.site.label
+            for i, other in enumerate(self.finalists)
+            if i != k
+            and abs(other.held_out - me.held_out) <= EQUALLY_GOOD * near
+            and cosine(other.change, me.change) >= ALIKE
+        ]
+
+
+def floor_of(rig: Rig, problem: Problem) -> Floats:
+    """(n_taps,) what the model cannot be blamed for, in noise units: noise, or its calibration's rest.
+
+    Args:
+        rig: The rig; its calibration tells how well it did on its own recording.
+        problem: The problem.
+    """
+    floor = np.ones(len(problem.taps))
+    if rig.calibration is not None:
+        for k, tap in enumerate(problem.taps):
+            left = rig.calibration.rmse_pa.get(tap)
+            if left is not None:
+                floor[k] = max(1.0, left / problem.noise_pa[k])
+    return floor
+
+
+def nuisance_of(rig: Rig, problem: Problem) -> Floats | None:
+    """Sensitivities to base parameters fitted on this very recording, which may hide an effect.
+
+    A rig calibrated on another recording is trusted as it is.
+
+    Args:
+        rig: The rig.
+        problem: The problem.
+
+    Returns:
+        (n_starts, m, P), or None.
+    """
+    if rig.calibration is not None and rig.calibration.recording != problem.recording.name:
+        return None
+    parameters = rig.fit.parameters or default_parameters(rig)
+    variables = variables_of(rig, parameters)
+    x = np.array([v.value for v in variables])
+    starts = len(problem.starts)
+
+    def residuals(points: list[Floats]) -> Floats:
+        y = problem.predict([rig_at(rig, parameters, p) for p in points])
+        return np.stack([residual_matrix(problem, y[k]) for k in range(len(points))]).reshape(
+            len(points), starts, -1
+        )
+
+    _, j = jacobian(residuals, x, variables)  # type: ignore[arg-type]
+    # A parameter whose prior range moves the prediction by less than the noise cannot hide anything.
+    spread = np.array([min(v.std, v.upper - v.lower) for v in variables])
+    felt = np.linalg.norm(j.reshape(-1, x.size), axis=0) * spread
+    return j[..., felt > 1.0]
+
+
+def diagnose(
+    rig: Rig,
+    recording: Recording,
+    finalists: int = FINALISTS,
+    refine: bool = True,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Ranks every candidate effect and place, and says what is missing.
+
+    Scores come from one batched call on cells twice as long; the best are refitted there on two
+    thirds of the roll-outs and judged on the rest.
+
+    Args:
+        rig: The rig, usually fitted to a recording without the fault.
+        recording: The recording.
+        finalists: Candidates to refit.
+        refine: Check the grid.
+        workers: Threads of a batch.
+        progress: Called with a stage's name and the fraction done.
+
+    Returns:
+        The diagnosis.
+    """
+    tell = progress or (lambda stage, done: None)
+    coarse = 2.0 * rig.grid.dx_m if rig.model == "pde" else None
+    problem = make_problem(rig, recording, dx_m=coarse, workers=workers)
+    tell("base", 0.0)
+    nuisance = nuisance_of(rig, problem)
+    sites = all_sites(rig)
+    base, scores = score(problem, rig, sites, nuisance, lambda f: tell("scores", f))
+    best = best_per_place(scores)
+    chosen = [s for s in best if s.explained > 0.0][:finalists]
+    refits = []
+    for k, candidate in enumerate(chosen):
+        tell("refits", k / max(len(chosen), 1))
+        refits.append(refit(problem, rig, base, candidate))
+    tell("refits", 1.0)
+    refits.sort(key=lambda r: (-round(r.held_out, 3), r.site.effect.order))
+    readings = problem.predict([rig])[0]
+    rmse = tap_rmse(problem, readings, np.ones(len(problem.starts), dtype=bool))
+    numerics = None
+    if refine and rig.model == "pde":
+        tell("grid", 0.0)
+        own = make_problem(rig, recording, workers=workers)
+        fine = own.predict([rig])[0]
+        rmse = tap_rmse(own, fine, np.ones(len(own.starts), dtype=bool))
+        compared = {
+            tap: fine[:, :, k]
+            for k, tap in enumerate(own.taps)
+            if np.isfinite(own.measured[:, k]).any()
+        }
+        numerics = grid_check(own, rig, compared, lambda f: tell("grid", f))
+    return _judge(rig, problem, base, refits, best, rmse, numerics)
+
+
+def _judge(
+    rig: Rig,
+    problem: Problem,
+    base: Floats,
+    refits: list[Refit],
+    scores: list[Score],
+    rmse: dict[str, float],
+    numerics: Numerics | None,
+) -> Diagnosis:
+    held = problem.held_out if problem.held_out.any() else np.ones(base.shape[0], dtype=bool)
+    floor = floor_of(rig, problem)
+    weight = np.isfinite(problem.target()[held]).sum(axis=(0, 1))
+    floor_sum = float(np.sum(weight * floor**2))
+    held_sum = float(np.sum(base[held] ** 2))
+    excess = held_sum / max(floor_sum, 1e-300)
+    credible = [
+        r
+        for r in refits
+        if r.t >= SIGNIFICANT
+        and r.held_out >= WORTH
+        and r.held_out * held_sum >= BEYOND_CALIBRATION * floor_sum
+    ]
+    top = credible[0] if credible else None
+    left = excess * (1.0 - top.held_out) if top else excess
+    finalists = credible + [r for r in refits if r not in credible]
+    result = Diagnosis(
+        verdict="",
+        sentence="",
+        finalists=finalists,
+        scores=scores,
+        rmse_pa=rmse,
+        depends_on=[],
+        excess=excess,
+        left_over=left,
+        numerics=numerics,
+        problem=problem,
+    )
+    over = held_sum - floor_sum
+    if top is None:
+        if excess <= 1.0 + max(2.0 * BEYOND_CALIBRATION, 0.5):
+            result.verdict = "nothing_missing"
+            result.sentence = (
+                "Nothing is missing: the model explains the recording as well as its calibration"
+                " and the sensor noise allow."
+            )
+        else:
+            result.verdict = "unknown"
+    else:
+        rest = left * floor_sum - floor_sum
+        alone = rest <= (1.0 - MOST) * over
+        alike = result.alike(0)
+        result.verdict = "ambiguous" if alike else "effect"
+        if not alone and not _second_helps(problem, base, top, scores):
+            result.verdict = "unknown"
+        result.sentence = _sentence(result, top, alike, alone)
+    if result.verdict == "unknown":
+        change = top.change if top is not None else np.zeros_like(base)
+        result.depends_on = dependences(problem, base - change)
+        result.sentence = _unknown_sentence(result, top)
+    return result
+
+
+def _second_helps(problem: Problem, base: Floats, top: Refit, scores: list[Score]) -> bool:
+    """Whether a second effect of the catalogue explains much of what the best one leaves."""
+    rest = base - top.change
+    total = float(np.sum(rest**2))
+    noise = float(rest.size)
+    best = 0.0
+    for item in scores:
+        if item.site.effect.name == top.site.effect.name and item.site.place == top.site.place:
+            continue
+        b = float(np.sum(item.sensitivity**2))
+        if b > 0.0:
+            best = max(best, float(np.sum(item.sensitivity * rest)) ** 2 / b)
+    return best >= 0.3 * max(total - noise, 0.0)
+
+
+def _strength(r: Refit) -> str:
+    p = r.site.effect.strength
+    return f"{r.strength:.3g} {p.unit}".strip() + f" (± {r.std_error:.1g})"
+
+
+def _where(r: Refit) -> str:
+    if POSITION in r.site.shape:
+        return f"in {r.site.place} at {r.site.shape[POSITION]:.2f} m"
+    return f"at {r.site.place}"
+
+
+def _sentence(result: Diagnosis, top: Refit, alike: list[str], alone: bool) -> str:
+    text = (
+        f"Missing: {top.site.effect.title} {_where(top)}, {_strength(top)}; it explains"
+        f" {100.0 * top.held_out:.0f} % of the held-out squared residual"
+    )
+    if alike:
+        text += f"; this recording cannot tell it from {', '.join(alike)}"
+    if not alone:
+        text += "; more is missing besides"
+    return text + "."
+
+
+def _unknown_sentence(result: Diagnosis, top: Refit | None) -> str:
+    text = "Something is missing that the catalogue does not hold"
+    if top is not None:
+        text += (
+            f" (the nearest, {top.site.label}, explains only {100.0 * top.held_out:.0f} % of the"
+            " held-out squared residual)"
+        )
+    if result.depends_on:
+        named = ", ".join(f"{v} at {tap}" for v, tap, _ in result.depends_on[:3])
+        text += f"; the residual depends on {named}"
+    return text + "."
+
+
+def result_of_diagnosis(name: str, found: Diagnosis, findings: list[str]) -> DiagnoseResult:
+    """The JSON result of a diagnosis.
+
+    Args:
+        name: Name of the rig.
+        found: The diagnosis.
+        findings: What was found while reading the recording.
+    """
+    candidates = []
+    for k, r in enumerate(found.finalists):
+        effect = r.site.effect
+        candidates.append(
+            Candidate(
+                effect=effect.name,
+                title=effect.title,
+                place=r.site.place,
+                position_m=r.site.shape.get(POSITION),
+                strength=r.strength,
+                unit=effect.strength.unit,
+                std_error=r.std_error,
+                explained_fraction=r.score_explained,
+                refit_fraction=r.explained,
+                held_out_gain=r.held_out,
+                significance=r.t,
+                indistinguishable_from=found.alike(k),
+                next_experiment=effect.next_experiment,
+                tested=True,
+            )
+        )
+    refitted = {(r.site.effect.name, r.site.place) for r in found.finalists}
+    for s in found.scores:
+        if (s.site.effect.name, s.site.place) in refitted:
+            continue
+        effect = s.site.effect
+        candidates.append(
+            Candidate(
+                effect=effect.name,
+                title=effect.title,
+                place=s.site.place,
+                position_m=s.site.shape.get(POSITION),
+                strength=s.strength,
+                unit=effect.strength.unit,
+                std_error=abs(s.strength) / s.t if s.t > 0.0 else None,
+                explained_fraction=s.explained,
+                significance=s.t,
+                next_experiment=effect.next_experiment,
+                tested=False,
+            )
+        )
+    problem = found.problem
+    return DiagnoseResult(
+        pneu_version=pneu_version(),
+        recording=problem.recording.name,
+        rigs=[name],
+        taps=problem.taps,
+        noise_floor_pa=dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True)),
+        findings=findings,
+        verdict=found.verdict,
+        sentence=found.sentence,
+        rmse_pa=found.rmse_pa,
+        candidates=candidates,
+        depends_on=[
+            {"variable": v, "tap": tap, "gain": gain} for v, tap, gain in found.depends_on
+        ],
+        numerics=found.numerics
+        or Numerics(
+            dx_m=problem.dx_m,
+            refined_dx_m=None,
+            change_pa={},
+            discretisation=False,
+            sentence="The grid was not checked.",
+        ),
+    )

@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fitting a rig's base parameters to a recording, and saying what the recording cannot tell."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sim.rig.schema import Calibration, FitParameter, Rig
+from pneu_sysid.gauss_newton import Estimate, Variable, minimise
+from pneu_sysid.parameters import curve_ties, default_parameters, rig_at, variables_of
+from pneu_sysid.problem import Problem, make_problem
+from pneu_sysid.records import Recording
+
+Floats = NDArray[np.float64]
+
+STAGES_S = (0.1, 0.25)
+"""Short roll-outs come first: over them the response is closer to linear in the parameters."""
+COARSEN = 2.0
+"""The short stages run on cells this much longer."""
+CONDITION_LIMIT = 1e6
+
+
+@dataclass(frozen=True)
+class FitOutcome:
+    """A fitted rig and what is known about its parameters.
+
+    Attributes:
+        rig: Fitted rig, with ``calibration`` and standard errors filled in.
+        parameters: What was fitted.
+        start: Value of each before.
+        estimate: The estimation in its own variables.
+        warnings: What the recording cannot identify, in plain words.
+        rmse_pa: Residual per tap on the part used.
+        held_out_rmse_pa: Residual per tap on the part kept aside.
+    """
+
+    rig: Rig
+    parameters: list[FitParameter]
+    start: list[float]
+    estimate: Estimate
+    warnings: list[str]
+    rmse_pa: dict[str, float]
+    held_out_rmse_pa: dict[str, float]
+
+
+def tap_rmse(problem: Problem, readings: Floats, chosen: NDArray[np.bool_]) -> dict[str, float]:
+    """Root mean square error per tap over chosen roll-outs, Pa.
+
+    Args:
+        problem: The problem.
+        readings: (n_starts, horizon, n_taps) predictions.
+        chosen: (n_starts,) roll-outs to count.
+    """
+    if not chosen.any():
+        return {}
+    e = problem.target()[chosen] - readings[chosen]
+    return {
+        tap: float(np.sqrt(np.nanmean(e[:, :, k] ** 2)))
+        for k, tap in enumerate(problem.taps)
+        if np.isfinite(e[:, :, k]).any()
+    }
+
+
+def residual_function(
+    problem: Problem, chosen: NDArray[np.bool_], rig_of: Callable[[Floats], Rig]
+) -> Callable[[Sequence[Floats]], Floats]:
+    """Batched residuals over chosen roll-outs for `gauss_newton.minimise`.
+
+    Args:
+        problem: The problem.
+        chosen: (n_starts,) roll-outs to use.
+        rig_of: Rig at a parameter vector.
+    """
+    starts = [s for s, use in zip(problem.starts, chosen, strict=True) if use]
+    target = problem.target()[chosen]
+
+    def residuals(points: Sequence[Floats]) -> Floats:
+        y = problem.simulate([rig_of(x) for x in points], starts=starts).readings
+        r = np.nan_to_num((target - y) / problem.noise_pa, nan=0.0)
+        return r.reshape(len(points), len(starts), -1)
+
+    return residuals
+
+
+def fit_rig(
+    rig: Rig,
+    recording: Recording,
+    parameters: list[FitParameter] | None = None,
+    hold_out: bool = False,
+    robust: bool = False,
+    stages_s: Sequence[float] = STAGES_S,
+    iterations: int = 8,
+    workers: int | None = None,
+    progress: Callable[[str, int, float], None] | None = None,
+) -> FitOutcome:
+    """Fits a rig to a recording by bounded Gauss-Newton over roll-outs (thesis 8.1.1, 8.1.2).
+
+    Args:
+        rig: Start values; its ``fit.parameters`` say what may change, else the default list.
+        recording: The recording.
+        parameters: Replaces the list.
+        hold_out: Keep every third roll-out aside.
+        robust: Huber loss.
+        stages_s: Roll-out lengths of the preliminary stages.
+        iterations: Gauss-Newton iterations of the last stage.
+        workers: Threads of a batch.
+        progress: Called with stage, iteration and cost.
+
+    Returns:
+        The outcome.
+    """
+    chosen_parameters = parameters or rig.fit.parameters or default_parameters(rig)
+    first = variables_of(rig, chosen_parameters)
+    start = [float(np.exp(v.value)) if p.log else v.value for v, p in zip(first, chosen_parameters, strict=True)]
+    horizon = rig.fit.horizon_s
+    plan: list[tuple[float | None, float | None, int]] = []
+    if rig.model == "pde":
+        coarse = COARSEN * rig.grid.dx_m
+        plan += [(h, coarse, 5) for h in stages_s if horizon is not None and h < 0.8 * horizon]
+        plan += [(None, coarse, iterations)] if plan else []
+    plan.append((None, None, iterations if len(plan) == 0 else max(3, iterations // 2)))
+    now = rig
+    estimate: Estimate | None = None
+    problem = make_problem(rig, recording, workers=workers)
+    for horizon_s, dx_m, steps in plan:
+        problem = make_problem(rig, recording, horizon_s=horizon_s, dx_m=dx_m, workers=workers)
+        used = ~problem.held_out if hold_out else np.ones(len(problem.starts), dtype=bool)
+        at = now
+        # The datasheet stays the centre of the prior through all stages.
+        variables = [
+            Variable(v.name, v.value, v.lower, v.upper, v.step, v.std, centre=f.value)
+            for v, f in zip(variables_of(at, chosen_parameters), first, strict=True)
+        ]
+        label = f"{horizon_s or horizon or recording.time_s[-1]:g} s"
+        estimate = minimise(
+            residual_function(problem, used, lambda x, at=at: rig_at(at, chosen_parameters, x)),
+            variables,
+            iterations=steps,
+            robust=robust,
+            ties=curve_ties(at, chosen_parameters),
+            progress=None if progress is None else lambda i, c, s=label: progress(s, i, c),
+        )
+        now = rig_at(at, chosen_parameters, estimate.values)
+    assert estimate is not None
+    readings = problem.predict([now])[0]
+    used = ~problem.held_out if hold_out else np.ones(len(problem.starts), dtype=bool)
+    rmse = tap_rmse(problem, readings, used)
+    held = tap_rmse(problem, readings, ~used)
+    std_errors = [
+        float(s * (np.exp(v) if p.log else 1.0))
+        for s, v, p in zip(estimate.std_errors, estimate.values, chosen_parameters, strict=True)
+    ]
+    listed = [
+        p.model_copy(update={"std_error": s if np.isfinite(s) else None})
+        for p, s in zip(chosen_parameters, std_errors, strict=True)
+    ]
+    now = now.model_copy(
+        update={
+            "fit": now.fit.model_copy(update={"parameters": listed}),
+            "calibration": Calibration(
+                recording=recording.name,
+                rmse_pa=rmse,
+                noise_floor_pa={
+                    tap: float(n) for tap, n in zip(problem.taps, problem.noise_pa, strict=True)
+                },
+                held_out_rmse_pa=held,
+            ),
+        }
+    )
+    return FitOutcome(
+        rig=now,
+        parameters=listed,
+        start=start,
+        estimate=estimate,
+        warnings=warnings_of(listed, estimate),
+        rmse_pa=rmse,
+        held_out_rmse_pa=held,
+    )
+
+
+def warnings_of(parameters: list[FitParameter], estimate: Estimate) -> list[str]:
+    """What the recording cannot identify, one sentence each.
+
+    Args:
+        parameters: What was fitted.
+        estimate: The result.
+    """
+    out = []
+    for p, seen, bound, v in zip(
+        parameters, estimate.visible, estimate.at_bound, estimate.values, strict=True
+    ):
+        if not seen:
+            out.append(f"{p.path}: the recording does not depend on it; it keeps its start value")
+        elif bound:
+            value = float(np.exp(v)) if p.log else float(v)
+            out.append(f"{p.path}: at its bound ({value:.4g}); the true value may lie outside")
+    c = estimate.correlation
+    for a, b in pairs_above(c, 0.98):
+        out.append(
+            f"{parameters[a].path} and {parameters[b].path} can only be told in combination"
+            f" (correlation {c[a, b]:+.3f})"
+        )
+    if estimate.condition > CONDITION_LIMIT:
+        out.append(
+            f"the estimation is ill-conditioned ({estimate.condition:.1e}); more varied excitation"
+            " or fewer parameters would help"
+        )
+    return out
+
+
+def pairs_above(correlation: Floats, limit: float) -> list[tuple[int, int]]:
+    """Index pairs whose correlation exceeds a limit in size, largest first.
+
+    Args:
+        correlation: (P, P).
+        limit: Threshold.
+    """
+    i, j = np.triu_indices(correlation.shape[0], 1)
+    size = np.abs(correlation[i, j])
+    order = np.argsort(-size)
+    return [(int(i[k]), int(j[k])) for k in order if size[k] >= limit]

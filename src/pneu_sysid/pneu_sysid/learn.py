@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole loop: name what is missing, add it, refit, and again until nothing more is worth adding."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sim.effects import find_effect
+from pneu_sim.effects.base import POSITION
+from pneu_sim.errors import InputError
+from pneu_sim.rig import save_rig, with_parameters
+from pneu_sim.rig.schema import AttachedEffect, Rig
+from pneu_sysid.candidates import Refit, all_sites, best_per_place, residual_matrix, score
+from pneu_sysid.diagnose import WORTH, Diagnosis, diagnose
+from pneu_sysid.fit import fit_rig, residual_function, tap_rmse
+from pneu_sysid.gauss_newton import Estimate, Variable, minimise
+from pneu_sysid.problem import Problem, make_problem
+from pneu_sysid.records import Recording
+from pneu_sysid.results import LearnResult, Step, pneu_version, write_json
+
+Floats = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+MOST_EFFECTS = 4
+
+
+@dataclass
+class Learned:
+    """Outcome of the loop.
+
+    Attributes:
+        rig: The rig with all effects that were worth adding.
+        steps: What was added, and the error after it.
+        diagnoses: The diagnosis before each addition, and the last one.
+        verdict: As `diagnose.Diagnosis`, over the whole loop.
+        sentence: In words.
+        rigs: Rig after each step, the base first.
+    """
+
+    rig: Rig
+    steps: list[Step]
+    diagnoses: list[Diagnosis]
+    verdict: str
+    sentence: str
+    rigs: list[Rig] = field(default_factory=list)
+
+
+def effect_variables(rig: Rig, index: int) -> list[Variable]:
+    """Strength and position of an attached effect as variables named by their paths.
+
+    Args:
+        rig: The rig.
+        index: Which of ``rig.effects``.
+    """
+    attached = rig.effects[index]
+    effect = find_effect(attached.effect)
+    bare = rig.model_copy(update={"effects": rig.effects[:index]})
+    out = []
+    for p in (effect.strength, *(q for q in effect.parameters[1:] if q.name == POSITION)):
+        low, high = effect.limits(p, bare, attached.place)
+        step = p.step if p.name != POSITION else min(0.05, 0.05 * (high - low))
+        value = float(np.clip(attached.parameters.get(p.name, p.absent), low, high))
+        out.append(Variable(f"effects.{index}.parameters.{p.name}", value, low, high, step))
+    return out
+
+
+def refit_effects(
+    problem: Problem, rig: Rig, indices: list[int], iterations: int = 4
+) -> tuple[Rig, Estimate]:
+    """Fits strengths and positions of attached effects together.
+
+    Args:
+        problem: The problem; what it holds out is not used.
+        rig: Rig with the effects attached.
+        indices: Which of them to fit.
+        iterations: Gauss-Newton iterations.
+
+    Returns:
+        The fitted rig and the estimate, whose variables are those of `effect_variables` in order.
+    """
+    variables = [v for i in indices for v in effect_variables(rig, i)]
+    # A parameter left at its default is not in the file yet.
+    rig = rig.model_copy(deep=True)
+    for v in variables:
+        _, i, _, name = v.name.split(".")
+        rig.effects[int(i)].parameters.setdefault(name, v.value)
+
+    def rig_of(x: Floats) -> Rig:
+        return with_parameters(
+            rig, {v.name: float(value) for v, value in zip(variables, x, strict=True)}
+        )
+
+    estimate = minimise(
+        residual_function(problem, ~problem.held_out, rig_of),
+        variables,
+        iterations=iterations,
+        tolerance=2e-3,
+    )
+    return rig_of(estimate.values), estimate
+
+
+def _errors(problem: Problem, rig: Rig) -> tuple[Floats, dict[str, float], dict[str, float]]:
+    """Residual, and error per tap on the used and on the held-out part."""
+    y = problem.predict([rig])[0]
+    used = ~problem.held_out
+    return residual_matrix(problem, y), tap_rmse(problem, y, used), tap_rmse(problem, y, ~used)
+
+
+def _rms(r: Floats) -> float:
+    return float(np.sqrt(np.mean(r * r))) if r.size else float("nan")
+
+
+def add_effect(
+    rig: Rig,
+    recording: Recording,
+    name: str,
+    place: str | None = None,
+    position_m: float | None = None,
+    workers: int | None = None,
+) -> tuple[Rig, Step, Step]:
+    """Adds one effect to a rig and refits it.
+
+    Args:
+        rig: The rig.
+        recording: The recording.
+        name: Name of the effect.
+        place: Where; None takes the place that explains most.
+        position_m: Position along a pipe; None takes the best.
+        workers: Threads of a batch.
+
+    Returns:
+        The better rig, and the errors before and after as steps.
+
+    Raises:
+        InputError: The effect or the place is unknown.
+    """
+    effect = find_effect(name)
+    places = effect.places(rig)
+    if place is not None and place not in places:
+        raise InputError(
+            f"effect {name!r}: place {place!r} is not one of {', '.join(places) or 'none here'}"
+        )
+    problem = make_problem(rig, recording, workers=workers)
+    before, rmse, held = _errors(problem, rig)
+    first = _step(0, problem, before, rmse, held)
+    sites = [
+        s for s in all_sites(rig) if s.effect.name == name and (place is None or s.place == place)
+    ]
+    if position_m is not None:
+        sites = [
+            type(s)(s.effect, s.place, {**s.shape, POSITION: position_m})
+            for s in sites[:1]
+            if POSITION in s.shape
+        ] or sites
+    if not sites:
+        raise InputError(f"effect {name!r}: this rig has no place for it")
+    _, scores = score(problem, rig, sites)
+    best = best_per_place(scores)[0]
+    strength = effect.strength
+    low, high = effect.limits(strength, rig, best.site.place)
+    start = best.strength
+    if abs(start - strength.absent) < 0.25 * strength.typical:
+        start = strength.absent + 0.25 * strength.typical
+    better, estimate = refit_effects(
+        problem, best.site.attached(rig, float(np.clip(start, low, high))), [len(rig.effects)]
+    )
+    after, rmse, held = _errors(problem, better)
+    second = _step(1, problem, after, rmse, held, better.effects[-1], estimate.std_errors[0])
+    return better, first, second
+
+
+def _step(
+    number: int,
+    problem: Problem,
+    residual: Floats,
+    rmse: dict[str, float],
+    held: dict[str, float],
+    added: AttachedEffect | None = None,
+    std_error: float | None = None,
+) -> Step:
+    effect = find_effect(added.effect) if added is not None else None
+    place = None
+    if added is not None:
+        place = added.place
+        if POSITION in added.parameters:
+            place += f":{added.parameters[POSITION]:.2f}"
+    strength = None
+    if added is not None and effect is not None:
+        strength = added.parameters.get(effect.strength.name)
+    return Step(
+        step=number,
+        added=added.effect if added is not None else None,
+        place=place,
+        strength=strength,
+        unit=effect.strength.unit if effect is not None else None,
+        std_error=std_error,
+        rmse_pa=dict(rmse),
+        held_out_rmse_pa=dict(held),
+        total_times_noise=_rms(residual[~problem.held_out]),
+        held_out_times_noise=_rms(residual[problem.held_out]),
+    )
+
+
+def learn(
+    rig: Rig,
+    recording: Recording,
+    out: Path | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Learned:
+    """Adds effect after effect until nothing more is worth adding by held-out error.
+
+    Args:
+        rig: The rig; one that was never calibrated is fitted to the recording first.
+        recording: The recording.
+        out: Folder that receives ``step_<n>.yaml`` and ``learn.json`` after every step, so that an
+            interrupted run leaves its last complete step.
+        workers: Threads of a batch.
+        progress: Called with a stage's name and the fraction done.
+
+    Returns:
+        What was learned.
+    """
+    tell = progress or (lambda stage, done: None)
+    if rig.calibration is None:
+        tell("fit", 0.0)
+        rig = fit_rig(rig, recording, hold_out=True, workers=workers).rig
+        tell("fit", 1.0)
+    problem = make_problem(rig, recording, workers=workers)
+    residual, rmse, held = _errors(problem, rig)
+    steps = [_step(0, problem, residual, rmse, held)]
+    state = Learned(rig, steps, [], "nothing_missing", "", [rig])
+    given = len(rig.effects)
+    ambiguous: list[str] = []
+    _save(state, problem, out)
+    while True:
+        count = len(state.rig.effects) - given
+        found = diagnose(
+            state.rig,
+            recording,
+            finalists=8 if count == 0 else 5,
+            refine=count == 0,
+            workers=workers,
+            progress=progress,
+        )
+        state.diagnoses.append(found)
+        credible = [r for r in found.finalists if r.held_out >= WORTH]
+        if found.verdict == "nothing_missing" or not credible or count >= MOST_EFFECTS:
+            break
+        if found.verdict == "unknown" and credible[0].held_out < 0.5:
+            break
+        tell("refit", 0.0)
+        top = found.finalists[0]
+        better, estimate = refit_effects(
+            problem, top.rig, list(range(given, given + count + 1)), iterations=3
+        )
+        after, rmse, held = _errors(problem, better)
+        tell("refit", 1.0)
+        gain = 1.0 - float(np.sum(after[problem.held_out] ** 2)) / float(
+            np.sum(residual[problem.held_out] ** 2)
+        )
+        if gain < WORTH:
+            break
+        ambiguous += found.alike(0)
+        errors = dict(zip(_names(better, given, count), estimate.std_errors, strict=True))
+        strength = find_effect(better.effects[-1].effect).strength.name
+        residual = after
+        state.rig = better
+        state.rigs.append(better)
+        state.steps.append(
+            _step(
+                count + 1,
+                problem,
+                after,
+                rmse,
+                held,
+                better.effects[-1],
+                float(errors[f"effects.{len(better.effects) - 1}.parameters.{strength}"]),
+            )
+        )
+        _conclude(state, given, ambiguous)
+        _save(state, problem, out)
+    _conclude(state, given, ambiguous)
+    _save(state, problem, out)
+    return state
+
+
+def _names(rig: Rig, given: int, count: int) -> list[str]:
+    return [v.name for i in range(given, given + count + 1) for v in effect_variables(rig, i)]
+
+
+def _conclude(state: Learned, given: int, ambiguous: list[str]) -> None:
+    last = state.diagnoses[-1] if state.diagnoses else None
+    added = state.rig.effects[given:]
+    if not added:
+        state.verdict = last.verdict if last is not None else "nothing_missing"
+        state.sentence = last.sentence if last is not None else ""
+        return
+    parts = []
+    for step in state.steps[1:]:
+        effect = find_effect(str(step.added))
+        parts.append(f"{effect.title} at {step.place} ({step.strength:.3g} {step.unit})")
+    before, after = state.steps[0], state.steps[-1]
+    state.verdict = "ambiguous" if ambiguous else "effect"
+    state.sentence = (
+        f"Missing: {' and '.join(parts)}; with that the held-out error falls from"
+        f" {before.held_out_times_noise:.2f} to {after.held_out_times_noise:.2f} times the noise"
+    )
+    if ambiguous:
+        state.sentence += f"; not to be told from {', '.join(sorted(set(ambiguous)))}"
+    if last is not None and last.verdict == "unknown" and last.excess > 2.0:
+        state.verdict = "unknown"
+        state.sentence += "; more is missing that the catalogue does not hold"
+    state.sentence += "."
+
+
+def result_of_learning(
+    name: str, learned: Learned, problem: Problem, findings: list[str], output: str | None
+) -> LearnResult:
+    """The JSON result of the loop.
+
+    Args:
+        name: Name of the rig.
+        learned: The outcome.
+        problem: The problem.
+        findings: What was found while reading the recording.
+        output: Folder of the results.
+    """
+    return LearnResult(
+        pneu_version=pneu_version(),
+        recording=problem.recording.name,
+        rigs=[name],
+        taps=problem.taps,
+        noise_floor_pa=dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True)),
+        findings=findings,
+        steps=learned.steps,
+        verdict=learned.verdict,
+        sentence=learned.sentence,
+        output=output,
+    )
+
+
+def _save(state: Learned, problem: Problem, out: Path | None) -> None:
+    """Writes the last complete step."""
+    if out is None:
+        return
+    number = len(state.steps) - 1
+    save_rig(state.rig, out / f"step_{number}.yaml")
+    findings = [str(f) for f in problem.recording.report]
+    result = result_of_learning(state.rig.name, state, problem, findings, str(out))
+    write_json(out / "learn.json", result)
+
+
+def strongest(found: Diagnosis) -> Refit | None:
+    """The best refitted candidate of a diagnosis.
+
+    Args:
+        found: The diagnosis.
+    """
+    return found.finalists[0] if found.finalists else None

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured and modelled pressure of each tap over time, to zoom into."""
+
+from typing import Any
+
+import numpy as np
+
+from pneu_sysid.report import quantities as q
+from pneu_sysid.report.contents import Contents
+from pneu_sysid.report.embed import json_block, packed
+from pneu_sysid.report.markup import Markup, join, tag
+
+ID = "overlay"
+TITLE = "Measured against model"
+
+_MAX_NUMBERS = 330_000  # embedded samples; about 1.8 MB of base64
+_WORST_SHOWN = 6
+
+
+def render(contents: Contents) -> Markup:
+    """Return the viewer, its switches and its data."""
+    series = (contents.compare or {}).get("series") or {}
+    time_s = np.asarray(series.get("time_s") or [], dtype=np.float64)
+    measured = series.get("measured") or {}
+    if time_s.size < 2 or not measured:
+        return Markup()
+    taps = [tap for tap in contents.taps_of(contents.compare) if tap in measured] or list(measured)
+    models = series.get("model") or {}
+    commands = series.get("command") or {}
+
+    count = len(taps) * (1 + len(models)) + len(commands)
+    stride = max(1, -(-time_s.size * count // _MAX_NUMBERS))
+
+    def thinned(values: Any) -> str:
+        array = np.full(time_s.size, np.nan)
+        given = np.asarray(values if values is not None else [], dtype=np.float64)
+        array[: given.size] = given[: time_s.size]
+        return packed(array[::stride])
+
+    data = {
+        "time": packed(time_s[::stride], "<f8"),
+        "taps": taps,
+        "noise": [contents.noise_floor_pa.get(tap) for tap in taps],
+        "measured": [thinned(measured[tap]) for tap in taps],
+        "models": [
+            {"name": name, "taps": [thinned(values.get(tap)) for tap in taps]}
+            for name, values in models.items()
+        ],
+        "commands": [{"name": name, "values": thinned(v)} for name, v in commands.items()],
+        "segments": [s for s in series.get("segments") or [] if None not in s],
+    }
+    hint = (
+        "Drag across a stretch to zoom in, Shift-drag to move, click and turn the wheel to zoom, "
+        "double-click for all. Keys: ← → + − 0. Each restart of the roll-outs is one band; below "
+        "each tap is model minus measured, with twice the sensor noise shaded."
+    )
+    thinning = f" Every {stride}th sample is shown." if stride > 1 else ""
+    figure = tag(
+        "figure",
+        tag(
+            "div",
+            _switches("Taps", "tap", taps),
+            _switches("Lines", "model", list(models)),
+            tag(
+                "fieldset",
+                tag("legend", "Residuals"),
+                tag(
+                    "label",
+                    tag("input", type="checkbox", checked=True, data_kind="logarithmic"),
+                    "logarithmic beyond the sensor noise, so that good and bad models both show",
+                ),
+            ),
+            class_="switches",
+        ),
+        tag(
+            "div",
+            tag("button", "Whole recording", type="button", data_span="all"),
+            _worst(contents),
+            tag("output", class_="range"),
+            class_="buttons",
+        ),
+        tag(
+            "canvas",
+            "Measured and modelled pressure over time; the tables give the errors.",
+            tabindex=0,
+            role="img",
+            aria_label="Measured and modelled pressure of each tap over time",
+        ),
+        tag("figcaption", hint, thinning),
+        id="viewer",
+    )
+    return join(
+        figure,
+        tag("noscript", tag("p", "This plot needs JavaScript; all else on the page does not.")),
+        json_block("viewer-data", data),
+    )
+
+
+def _switches(title: str, kind: str, names: list[str]) -> Markup:
+    boxes = [
+        tag(
+            "label",
+            tag("input", type="checkbox", checked=True, data_kind=kind, data_index=i),
+            tag("span", class_=f"line m{i % 4}") if kind == "model" else None,
+            name,
+        )
+        for i, name in enumerate(names)
+    ]
+    legend = (
+        tag("label", tag("span", class_="line measured"), "measured") if kind == "model" else None
+    )
+    return tag("fieldset", tag("legend", title), legend, boxes)
+
+
+def _worst(contents: Contents) -> list[Markup]:
+    """Buttons for the stretches where the models err most, for the eye to go there first."""
+    found = [
+        (stretch["rmse_pa"], str(model.get("name")), tap, stretch["start_s"], stretch["end_s"])
+        for model in contents.models
+        for tap, entry in (model.get("taps") or {}).items()
+        for stretch in (entry or {}).get("worst") or []
+        if None not in (stretch.get("rmse_pa"), stretch.get("start_s"), stretch.get("end_s"))
+    ]
+    # The two worst of each model: the worse model would else take every button.
+    chosen: list[tuple[float, str, str, float, float]] = []
+    for model in contents.models:
+        own = sorted((f for f in found if f[1] == str(model.get("name"))), reverse=True)
+        chosen += own[: max(1, _WORST_SHOWN // len(contents.models))]
+    return [
+        tag(
+            "button",
+            f"{name}, {tap}: {q.kilopascal(rmse)} kPa at {q.seconds(start)}–{q.seconds(end)} s",
+            type="button",
+            title=f"Worst stretches of {name}",
+            data_span=f"{start},{end}",
+        )
+        for rmse, name, tap, start, end in chosen
+    ]

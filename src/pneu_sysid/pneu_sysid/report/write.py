@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Puts the sections, the style and the script together into one self-contained HTML file."""
+
+import base64
+import hashlib
+import os
+import tempfile
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from pneu_sim.errors import InputError
+from pneu_sysid.report.contents import read_contents
+from pneu_sysid.report.markup import join, tag
+from pneu_sysid.report.sections import SECTIONS
+
+_SCRIPTS = ("errors.js", "viewer.js", "page.js")
+
+
+def write_report(
+    path: str | Path,
+    *,
+    compare: Mapping[str, Any] | None = None,
+    fit: Mapping[str, Any] | None = None,
+    diagnose: Mapping[str, Any] | None = None,
+    learn: Mapping[str, Any] | None = None,
+    title: str | None = None,
+) -> Path:
+    """Write the HTML report of any of the four results.
+
+    The file loads nothing: style, script and data are inside, and its content security policy
+    lets only that script run. It is written aside and put in place when whole.
+
+    Args:
+        path: File to write, replaced if it is there.
+        compare: Result of `pneu compare` (schema pneu.compare/1), or None.
+        fit: Result of `pneu fit` (schema pneu.fit/1), or None.
+        diagnose: Result of `pneu diagnose` (schema pneu.diagnose/1), or None.
+        learn: Result of `pneu learn` (schema pneu.learn/1), or None.
+        title: Heading of the page; the name of the recording by default.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        InputError: No result was given, a result has another schema, or the file cannot be
+            written.
+    """
+    contents = read_contents({"compare": compare, "fit": fit, "diagnose": diagnose, "learn": learn})
+    heading = title or ", ".join(contents.head("recording")) or "Pneu report"
+
+    parts, links = [], []
+    for section in SECTIONS:
+        body = section.render(contents)
+        if not body:
+            continue
+        links.append(tag("a", section.TITLE, href=f"#{section.ID}"))
+        parts.append(
+            tag("section", tag("h2", section.TITLE), body, id=section.ID, class_=section.ID)
+        )
+
+    script = "\n".join(_template(name) for name in _SCRIPTS)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    page = Template(_template("page.html")).substitute(
+        title=join(heading),
+        script_hash=digest,
+        style=_template("style.css"),
+        navigation=join(links),
+        sections=join(parts),
+        versions=join(", ".join(contents.head("pneu_version")) or "of an unknown version"),
+        script=script,
+    )
+    return _write_whole(Path(path), page)
+
+
+def _template(name: str) -> str:
+    return (files("pneu_sysid.report") / "templates" / name).read_text(encoding="utf-8")
+
+
+def _write_whole(path: Path, text: str) -> Path:
+    """Write beside the target and rename, so that a reader never sees half a report."""
+    # A lone surrogate in a name cannot be encoded; it becomes a character reference.
+    data = text.encode("utf-8", "xmlcharrefreplace")
+    aside = None
+    try:
+        descriptor, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        with os.fdopen(descriptor, "wb") as stream:
+            stream.write(data)
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(aside, 0o666 & ~umask)  # mkstemp makes files that only their owner reads
+        os.replace(aside, path)
+    except OSError as error:
+        raise InputError(
+            f"Cannot write the report {path}: {error.strerror or error}; "
+            "give a file in a folder that exists and is writable."
+        ) from error
+    finally:
+        if aside is not None and os.path.exists(aside):
+            os.unlink(aside)
+    return path

@@ -1,0 +1,499 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The JSON results of ``compare``, ``fit``, ``diagnose`` and ``learn``: their schema and its page.
+
+These models are the only source of the schema; ``docs/json.md`` is made from them. A number that is
+not finite becomes null on the way in, so no file ever holds NaN.
+"""
+
+import importlib.metadata
+import json
+import math
+import os
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from pneu_sim.errors import InputError
+
+
+def _finite(value: Any) -> Any:
+    """None for a number that JSON cannot hold."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Perhaps = Annotated[float | None, BeforeValidator(_finite)]
+
+
+class Result(BaseModel):
+    """Base of everything in a result file: unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid", populate_by_name=True, use_attribute_docstrings=True)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Returns the result as plain data, as it is written to JSON."""
+        return self.model_dump(mode="json", by_alias=True)
+
+
+class Head(Result):
+    """What every result begins with."""
+
+    pneu_version: str
+    """Version of the program."""
+    recording: str
+    """Name of the recording."""
+    rigs: list[str]
+    """Names of the rigs."""
+    taps: list[str]
+    """Taps that are compared."""
+    noise_floor_pa: dict[str, Perhaps]
+    """Per tap the sensor's white noise with quantisation, one sigma."""
+    findings: list[str] = []
+    """What was wrong with the recording and how it was handled."""
+
+
+# ---- compare -------------------------------------------------------------------------------
+
+
+class Stretch(Result):
+    """A stretch of time in which one tap is predicted worst."""
+
+    start_s: Number
+    """Begin, from the start of the recording."""
+    end_s: Number
+    """End."""
+    rmse_pa: Number
+    """Error within it."""
+    doing: str = ""
+    """What the valve was doing."""
+
+
+class TapError(Result):
+    """Error of one model at one tap, over all roll-outs."""
+
+    rmse_pa: Perhaps
+    """Root mean square of measured minus predicted."""
+    rmse_atm: Perhaps
+    """The same in standard atmospheres."""
+    normalised: Perhaps
+    """RMSE over the standard deviation of what was measured."""
+    times_noise: Perhaps
+    """RMSE over the noise floor; 1 is as good as the sensor can tell."""
+    bias_pa: Perhaps
+    """Mean of measured minus predicted: positive where the sensor reads above the model."""
+    lag_s: Perhaps
+    """How much later the measurement is than the model, by the time shift that fits best; null
+    where the pressure moves too little to tell."""
+    gain: Perhaps
+    """Measured change per predicted change, at that shift; null likewise."""
+    noise_floor_pa: Perhaps
+    """The sensor's noise."""
+    worst: list[Stretch]
+    """Worst stretches, worst first."""
+
+
+RegimeKind = Literal["flow_direction", "choked", "opening", "pressure", "frequency", "time"]
+
+
+class Regime(Result):
+    """Error of one model at one tap in one regime of operation."""
+
+    kind: RegimeKind
+    """By what the samples are divided."""
+    label: str
+    """Which part of them this is."""
+    tap: str
+    """The tap."""
+    rmse_pa: Number
+    """Error within the regime (for a frequency band, of the error's part in that band)."""
+    share: Number
+    """Share of the tap's squared error."""
+    samples: int
+    """Samples in the regime."""
+    times_noise: Perhaps
+    """RMSE over what sensor noise alone gives in the regime."""
+
+
+class ModelError(Result):
+    """How one model does."""
+
+    name: str
+    """Name of the rig, or of the file where two rigs have one name."""
+    model: str
+    """Kind of model: ``pde``, ``thin_plate`` or ``delay_line``."""
+    file: str | None
+    """Rig file."""
+    taps: dict[str, TapError]
+    """Error per tap."""
+    regimes: list[Regime]
+    """Where it fails, worst first by ``times_noise``."""
+    rmse_pa: Perhaps
+    """Root mean square over the taps."""
+    times_noise: Perhaps
+    """Root mean square of the taps' ``times_noise``."""
+
+
+class Numerics(Result):
+    """Whether the grid is fine enough, from one run on cells of half the length."""
+
+    dx_m: Perhaps
+    """Cell length; null where no model has a grid."""
+    refined_dx_m: Perhaps
+    """Cell length of the second run; null where none was made."""
+    change_pa: dict[str, Perhaps]
+    """Per tap the root mean square change of the prediction."""
+    discretisation: bool
+    """Whether the error is mostly one of the grid rather than of the physics."""
+    sentence: str
+    """The same in words."""
+
+
+class Series(Result):
+    """Signals for plotting, thinned outside the worst stretches."""
+
+    time_s: list[Number]
+    """Times; not uniform."""
+    command: dict[str, list[Perhaps]]
+    """Per command its volts."""
+    measured: dict[str, list[Perhaps]]
+    """Per tap the readings, Pa; null where missing."""
+    model: dict[str, dict[str, list[Perhaps]]]
+    """Per model and tap the predicted readings, Pa."""
+    segments: list[tuple[Number, Number]]
+    """Begin and end of each roll-out, s."""
+
+
+class CompareResult(Head):
+    """``pneu compare --json``: how far each model is from the recording, and where."""
+
+    schema_: Literal["pneu.compare/1"] = Field(default="pneu.compare/1", alias="schema")
+    """Name and version of this schema."""
+    models: list[ModelError]
+    """The models, in the order given."""
+    numerics: Numerics
+    """The check of the grid."""
+    series: Series
+    """Signals for plotting."""
+
+
+# ---- fit -----------------------------------------------------------------------------------
+
+
+class FittedParameter(Result):
+    """A number of the rig after the fit."""
+
+    path: str
+    """Dotted path into the rig file."""
+    value: Number
+    """Estimate."""
+    start: Number
+    """Value before."""
+    std_error: Perhaps
+    """Standard error; null where the recording does not constrain it."""
+    unit: str | None = None
+    """Unit."""
+    at_bound: bool
+    """Whether the estimate sits on a bound."""
+    identified: bool
+    """Whether the recording constrains it."""
+    lower: Number
+    """Lower bound."""
+    upper: Number
+    """Upper bound."""
+
+
+class Correlation(Result):
+    """Two estimates the recording hardly tells apart."""
+
+    a: str
+    """Path of the one."""
+    b: str
+    """Path of the other."""
+    value: Number
+    """Correlation, at least 0.9 in size."""
+
+
+class FitResult(Head):
+    """``pneu fit --json``: the fitted parameters and how well they are known."""
+
+    schema_: Literal["pneu.fit/1"] = Field(default="pneu.fit/1", alias="schema")
+    """Name and version of this schema."""
+    rig: str
+    """Rig file the fit started from."""
+    output: str | None
+    """Rig file that was written."""
+    parameters: list[FittedParameter]
+    """What was fitted."""
+    correlations: list[Correlation]
+    """Pairs that are hard to tell apart, strongest first."""
+    condition: Perhaps
+    """Condition number of the scaled Jacobian."""
+    warnings: list[str]
+    """What the recording cannot identify, in plain words."""
+    rmse_pa: dict[str, Perhaps]
+    """Per tap the error on the part that was used."""
+    held_out_rmse_pa: dict[str, Perhaps]
+    """Per tap the error on the part kept aside; empty where none was."""
+    history: list[Perhaps]
+    """Cost after each iteration, the start first."""
+
+
+# ---- diagnose ------------------------------------------------------------------------------
+
+Verdict = Literal["nothing_missing", "effect", "ambiguous", "unknown"]
+
+
+class Candidate(Result):
+    """An effect at a place that could explain the residual."""
+
+    effect: str
+    """Name in the catalogue."""
+    title: str
+    """The same in a few words."""
+    place: str
+    """Part of the rig."""
+    position_m: Perhaps = None
+    """Where along a pipe; null where that has no meaning."""
+    strength: Perhaps
+    """Estimated strength."""
+    unit: str
+    """Its unit."""
+    std_error: Perhaps
+    """Standard error of the strength."""
+    explained_fraction: Perhaps
+    """Share of the residual's excess over noise that it would explain, to first order."""
+    refit_fraction: Perhaps = None
+    """Share that it explains after a quick refit; null where none was made."""
+    held_out_gain: Perhaps = None
+    """Share by which the squared error falls on the part kept aside."""
+    significance: Perhaps = None
+    """Strength over its standard error from leaving out one segment at a time."""
+    indistinguishable_from: list[str] = []
+    """Other candidates (effect@place) that this recording cannot tell it from."""
+    next_experiment: str = ""
+    """Recording that would tell them apart."""
+    tested: bool
+    """Whether it was refitted, or only scored."""
+
+
+class Dependence(Result):
+    """A variable that an unexplained residual depends on."""
+
+    variable: str
+    """Flow direction, opening, pressure, frequency, time or another tap."""
+    tap: str
+    """Tap whose residual depends on it."""
+    gain: Perhaps
+    """Share of that residual's variance it explains."""
+
+
+class DiagnoseResult(Head):
+    """``pneu diagnose --json``: what is missing in the model, and where."""
+
+    schema_: Literal["pneu.diagnose/1"] = Field(default="pneu.diagnose/1", alias="schema")
+    """Name and version of this schema."""
+    verdict: Verdict
+    """``nothing_missing``; ``effect``: the first candidate; ``ambiguous``: several are equally
+    good; ``unknown``: something that the catalogue does not hold."""
+    sentence: str
+    """The verdict in words."""
+    rmse_pa: dict[str, Perhaps]
+    """Per tap the error of the rig as it is."""
+    candidates: list[Candidate]
+    """Candidates, best first."""
+    depends_on: list[Dependence] = []
+    """For ``unknown``: what the residual depends on, strongest first."""
+    numerics: Numerics
+    """The check of the grid."""
+
+
+# ---- learn ---------------------------------------------------------------------------------
+
+
+class Step(Result):
+    """The model after one effect more."""
+
+    step: int
+    """0 is the base."""
+    added: str | None
+    """Effect; null for the base."""
+    place: str | None = None
+    """Where it was added."""
+    strength: Perhaps = None
+    """Its strength."""
+    unit: str | None = None
+    """Unit of the strength."""
+    std_error: Perhaps = None
+    """Standard error of the strength."""
+    rmse_pa: dict[str, Perhaps]
+    """Per tap the error on the part that was used."""
+    held_out_rmse_pa: dict[str, Perhaps]
+    """Per tap the error on the part kept aside."""
+    total_times_noise: Perhaps
+    """Error over noise, root mean square over taps, on the part used."""
+    held_out_times_noise: Perhaps
+    """The same on the part kept aside."""
+
+
+class LearnResult(Head):
+    """``pneu learn --json``: effect after effect, the error after each."""
+
+    schema_: Literal["pneu.learn/1"] = Field(default="pneu.learn/1", alias="schema")
+    """Name and version of this schema."""
+    steps: list[Step]
+    """What was added, in order; the base first."""
+    verdict: Verdict
+    """What the last diagnosis said."""
+    sentence: str
+    """The same in words."""
+    output: str | None
+    """Folder that was written."""
+
+
+RESULTS: tuple[type[Head], ...] = (CompareResult, FitResult, DiagnoseResult, LearnResult)
+
+
+def pneu_version() -> str:
+    """Version of the installed program, for the head of a result."""
+    for distribution in ("pneu", "pneu_sysid"):  # installed by pip, or by colcon
+        try:
+            return importlib.metadata.version(distribution)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return "(not installed)"
+
+
+def result_of(data: dict[str, Any]) -> Head:
+    """Checks plain data against the schema it names.
+
+    Args:
+        data: A result, as read from its file.
+
+    Returns:
+        The result.
+
+    Raises:
+        InputError: The schema is unknown, or the data do not follow it.
+    """
+    name = data.get("schema")
+    kinds = {kind.model_fields["schema_"].default: kind for kind in RESULTS}
+    if name not in kinds:
+        raise InputError(f"schema: found {name!r}, known are {', '.join(kinds)}")
+    try:
+        return kinds[name].model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"result of schema {name}: {where}: {first['msg']}") from None
+
+
+def write_json(path: str | Path, result: Head | dict[str, Any]) -> None:
+    """Writes a result file, whole or not at all.
+
+    Args:
+        path: Where; its folder must exist.
+        result: The result; plain data are checked first.
+
+    Raises:
+        InputError: The file cannot be written, or the data do not follow their schema.
+    """
+    path = Path(path)
+    checked = result if isinstance(result, Head) else result_of(result)
+    data = checked.as_dict()
+    data = {"schema": data.pop("schema"), **data}
+    lines = [f"  {json.dumps(k)}: {json.dumps(v, allow_nan=False)}" for k, v in data.items()]
+    aside = path.with_name(f".{path.name}.part")
+    try:
+        aside.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+        os.replace(aside, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+
+
+# ---- the page ------------------------------------------------------------------------------
+
+_PAGE = """\
+# JSON results
+
+`--json FILE` of `pneu compare`, `fit`, `diagnose` and `learn` writes one object as below. All
+quantities are SI, pressures absolute pascals, times from the start of the recording; the unit is in
+a key's name (`rmse_pa`). There is never NaN or infinity: where a number does not exist, `null`
+stands. `schema` names the command and the version; the version rises when a key changes its meaning
+or goes away, not when one is added.
+
+A sign is that of what the rig has and the model lacks: `bias_pa` is positive where the sensor reads
+above the model, `lag_s` where the measurement is later than the model.
+
+This page is made by `python -m pneu_sysid.results`.
+"""
+
+
+def json_markdown() -> str:
+    """The page that documents the JSON results."""
+    parts = [_PAGE]
+    done: set[type[Result]] = set()
+    for kind in RESULTS:
+        parts.append(_table(kind, f"## {kind.model_fields['schema_'].default}"))
+        todo = _nested(kind)
+        while todo:
+            one = todo.pop(0)
+            if one not in done:
+                done.add(one)
+                parts.append(_table(one, f"### {one.__name__}"))
+                todo = _nested(one) + todo
+    return "\n".join(parts)
+
+
+def _table(kind: type[Result], heading: str) -> str:
+    rows = ["| key | type | meaning |", "| --- | --- | --- |"]
+    fields = kind.model_fields
+    names = [n for n in fields if n == "schema_"] + [n for n in fields if n != "schema_"]
+    for name in names:
+        field = fields[name]
+        meaning = " ".join((field.description or "").split()).replace("|", "\\|")
+        rows.append(f"| `{field.alias or name}` | {_words(field.annotation)} | {meaning} |")
+    about = " ".join((kind.__doc__ or "").split())
+    return (
+        f"{heading}\n\n{about.replace('``', '`')}\n\n" + "\n".join(rows).replace("``", "`") + "\n"
+    )
+
+
+def _words(annotation: Any) -> str:
+    """A type in words."""
+    origin, args = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _words(args[0])
+    if origin in (Union, UnionType):
+        return " or ".join(_words(arg) for arg in args)
+    if origin is Literal:
+        return " or ".join(f'`"{arg}"`' for arg in args)
+    if origin is list:
+        return f"list of {_words(args[0])}"
+    if origin is tuple:
+        return f"[{', '.join(_words(arg) for arg in args)}]"
+    if origin is dict:
+        return f"object of {_words(args[1])}"
+    if isinstance(annotation, type) and issubclass(annotation, Result):
+        return f"[{annotation.__name__}](#{annotation.__name__.lower()})"
+    plain = {str: "text", float: "number", int: "integer", bool: "boolean", type(None): "null"}
+    return plain[annotation]
+
+
+def _nested(kind: type[Result]) -> list[type[Result]]:
+    """Models that the fields of a model are made of."""
+    found: list[type[Result]] = []
+    todo: list[Any] = [field.annotation for field in kind.model_fields.values()]
+    while todo:
+        one = todo.pop(0)
+        if isinstance(one, type) and issubclass(one, Result):
+            found.append(one)
+        todo = list(get_args(one)) + todo if not isinstance(one, str) else todo
+    return found
+
+
+if __name__ == "__main__":
+    print(json_markdown(), end="")

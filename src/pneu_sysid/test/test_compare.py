@@ -1,0 +1,356 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Comparison of models with recordings whose errors are known because they were put there."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from pneu_sim.errors import InputError
+from pneu_sim.rig.schema import Rig
+from pneu_sim.simulator import Simulator
+from pneu_sysid.compare import SERIES_POINTS, compare, compare_table
+from pneu_sysid.records import Finding, Recording
+from pneu_sysid.results import CompareResult, Regime, result_of, write_json
+from pneu_sysid.shift import estimate_shift
+
+RATE_HZ = 500.0
+NOISE_PA = 200.0
+DURATION_S = 2.4
+TAPS = ("supply", "start", "end")
+
+
+def valve_rig(**changes: Any) -> Rig:
+    """A supply, a 3/3-way valve, a closed tube of 1 m and an exhaust to the room."""
+    ports = {
+        "supply": {
+            "from": "in",
+            "to": "out",
+            "conductance_m3_s_pa": 0.8e-8,
+            "opening": {"voltage_v": [5.0, 10.0], "fraction": [0.0, 1.0]},
+        },
+        "exhaust": {
+            "from": "out",
+            "to": "vent",
+            "conductance_m3_s_pa": 0.8e-8,
+            "opening": {"mirror": "supply"},
+        },
+    }
+    data: dict[str, Any] = {
+        "name": "tube",
+        "grid": {"dx_m": 0.1},
+        "ambient": {"pressure_pa": 1e5},
+        "reservoirs": {"supply": {"pressure_pa": 6e5}, "room": {"pressure_pa": 1e5}},
+        "pipes": {
+            "feed": {"from": "supply", "to": "in", "length_m": 0.5, "area_m2": 2e-5},
+            "tube": {"from": "out", "to": "closed", "length_m": 1.0, "area_m2": 6e-6},
+            "vent": {"from": "vent", "to": "room", "length_m": 0.2, "area_m2": 2e-5},
+        },
+        "valves": {"valve": {"command": "volts", "ports": ports}},
+        "commands": {"volts": {}},
+        "taps": {
+            "supply": {"pipe": "feed", "position_m": 0.45},
+            "start": {"pipe": "tube", "position_m": 0.05},
+            "end": {"pipe": "tube", "position_m": 0.95},
+        },
+        "fit": {"horizon_s": None},
+    }
+    return Rig.model_validate({**data, **changes})
+
+
+def volts_of_steps(seed: int = 3) -> np.ndarray:
+    """Steps of 40 to 120 ms, every third with the valve shut; the tube is vented first."""
+    rng = np.random.default_rng(seed)
+    volts = [0.0] * 60
+    while len(volts) < DURATION_S * RATE_HZ:
+        level = 5.0 if len(volts) % 3 == 0 else rng.uniform(1.0, 9.0)
+        volts += [level] * int(rng.integers(20, 60))
+    return np.array(volts[: int(DURATION_S * RATE_HZ)])
+
+
+def record(
+    rig: Rig,
+    volts: np.ndarray | None = None,
+    dx_m: float | None = None,
+    noise_pa: float = NOISE_PA,
+    seed: int = 0,
+) -> Recording:
+    """What a rig's sensors would have recorded."""
+    volts = volts_of_steps() if volts is None else volts
+    run = Simulator(rig, dx_m).run((volts.size - 1) / RATE_HZ, {"volts": volts[:-1]}, 1.0 / RATE_HZ)
+    rng = np.random.default_rng(seed)
+    return Recording(
+        name="made",
+        time_s=np.arange(volts.size) / RATE_HZ,
+        commands={"volts": volts},
+        pressures={t: x + noise_pa * rng.normal(size=x.size) for t, x in run.taps.items()},
+        rate_hz=RATE_HZ,
+    )
+
+
+def against(recording: Recording, rig: Rig, refine: bool = False) -> CompareResult:
+    return compare(recording, [(rig.name, rig, None)], refine=refine)
+
+
+def regimes(result: CompareResult, kind: str, tap: str) -> dict[str, Regime]:
+    return {r.label: r for r in result.models[0].regimes if r.kind == kind and r.tap == tap}
+
+
+@pytest.fixture(scope="module")
+def truth() -> Recording:
+    return record(valve_rig())
+
+
+def test_the_true_model_leaves_the_noise(truth: Recording) -> None:
+    result = against(truth, valve_rig())
+    for tap, error in result.models[0].taps.items():
+        assert error.rmse_pa == pytest.approx(NOISE_PA, rel=0.05), tap
+        assert error.times_noise == pytest.approx(1.0, rel=0.2)
+        assert abs(error.bias_pa or 0.0) < 5.0 * NOISE_PA / np.sqrt(DURATION_S * RATE_HZ)
+        if error.lag_s is not None:
+            assert abs(error.lag_s) < 1e-4
+    assert result.models[0].times_noise == pytest.approx(1.0, rel=0.2)
+
+
+def test_regimes_divide_the_samples_and_the_error(truth: Recording) -> None:
+    result = against(truth, valve_rig())
+    for tap in TAPS:
+        for kind in ("flow_direction", "opening", "pressure", "frequency", "time"):
+            parts = regimes(result, kind, tap).values()
+            if kind == "pressure" and not parts:
+                assert tap == "supply"  # it hardly moves
+                continue
+            assert sum(r.share for r in parts) == pytest.approx(1.0, abs=1e-9)
+            if kind != "frequency":
+                assert sum(r.samples for r in parts) == truth.time_s.size
+        worst = [r.times_noise or 0.0 for r in result.models[0].regimes]
+        assert worst == sorted(worst, reverse=True)
+
+
+def test_flow_and_choking_follow_the_command() -> None:
+    # 6 bar into a tube at 1 bar through a small opening: sonic until the tube has b times 6 bar.
+    volts = np.repeat([0.0, 5.05, 5.0, 0.0], [100, 300, 150, 300])
+    rig = valve_rig()
+    result = against(record(rig, volts), rig)
+    flow = regimes(result, "flow_direction", "end")
+    assert set(flow) == {"fill", "exhaust", "still"}
+    opening = regimes(result, "opening", "end")
+    assert opening["valve closed"].samples == 150
+    assert opening["valve below 10 % open"].samples == 300
+    assert opening["valve above 50 % open"].samples == 400
+    run = Simulator(rig).run(1.698, {"volts": volts[:-1]}, 2e-3)
+    critical_ratio = 0.3  # that of a port whose rig file says nothing
+    sonic = (run.taps["start"] < critical_ratio * run.taps["supply"])[100:400]
+    assert 20 < sonic.sum() < 280
+    choked = regimes(result, "choked", "end")
+    assert choked["valve.supply choked"].samples == pytest.approx(sonic.sum(), abs=3)
+    assert choked["valve.supply not choked"].samples == pytest.approx((~sonic).sum(), abs=3)
+    # the supply line names the same direction as the tube that it feeds
+    same = regimes(result, "flow_direction", "supply")
+    assert {k: r.samples for k, r in same.items()} == {k: r.samples for k, r in flow.items()}
+
+
+@pytest.mark.parametrize("tap", TAPS)
+@pytest.mark.parametrize("bias_pa", [900.0, -1500.0])
+def test_a_bias_is_found_at_its_tap(truth: Recording, tap: str, bias_pa: float) -> None:
+    shifted = dict(truth.pressures)
+    shifted[tap] = shifted[tap] + bias_pa
+    taps = against(dataclasses.replace(truth, pressures=shifted), valve_rig()).models[0].taps
+    assert taps[tap].bias_pa == pytest.approx(bias_pa, rel=0.1)
+    assert taps[tap].rmse_pa == pytest.approx(np.hypot(bias_pa, NOISE_PA), rel=0.1)
+    for other in set(TAPS) - {tap}:
+        assert abs(taps[other].bias_pa or 0.0) < 0.1 * abs(bias_pa)
+
+
+@pytest.mark.parametrize("lag_s", [0.0007, 0.005, 0.02, -0.003])
+def test_a_late_clock_is_found_at_its_tap(lag_s: float) -> None:
+    late = valve_rig()
+    late.taps["end"].offset_s = lag_s
+    taps = against(record(late), valve_rig()).models[0].taps
+    assert taps["end"].lag_s == pytest.approx(lag_s, rel=0.1)
+    assert taps["end"].gain == pytest.approx(1.0, abs=0.02)
+    assert abs(taps["start"].lag_s or 0.0) < 1e-4
+
+
+def test_a_gain_is_found_at_its_tap() -> None:
+    steep = valve_rig()
+    steep.taps["end"].gain = 1.03
+    taps = against(record(steep), valve_rig()).models[0].taps
+    assert taps["end"].gain == pytest.approx(1.03, abs=0.003)
+    assert taps["start"].gain == pytest.approx(1.0, abs=0.003)
+
+
+def test_shift_of_analytic_waves() -> None:
+    time = np.arange(400) * 2e-3
+
+    def wave(t: np.ndarray) -> np.ndarray:
+        return np.sin(40.0 * t) + 0.5 * np.cos(95.0 * t + 1.0)
+
+    predicted = np.stack([wave(time), wave(time + 3.0)])
+    measured = 7.0 + 0.9 * np.stack([wave(time - 0.0123), wave(time + 3.0 - 0.0123)])
+    measured[0, 50:90] = np.nan
+    shift = estimate_shift(measured, predicted, 2e-3)
+    assert shift is not None
+    assert shift.lag_s == pytest.approx(0.0123, abs=2e-5)
+    assert shift.gain == pytest.approx(0.9, abs=1e-3)
+    rng = np.random.default_rng(1)
+    assert estimate_shift(rng.normal(size=(2, 400)), 1e-3 * predicted, 2e-3) is None
+    assert estimate_shift(measured, np.ones_like(predicted), 2e-3) is None
+
+
+def test_a_leak_shows_while_the_valve_is_shut() -> None:
+    leaky = valve_rig()
+    tube = leaky.pipes["tube"].model_dump(by_alias=True)
+    tube["leaks"] = [{"position_m": 0.95, "area_m2": 3e-8}]
+    leaky = valve_rig(pipes={**leaky.model_dump(by_alias=True)["pipes"], "tube": tube})
+    # vent, fill, hold: again and again
+    volts = np.tile(np.repeat([0.0, 9.0, 5.0], [150, 60, 190]), 3)
+    result = against(record(leaky, volts), valve_rig())
+    assert (result.models[0].taps["end"].times_noise or 0.0) > 3.0
+    for kind, where in (("flow_direction", "still"), ("opening", "valve closed")):
+        parts = regimes(result, kind, "end")
+        assert next(iter(parts)) == where  # the worst
+        assert parts[where].share > 0.7
+    assert (result.models[0].taps["end"].bias_pa or 0.0) < 0.0  # the rig holds less
+    assert all("closed" in s.doing for s in result.models[0].taps["end"].worst[:3])
+
+
+@pytest.mark.parametrize(
+    ("frequency_hz", "band"),
+    [
+        (2.0, "below 5 Hz"),
+        (12.0, "5-20 Hz"),
+        (40.0, "20-60 Hz"),
+        (100.0, "60-150 Hz"),
+        (200.0, "above 150 Hz"),
+    ],
+)
+def test_an_added_sine_is_in_its_band(truth: Recording, frequency_hz: float, band: str) -> None:
+    sine = 2000.0 * np.sin(2.0 * np.pi * frequency_hz * truth.time_s)
+    added = {**truth.pressures, "end": truth.pressures["end"] + sine}
+    result = against(dataclasses.replace(truth, pressures=added), valve_rig())
+    parts = regimes(result, "frequency", "end")
+    assert next(iter(parts)) == band
+    assert parts[band].rmse_pa == pytest.approx(2000.0 / np.sqrt(2.0), rel=0.06)
+    assert parts[band].share > 0.9
+
+
+def test_the_worst_stretch_is_where_the_disturbance_is(truth: Recording) -> None:
+    struck = truth.pressures["end"].copy()
+    at = (truth.time_s >= 1.3) & (truth.time_s < 1.4)
+    struck[at] += 5000.0
+    result = against(
+        dataclasses.replace(truth, pressures={**truth.pressures, "end": struck}), valve_rig()
+    )
+    worst = result.models[0].taps["end"].worst[0]
+    assert (worst.start_s, worst.end_s) == pytest.approx((1.3, 1.4), abs=1e-6)
+    assert worst.rmse_pa == pytest.approx(5000.0, rel=0.02)
+    assert "volts" in worst.doing
+    assert next(iter(regimes(result, "time", "end"))) == "1-2 s"
+
+
+def test_a_coarse_grid_is_told_from_missing_physics() -> None:
+    fine = record(valve_rig(), dx_m=0.0125)
+    for order, dx_m in ((1, 0.1), (2, 0.2)):
+        coarse = valve_rig(grid={"dx_m": dx_m, "order": order})
+        result = against(fine, coarse, refine=True)
+        assert (result.models[0].taps["end"].times_noise or 0.0) > 3.0
+        assert result.numerics.discretisation
+        assert result.numerics.refined_dx_m == pytest.approx(0.5 * dx_m)
+        assert "is discretisation rather than physics" in result.numerics.sentence
+
+    result = against(fine, valve_rig(grid={"dx_m": 0.025}), refine=True)
+    assert not result.numerics.discretisation
+
+    # an error that is physics: a tube of other area, on the same fine grid
+    narrow = valve_rig(grid={"dx_m": 0.025})
+    narrow.pipes["tube"].area_m2 *= 0.9
+    result = against(fine, narrow, refine=True)
+    assert (result.models[0].taps["end"].times_noise or 0.0) > 3.0
+    assert not result.numerics.discretisation
+
+
+def test_models_of_other_structure_side_by_side(truth: Recording) -> None:
+    good = valve_rig(fit={"horizon_s": 0.5, "warm_up_s": 0.1})
+    bad = valve_rig(name="other", fit={"horizon_s": 0.3})
+    bad.pipes["tube"].area_m2 *= 1.3
+    extra = {"pipe": "feed", "position_m": 0.1}
+    data = bad.model_dump(by_alias=True)
+    other = Rig.model_validate(
+        {**data, "taps": {"extra": extra, **{t: data["taps"][t] for t in reversed(TAPS)}}}
+    )
+    seen: list[float] = []
+    result = compare(
+        truth, [("tube", good, "a.yaml"), ("other", other, None)], progress=seen.append
+    )
+    assert result.taps == list(TAPS)
+    assert [m.file for m in result.models] == ["a.yaml", None]
+    first, second = result.models
+    assert (second.times_noise or 0.0) > 3.0 * (first.times_noise or 0.0)
+    assert (first.times_noise or 0.0) < 3.0
+    for model in result.models:
+        samples = sum(r.samples for r in model.regimes if r.kind == "time" and r.tap == "end")
+        assert samples == 250 * len(result.series.segments) == 1000
+    assert seen[-1] == 1.0 and seen == sorted(seen)
+    twice = compare(truth, [("tube", good, "a.yaml"), ("tube", good, "b.yaml")], refine=False)
+    assert twice.rigs == ["a", "b"]
+
+
+def test_missing_samples_are_left_out(truth: Recording) -> None:
+    holes = truth.pressures["end"].copy()
+    holes[400:480] = np.nan
+    recording = dataclasses.replace(
+        truth,
+        pressures={**truth.pressures, "end": holes},
+        report=[Finding("end", "gap", 80, "left missing")],
+    )
+    result = against(recording, valve_rig())
+    assert result.models[0].taps["end"].rmse_pa == pytest.approx(NOISE_PA, rel=0.06)
+    assert result.series.measured["end"].count(None) == 80
+    assert result.findings == ["end: gap (80): left missing"]
+
+
+def test_result_survives_its_file(truth: Recording, tmp_path: Any) -> None:
+    result = against(truth, valve_rig())
+    write_json(tmp_path / "out.json", result)
+    text = (tmp_path / "out.json").read_text(encoding="utf-8")
+    assert "NaN" not in text
+    data = json.loads(text)
+    assert data["schema"] == "pneu.compare/1"
+    assert result_of(data) == result
+    assert len(data["series"]["time_s"]) == truth.time_s.size <= SERIES_POINTS
+
+
+def test_long_series_are_thinned_but_for_the_worst() -> None:
+    recording = record(valve_rig(), np.tile(volts_of_steps(), 8))
+    recording.pressures["end"][5000:5050] += 9000.0
+    result = against(recording, valve_rig())
+    time = np.array(result.series.time_s)
+    assert 0.5 * SERIES_POINTS < time.size <= SERIES_POINTS
+    assert (np.diff(time) > 0.0).all()
+    assert ((time > 9.999) & (time < 10.099)).sum() == 50
+
+
+def test_table_names_every_tap_and_model(truth: Recording) -> None:
+    result = against(truth, valve_rig(), refine=True)
+    stream = io.StringIO()
+    Console(file=stream, width=140).print(compare_table(result))
+    text = stream.getvalue()
+    for word in (*TAPS, "tube", "RMSE Pa", "worst stretches", "half the length"):
+        assert word in text
+
+
+def test_unusable_input_is_one_sentence(truth: Recording) -> None:
+    with pytest.raises(InputError, match="no rig was given"):
+        compare(truth, [])
+    nothing = dataclasses.replace(truth, pressures={"elsewhere": truth.pressures["end"]})
+    with pytest.raises(InputError, match="recorded: elsewhere"):
+        against(nothing, valve_rig())
+    with pytest.raises(InputError, match="command 'volts' is not in recording 'made'"):
+        against(dataclasses.replace(truth, commands={}), valve_rig())

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The JSON results: what may be in them, how they are written, and their page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pneu_sim.errors import InputError
+from pneu_sysid.results import RESULTS, LearnResult, json_markdown, result_of, write_json
+
+HOUSE = Path(__file__).parents[3]
+
+
+def learned(**changes: Any) -> dict[str, Any]:
+    head = {
+        "schema": "pneu.learn/1",
+        "pneu_version": "0",
+        "recording": "bag",
+        "rigs": ["tube"],
+        "taps": ["end"],
+        "noise_floor_pa": {"end": 250.0},
+    }
+    step = {
+        "step": 0,
+        "added": None,
+        "rmse_pa": {"end": np.float64(900.5)},
+        "held_out_rmse_pa": {"end": float("nan")},
+        "total_times_noise": 3.6,
+        "held_out_times_noise": float("inf"),
+    }
+    body = {"steps": [step], "verdict": "unknown", "sentence": "Something.", "output": None}
+    return {**head, **body, **changes}
+
+
+def test_page_is_current() -> None:
+    page = (HOUSE / "docs" / "json.md").read_text(encoding="utf-8")
+    assert page == json_markdown(), "run python -m pneu_sysid.results > docs/json.md"
+
+
+def test_every_key_has_a_meaning() -> None:
+    for line in json_markdown().splitlines():
+        if line.startswith("| `"):
+            assert line.split("|")[3].strip(), line
+
+
+def test_what_is_not_finite_becomes_null(tmp_path: Path) -> None:
+    write_json(tmp_path / "r.json", learned())
+
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} is no JSON")
+
+    data = json.loads((tmp_path / "r.json").read_text(), parse_constant=refuse)
+    assert data["steps"][0]["held_out_rmse_pa"] == {"end": None}
+    assert data["steps"][0]["held_out_times_noise"] is None
+    assert data["steps"][0]["rmse_pa"] == {"end": 900.5}
+    assert next(iter(data)) == "schema"
+    assert isinstance(result_of(data), LearnResult)
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"schema": "pneu.learn/9"}, "known are pneu.compare/1, pneu.fit/1"),
+        ({"verdict": "perhaps"}, "verdict"),
+        ({"extra": 1}, "extra"),
+        ({"steps": [{"step": 0}]}, r"steps\.0\.added"),
+    ],
+)
+def test_other_data_are_refused(tmp_path: Path, changes: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint):
+        write_json(tmp_path / "r.json", learned(**changes))
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_unwritable_place_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"absent/r\.json: cannot be written"):
+        write_json(tmp_path / "absent" / "r.json", learned())
+
+
+def test_schemas_are_named_after_their_command() -> None:
+    names = [kind.model_fields["schema_"].default for kind in RESULTS]
+    assert names == ["pneu.compare/1", "pneu.fit/1", "pneu.diagnose/1", "pneu.learn/1"]
