@@ -20,7 +20,7 @@ setup(
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="The Pneu developers",
-    maintainer_email="pneu@example.org",
+    maintainer_email="noreply@pneu.invalid",
     description="Gas-dynamic and lumped simulation of pneumatic valves, tubes and chambers",
     license="Apache-2.0",
     entry_points={

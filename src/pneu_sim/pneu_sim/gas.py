@@ -98,15 +98,29 @@ class Gas:
     # -- states (thesis table 4.1) ----------------------------------------------------------
 
     def density(self, p: ArrayLike, temperature_k: ArrayLike) -> FloatArray:
-        """Returns the density (kg/m3) at pressure ``p`` (Pa) and temperature (K)."""
+        """Returns the density (kg/m3) at pressure ``p`` (Pa) and temperature (K).
+
+        Args:
+            p: Absolute pressure, Pa.
+            temperature_k: Temperature, K.
+        """
         return np.asarray(p, dtype=float) / (self.r_specific * np.asarray(temperature_k))
 
     def temperature(self, rho: ArrayLike, p: ArrayLike) -> FloatArray:
-        """Returns the temperature (K) at density ``rho`` (kg/m3) and pressure ``p`` (Pa)."""
+        """Returns the temperature (K) at density ``rho`` (kg/m3) and pressure ``p`` (Pa).
+
+        Args:
+            rho: Density, kg/m3.
+            p: Absolute pressure, Pa.
+        """
         return np.asarray(p, dtype=float) / (self.r_specific * np.asarray(rho))
 
     def sound_speed(self, temperature_k: ArrayLike) -> FloatArray:
-        """Returns the isentropic speed of sound (m/s) at a temperature (K)."""
+        """Returns the isentropic speed of sound (m/s) at a temperature (K).
+
+        Args:
+            temperature_k: Temperature, K.
+        """
         return np.sqrt(self.gamma * self.r_specific * np.asarray(temperature_k, dtype=float))
 
     def to_conserved(self, primitive: ArrayLike) -> FloatArray:
@@ -156,39 +170,66 @@ class Gas:
         """Returns the dynamic viscosity (Pa s) by Sutherland's law.
 
         ``mu = mu_ref (T / t_ref)^1.5 (t_ref + S) / (T + S)``: Sutherland, Phil. Mag. 36 (1893).
+
+        Args:
+            temperature_k: Temperature, K.
         """
         t = np.asarray(temperature_k, dtype=float)
         scale = (self.t_ref + self.sutherland_k) / (t + self.sutherland_k)
         return self.mu_ref * (t / self.t_ref) ** 1.5 * scale
 
     def conductivity(self, temperature_k: ArrayLike) -> FloatArray:
-        """Returns the thermal conductivity (W/(m K)), ``mu c_p / Pr``."""
+        """Returns the thermal conductivity (W/(m K)), ``mu c_p / Pr``.
+
+        Args:
+            temperature_k: Temperature, K.
+        """
         return self.viscosity(temperature_k) * self.cp / self.prandtl
 
     # -- isentropic flow --------------------------------------------------------------------
 
     def isentropic_temperature_ratio(self, mach: ArrayLike) -> FloatArray:
-        """Returns static over stagnation temperature, ``T / T0``."""
+        """Returns static over stagnation temperature, ``T / T0``.
+
+        Args:
+            mach: Mach number.
+        """
         m = np.asarray(mach, dtype=float)
         return 1.0 / (1.0 + 0.5 * (self.gamma - 1.0) * m * m)
 
     def isentropic_pressure_ratio(self, mach: ArrayLike) -> FloatArray:
-        """Returns static over stagnation pressure, ``p / p0``."""
+        """Returns static over stagnation pressure, ``p / p0``.
+
+        Args:
+            mach: Mach number.
+        """
         return self.isentropic_temperature_ratio(mach) ** (self.gamma / (self.gamma - 1.0))
 
     def isentropic_density_ratio(self, mach: ArrayLike) -> FloatArray:
-        """Returns static over stagnation density, ``rho / rho0``."""
+        """Returns static over stagnation density, ``rho / rho0``.
+
+        Args:
+            mach: Mach number.
+        """
         return self.isentropic_temperature_ratio(mach) ** (1.0 / (self.gamma - 1.0))
 
     def isentropic_area_ratio(self, mach: ArrayLike) -> FloatArray:
-        """Returns the duct area over the sonic throat area, ``A / A*``, at a Mach number > 0."""
+        """Returns the duct area over the sonic throat area, ``A / A*``, at a Mach number > 0.
+
+        Args:
+            mach: Mach number.
+        """
         m = np.asarray(mach, dtype=float)
         exponent = (self.gamma + 1.0) / (2.0 * (self.gamma - 1.0))
         base = 2.0 / ((self.gamma + 1.0) * self.isentropic_temperature_ratio(m))
         return base**exponent / m
 
     def isentropic_mach(self, pressure_ratio: ArrayLike) -> FloatArray:
-        """Returns the Mach number at a static-to-stagnation pressure ratio ``p / p0`` in (0, 1]."""
+        """Returns the Mach number at a static-to-stagnation pressure ratio ``p / p0`` in (0, 1].
+
+        Args:
+            pressure_ratio: Static over stagnation pressure, above 0 and at most 1.
+        """
         ratio = np.asarray(pressure_ratio, dtype=float)
         power = ratio ** (-(self.gamma - 1.0) / self.gamma)
         return np.sqrt(2.0 / (self.gamma - 1.0) * (power - 1.0))
@@ -222,6 +263,9 @@ class Gas:
         the gas constant: 0.199195 dm3/(s bar) per mm2 for dry ``AIR``, 0.198912 for the
         constant ``p_ANR / (rho_ANR T_ANR)`` = 287.87 J/(kg K) that the standard's own density
         implies.
+
+        Args:
+            area_m2: Effective area, m2.
         """
         factor = self.choked_flow_factor / (ANR_DENSITY_KG_M3 * math.sqrt(ANR_TEMPERATURE_K))
         return np.asarray(area_m2, dtype=float) * factor
@@ -230,6 +274,9 @@ class Gas:
         """Returns the ideal effective area (m2) of a sonic conductance C (m3 ANR/(s Pa)).
 
         Inverse of `conductance_from_area`; multiply dm3/(s bar) by 1e-8 first.
+
+        Args:
+            conductance: Sonic conductance C, m3/(s Pa) at ANR.
         """
         return np.asarray(conductance, dtype=float) / self.conductance_from_area(1.0)
 

@@ -2,9 +2,10 @@
 """The gas kernel: quasi-one-dimensional Euler equations on a network, many rigs at once.
 
 Finite volumes in conservative variables (thesis ch. 4 and 5). One step is a handful of passes over
-flat arrays (see ``layout``): primitive state, reconstruction, fluxes, ends and ports, update with the
-wall terms. Each pass is a plain loop without Python objects, so that the same source can be compiled
-for other targets. Everything a step needs is passed in; nothing is kept between calls but the arrays.
+flat arrays (see ``layout``): primitive state, reconstruction, fluxes, ends and ports, update with
+the wall terms. Each pass is a plain loop without Python objects, so that the same source can be
+compiled for other targets. Everything a step needs is passed in; nothing is kept between calls but
+the arrays.
 """
 
 import math
@@ -90,15 +91,33 @@ def _widen_faces(n, w, face, length, stretch, out):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _reconstruct(
-    n, w, gamma, dt, van_leer, rho, mom, ene, length, p, drag, warm,
-    rl, ul, pl, il, rr, ur, pr, ir,
+    n,
+    w,
+    gamma,
+    dt,
+    van_leer,
+    rho,
+    mom,
+    ene,
+    length,
+    p,
+    drag,
+    warm,
+    rl,
+    ul,
+    pl,
+    il,
+    rr,
+    ur,
+    pr,
+    ir,
 ):
     """MUSCL-Hancock face states from limited slopes of the conservative variables (thesis 4.6.4).
 
-    The half-step evolution makes the time step second order, to match the reconstruction; it includes
-    what the wall did in the last step, which in a long line balances the pressure's slope. Where a
-    face state would lose more than 95 % of the cell's density or pressure, the cell falls back to
-    its mean, which keeps the scheme positive.
+    The half-step evolution makes the time step second order, to match the reconstruction; it
+    includes what the wall did in the last step, which in a long line balances the pressure's slope.
+    Where a face state would lose more than 95 % of the cell's density or pressure, the cell falls
+    back to its mean, which keeps the scheme positive.
     """
     gm = gamma - 1.0
     half = 0.5 * dt
@@ -107,7 +126,14 @@ def _reconstruct(
     rho, mom, ene, length, p = rho[w:], mom[w:], ene[w:], length[w:], p[w:]
     drag, warm = drag[w:], warm[w:]
     rl, ul, pl, il, rr, ur, pr, ir = (
-        rl[w:], ul[w:], pl[w:], il[w:], rr[w:], ur[w:], pr[w:], ir[w:]
+        rl[w:],
+        ul[w:],
+        pl[w:],
+        il[w:],
+        rr[w:],
+        ur[w:],
+        pr[w:],
+        ir[w:],
     )
     for i in range(n - 2 * w):
         live = 1.0 if length[i] > 0.0 else 0.0
@@ -215,9 +241,7 @@ def _exact(n, w, gamma, newton, rr, ur, pr, rl, ul, pl, fm, fp, fe):
     """Godunov flux from the exact Riemann solution through every face (thesis 4.6.3)."""
     for i in range(n - w):
         j = i + w
-        fm[i], fp[i], fe[i] = exact_flux(
-            rr[i], ur[i], pr[i], rl[j], ul[j], pl[j], gamma, newton
-        )
+        fm[i], fp[i], fe[i] = exact_flux(rr[i], ur[i], pr[i], rl[j], ul[j], pl[j], gamma, newton)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -281,7 +305,7 @@ def _steady_wall(
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _inverse(n, x, y):
-    """y = 1 / x."""
+    """Take the reciprocal, y = 1 / x."""
     for i in range(n):
         y[i] = 1.0 / x[i]
 
@@ -373,8 +397,31 @@ def _unsteady_drag(
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _unsteady_heat(
-    n, gamma, r_gas, prandtl, dt, rho, mom, ene, ri, t_old, phi, a1, fade, stay, heat, heat_turb,
-    unst, wall_t, warm, y0, y1, y2, y3, y4, y5,
+    n,
+    gamma,
+    r_gas,
+    prandtl,
+    dt,
+    rho,
+    mom,
+    ene,
+    ri,
+    t_old,
+    phi,
+    a1,
+    fade,
+    stay,
+    heat,
+    heat_turb,
+    unst,
+    wall_t,
+    warm,
+    y0,
+    y1,
+    y2,
+    y3,
+    y4,
+    y5,
 ):
     """Wall heat with memory: the thermal twin of the unsteady drag, at the thermal diffusivity."""
     cv = r_gas / (gamma - 1.0)
@@ -442,7 +489,15 @@ def _unsteady_heat(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def chamber_pressure(energy, volume, compliance, rest_p, gamma):
-    """Pressure of a chamber of internal energy ``energy``; volume = volume + compliance (p - rest)."""
+    """Pressure of a chamber of internal energy ``energy``; volume = volume + compliance (p - rest).
+
+    Args:
+        energy: Internal energy of its gas and of its yielding wall, J.
+        volume: Volume at the pressure `rest_p`, m3.
+        compliance: Growth of the volume per pascal, m3/Pa.
+        rest_p: Pressure at which the wall is at rest, Pa.
+        gamma: Ratio of specific heats.
+    """
     e = (gamma - 1.0) * (energy + 0.5 * compliance * rest_p * rest_p)
     b = volume - compliance * rest_p
     return 2.0 * e / (b + math.sqrt(b * b + 2.0 * compliance * (gamma + 1.0) * e))
@@ -452,9 +507,9 @@ def chamber_pressure(energy, volume, compliance, rest_p, gamma):
 def iso6358_flow(p_a, z_a, t_a, p_b, z_b, t_b, conductance, ratio, laminar=1.0):
     """Mass flow a to b through an ISO 6358 port between two lines, in closed form.
 
-    The pressures at the port follow the flow along the characteristics that reach it, p1 = p_a - z_a m
-    and p2 = p_b + z_b m with z = c / A (zero for a chamber or reservoir), so the flow is implicit and
-    needs no laminar patch where the pressures meet.
+    The pressures at the port follow the flow along the characteristics that reach it,
+    p1 = p_a - z_a m and p2 = p_b + z_b m with z = c / A (zero for a chamber or reservoir), so the
+    flow is implicit and needs no laminar patch where the pressures meet.
 
     Args:
         p_a: Pressure of side a with no flow, Pa.
@@ -500,19 +555,30 @@ def iso6358_flow(p_a, z_a, t_a, p_b, z_b, t_b, conductance, ratio, laminar=1.0):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def orifice_flow(p_a, t_a, p_b, area, gamma, r_gas):
-    """Isentropic orifice (thesis eq. 3.15-3.17): mass flow in kg/s from a to b, p_a >= p_b."""
+    """Isentropic orifice (thesis eq. 3.15-3.17): mass flow in kg/s from a to b, p_a >= p_b.
+
+    Args:
+        p_a: Upstream pressure, Pa.
+        t_a: Upstream temperature, K.
+        p_b: Downstream pressure, Pa.
+        area: Effective area, m2.
+        gamma: Ratio of specific heats.
+        r_gas: Specific gas constant, J/(kg K).
+    """
     x = max(p_b / p_a, (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0)))
     s = x ** (2.0 / gamma) - x ** ((gamma + 1.0) / gamma)
-    return area * p_a / math.sqrt(r_gas * t_a) * math.sqrt(max(2.0 * gamma / (gamma - 1.0) * s, 0.0))
+    return (
+        area * p_a / math.sqrt(r_gas * t_a) * math.sqrt(max(2.0 * gamma / (gamma - 1.0) * s, 0.0))
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
     """State at a pipe end that opens into a large vessel.
 
-    Outflow leaves at the vessel's pressure, or sonic; inflow comes from rest at the vessel's pressure
-    and temperature, less ``loss`` velocity heads. Either way the wave that arrives from the pipe fixes
-    the rest (linearised characteristic p + rho c v).
+    Outflow leaves at the vessel's pressure, or sonic; inflow comes from rest at the vessel's
+    pressure and temperature, less ``loss`` velocity heads. Either way the wave that arrives from
+    the pipe fixes the rest (linearised characteristic p + rho c v).
 
     Args:
         d: Density in the pipe's end, kg/m^3.
@@ -563,8 +629,8 @@ def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
 def at_face(d, u, p, area, face, into, gamma):
     """State of a cell carried to a smaller face at its edge, in steady flow.
 
-    Towards the face the flow contracts without loss. From the face into the cell it spreads as a jet
-    does (Borda and Carnot): the wall of the step bears the jet's pressure.
+    Towards the face the flow contracts without loss. From the face into the cell it spreads as a
+    jet does (Borda and Carnot): the wall of the step bears the jet's pressure.
 
     Args:
         d: Density in the cell, kg/m^3.
@@ -628,8 +694,8 @@ def _joints(w, gamma, order, ends, P, S, X, joint):
 
     The outgoing characteristic of each end gives its mass flow against the common static pressure;
     the flows sum to zero. What flows out has the mixed total enthalpy of what flows in.
-    ``joint[e]`` holds, for the first end of a joint, sums (0, 1, 4, 5); for each end its outward mass
-    flow per area (2) and the joint's pressure (3).
+    ``joint[e]`` holds, for the first end of a joint, sums (0, 1, 4, 5); for each end its outward
+    mass flow per area (2) and the joint's pressure (3).
     """
     h = gamma / (gamma - 1.0)
     for e in range(ends.shape[0]):
@@ -690,7 +756,7 @@ def _flatten_steps(w, step_index, step_area, P, S, X):
 def _step_faces(w, gamma, dt, order, flux, newton, step_index, step_area, P, S, X):
     """Fluxes through faces where the area jumps, and the force on the wall of the jump.
 
-    Both cells' states are carried to the face by steady flow before they meet, so that a steady flow
+    Both cells' states are carried to the face by steady flow before they meet, so that steady flow
     across the step stays steady (well balanced, after Kroner and Thanh 2005). The momentum this
     takes is what the step's wall reacts with, in place of the cell's pressure.
     """
@@ -826,7 +892,7 @@ def _ghost_faces(w, ends, X):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _side(kind, index, w, j, gamma, order, ends, port_net, P, S, X, res_par, res_p, ch_p, ch_t):
-    """What a port sees on one side: pressure at zero flow, impedance, temperature, total enthalpy."""
+    """What a port sees on one side: pressure at no flow, impedance, temperature, total enthalpy."""
     if kind == L.SIDE_END:
         i = ends[index, L.E_CELL] * w + j
         d, v, p = _face_state(index, w, j, order, ends, S, X)
@@ -847,16 +913,48 @@ def _riemann_port(w, j, gamma, ends, ea, eb, area, S, X):
     sa = float(ends[ea, L.E_SIGN])
     sb = -float(ends[eb, L.E_SIGN])
     fm, fp, fe = hllc_flux(
-        S[L.RHO, ia], sa * X[L.W_U, ia], X[L.W_P, ia],
-        S[L.RHO, ib], sb * X[L.W_U, ib], X[L.W_P, ib], gamma,
+        S[L.RHO, ia],
+        sa * X[L.W_U, ia],
+        X[L.W_P, ia],
+        S[L.RHO, ib],
+        sb * X[L.W_U, ib],
+        X[L.W_P, ib],
+        gamma,
     )
     return area * fm, fp, area * fe
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _head(w, j, end, flow, ends, P, S, X):
+    """Twice the velocity head at a pipe end per flow, 1/(m s), with its first compressible term."""
+    i = ends[end, L.E_CELL] * w + j
+    area = P[L.AREA, i]
+    x = abs(flow) / (S[L.RHO, i] * area * area)
+    mach = min(x * area / X[L.W_C, i], 0.9)
+    return x * min(1.0 + 0.25 * mach * mach, 0.95 / max(mach, 0.05))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _ports(
-    w, gamma, r_gas, order, ends, ports, port_par, opening, port_m, port_net, port_h, port_push,
-    P, S, X, res_par, res_p, ch_p, ch_t,
+    w,
+    gamma,
+    r_gas,
+    order,
+    ends,
+    ports,
+    port_par,
+    opening,
+    port_m,
+    port_net,
+    port_h,
+    port_push,
+    P,
+    S,
+    X,
+    res_par,
+    res_p,
+    ch_p,
+    ch_t,
 ):
     """Flow of every port at this step; sums per pipe end what leaves through ports."""
     cp = gamma * r_gas / (gamma - 1.0)
@@ -901,23 +999,38 @@ def _ports(
             pb, zb, tb = _side(
                 kb, ib, w, j, gamma, order, ends, port_net, P, S, X, res_par, res_p, ch_p, ch_t
             )
-            # The jet behind a port does not recover all of the velocity head of the line it enters:
-            # the port works against p + jet rho u^2 / 2, linearised about the last step's flow.
-            jet = port_par[k, L.Q_JET, j]
+            # The stagnation pressure of the line it leaves (ISO 6358) drives the port, against
+            # the static pressure of the line it enters plus the velocity heads its jet does
+            # not recover; both heads are linearised about the last step's flow.
             m_old = port_m[k, 0, j]
-            if jet > 0.0 and m_old != 0.0:
-                entered_kind, entered = (kb, ib) if m_old > 0.0 else (ka, ia)
-                if entered_kind == L.SIDE_END:
-                    i = ends[entered, L.E_CELL] * w + j
-                    x = jet * abs(m_old) / (S[L.RHO, i] * P[L.AREA, i] * P[L.AREA, i])
-                    if m_old > 0.0:
-                        zb += x
-                        pb -= 0.5 * x * m_old
-                    else:
-                        za += x
-                        pa += 0.5 * x * m_old
+            if m_old > 0.0:
+                if ka == L.SIDE_END:
+                    x = port_par[k, L.Q_HEAD, j] * _head(w, j, ia, m_old, ends, P, S, X)
+                    za -= x
+                    pa -= 0.5 * x * m_old
+                if kb == L.SIDE_END:
+                    x = port_par[k, L.Q_JET, j] * _head(w, j, ib, m_old, ends, P, S, X)
+                    zb += x
+                    pb -= 0.5 * x * m_old
+            elif m_old < 0.0:
+                if kb == L.SIDE_END:
+                    x = port_par[k, L.Q_HEAD, j] * _head(w, j, ib, m_old, ends, P, S, X)
+                    zb -= x
+                    pb += 0.5 * x * m_old
+                if ka == L.SIDE_END:
+                    x = port_par[k, L.Q_JET, j] * _head(w, j, ia, m_old, ends, P, S, X)
+                    za += x
+                    pa += 0.5 * x * m_old
             c = opening[k, j] * port_par[k, L.Q_CONDUCTANCE, j]
-            m = iso6358_flow(pa, za, ta, pb, zb, tb, c, port_par[k, L.Q_RATIO, j],
+            m = iso6358_flow(
+                pa,
+                za,
+                ta,
+                pb,
+                zb,
+                tb,
+                c,
+                port_par[k, L.Q_RATIO, j],
                 port_par[k, L.Q_LAMINAR, j],
             )
             up_kind, up_index, up_t = (ka, ia, ta) if m >= 0.0 else (kb, ib, tb)
@@ -968,8 +1081,27 @@ def _chamber_middle(w, gamma, dt, order, ends, P, S, X, ch_par, ch_p, ch_half, w
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _ends(
-    w, gamma, dt, order, ends, ports, port_m, port_net, port_h, port_push, end_u, joint,
-    P, S, X, ch_state, ch_half, ch_t, res_par, res_p, r_gas,
+    w,
+    gamma,
+    dt,
+    order,
+    ends,
+    ports,
+    port_m,
+    port_net,
+    port_h,
+    port_push,
+    end_u,
+    joint,
+    P,
+    S,
+    X,
+    ch_state,
+    ch_half,
+    ch_t,
+    res_par,
+    res_p,
+    r_gas,
 ):
     """Overwrite the fluxes of pipe ends that are not simple faces, and update what they feed."""
     fm, fp, fe = X[L.W_FM], X[L.W_FP], X[L.W_FE]
@@ -1070,10 +1202,47 @@ def _ends(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def advance(
-    n_out, n_sub, dt, knots, lanes, gamma, r_gas, prandtl, order, flux, limiter, newton,
-    compliant, unsteady, P, S, X, ends, step_index, step_area, ports, port_par, opening, port_m,
-    res_par, res_p, ch_par, ch_state, leak_slot, leak_area, ambient, tap_slot, tap_weight,
-    nudge_n, nudge_rate, nudge_p, nudge_field, nudge_chamber, tap_out, flow_out, chamber_out,
+    n_out,
+    n_sub,
+    dt,
+    knots,
+    lanes,
+    gamma,
+    r_gas,
+    prandtl,
+    order,
+    flux,
+    limiter,
+    newton,
+    compliant,
+    unsteady,
+    P,
+    S,
+    X,
+    ends,
+    step_index,
+    step_area,
+    ports,
+    port_par,
+    opening,
+    port_m,
+    res_par,
+    res_p,
+    ch_par,
+    ch_state,
+    leak_slot,
+    leak_area,
+    ambient,
+    tap_slot,
+    tap_weight,
+    nudge_n,
+    nudge_rate,
+    nudge_p,
+    nudge_field,
+    nudge_chamber,
+    tap_out,
+    flow_out,
+    chamber_out,
 ):
     """Advance one tile of rigs and record its taps.
 
@@ -1096,8 +1265,8 @@ def advance(
         S: (STATE_ROWS, slots*lanes) state, changed in place.
         X: (WORK_ROWS, slots*lanes) scratch.
         ends: (n_ends, END_COLUMNS) integers.
-        step_index: (n_steps, 5) faces where the area jumps: face, then the cell and its direction on
-            the left and on the right.
+        step_index: (n_steps, 5) faces where the area jumps: face, then the cell and its direction
+            on the left and on the right.
         step_area: (n_steps, 2, lanes) areas left and right of those faces.
         ports: (n_ports, PORT_COLUMNS) integers.
         port_par: (n_ports, PORT_PARAMS, lanes).
@@ -1156,18 +1325,38 @@ def advance(
         for s in range(n_sub):
             if compliant:
                 _take_gas(
-                    n, gamma, rho, mom, ene, P[L.COMPLIANCE], P[L.REST_P],
-                    soft[0], soft[1], soft[2], soft[3],
+                    n,
+                    gamma,
+                    rho,
+                    mom,
+                    ene,
+                    P[L.COMPLIANCE],
+                    P[L.REST_P],
+                    soft[0],
+                    soft[1],
+                    soft[2],
+                    soft[3],
                 )
             _primitive(
-                n, gamma, r_gas, rho, mom, ene,
-                X[L.W_U], X[L.W_P], X[L.W_C], X[L.W_T], X[L.W_RI],
+                n,
+                gamma,
+                r_gas,
+                rho,
+                mom,
+                ene,
+                X[L.W_U],
+                X[L.W_P],
+                X[L.W_C],
+                X[L.W_T],
+                X[L.W_RI],
             )
             for c in range(n_ch):
                 for j in range(w):
                     vol = ch_par[c, L.C_VOLUME, j]
                     com = ch_par[c, L.C_COMPLIANCE, j]
-                    pr = chamber_pressure(ch_state[c, 1, j], vol, com, ch_par[c, L.C_REST_P, j], gamma)
+                    pr = chamber_pressure(
+                        ch_state[c, 1, j], vol, com, ch_par[c, L.C_REST_P, j], gamma
+                    )
                     ch_p[c, j] = pr
                     vol += com * (pr - ch_par[c, L.C_REST_P, j])
                     ch_t[c, j] = pr * vol / (ch_state[c, 0, j] * r_gas)
@@ -1207,15 +1396,40 @@ def advance(
                 rl, ul, pl, il = rr, ur, pr_, ir
             else:
                 _reconstruct(
-                    n, w, gamma, dt, limiter == L.VAN_LEER, rho, mom, ene, P[L.LENGTH],
-                    X[L.W_P], X[L.W_DRAG], X[L.W_WARM],
-                    X[L.W_RL], X[L.W_UL], X[L.W_PL], X[L.W_IL],
-                    X[L.W_RR], X[L.W_UR], X[L.W_PR], X[L.W_IR],
+                    n,
+                    w,
+                    gamma,
+                    dt,
+                    limiter == L.VAN_LEER,
+                    rho,
+                    mom,
+                    ene,
+                    P[L.LENGTH],
+                    X[L.W_P],
+                    X[L.W_DRAG],
+                    X[L.W_WARM],
+                    X[L.W_RL],
+                    X[L.W_UL],
+                    X[L.W_PL],
+                    X[L.W_IL],
+                    X[L.W_RR],
+                    X[L.W_UR],
+                    X[L.W_PR],
+                    X[L.W_IR],
                 )
                 if tapered:
                     _taper(
-                        n, gamma, dt, P[L.TAPER], X[L.W_U],
-                        X[L.W_RL], X[L.W_PL], X[L.W_IL], X[L.W_RR], X[L.W_PR], X[L.W_IR],
+                        n,
+                        gamma,
+                        dt,
+                        P[L.TAPER],
+                        X[L.W_U],
+                        X[L.W_RL],
+                        X[L.W_PL],
+                        X[L.W_IL],
+                        X[L.W_RR],
+                        X[L.W_PR],
+                        X[L.W_IR],
                     )
                 for j in range(w):  # the outermost slots have one neighbour only
                     for i in (j, n - w + j):
@@ -1229,8 +1443,21 @@ def advance(
                 rl, ul, pl, il = X[L.W_RL], X[L.W_UL], X[L.W_PL], X[L.W_IL]
             if flux == L.HLLC:
                 _hllc(
-                    n, w, gamma, X[L.W_C], rr, ur, pr_, ir, rl, ul, pl, il,
-                    X[L.W_FM], X[L.W_FP], X[L.W_FE],
+                    n,
+                    w,
+                    gamma,
+                    X[L.W_C],
+                    rr,
+                    ur,
+                    pr_,
+                    ir,
+                    rl,
+                    ul,
+                    pl,
+                    il,
+                    X[L.W_FM],
+                    X[L.W_FP],
+                    X[L.W_FE],
                 )
             else:
                 _exact(
@@ -1241,15 +1468,49 @@ def advance(
                 _joints(w, gamma, 2, ends, P, S, X, joint)
             if n_ports > 0:
                 _ports(
-                    w, gamma, r_gas, order, ends, ports, port_par, now, port_m, port_net, port_h,
-                    port_push, P, S, X, res_par, res_p, ch_p, ch_t,
+                    w,
+                    gamma,
+                    r_gas,
+                    order,
+                    ends,
+                    ports,
+                    port_par,
+                    now,
+                    port_m,
+                    port_net,
+                    port_h,
+                    port_push,
+                    P,
+                    S,
+                    X,
+                    res_par,
+                    res_p,
+                    ch_p,
+                    ch_t,
                 )
-            _chamber_middle(
-                w, gamma, dt, order, ends, P, S, X, ch_par, ch_p, ch_half, ch_weight
-            )
+            _chamber_middle(w, gamma, dt, order, ends, P, S, X, ch_par, ch_p, ch_half, ch_weight)
             _ends(
-                w, gamma, dt, order, ends, ports, port_m, port_net, port_h, port_push, end_u, joint,
-                P, S, X, ch_state, ch_half, ch_t, res_par, res_p, r_gas,
+                w,
+                gamma,
+                dt,
+                order,
+                ends,
+                ports,
+                port_m,
+                port_net,
+                port_h,
+                port_push,
+                end_u,
+                joint,
+                P,
+                S,
+                X,
+                ch_state,
+                ch_half,
+                ch_t,
+                res_par,
+                res_p,
+                r_gas,
             )
             for c in range(n_ch):
                 for j in range(w):
@@ -1294,13 +1555,32 @@ def advance(
                 _widen_faces(n, w, P[L.FACE], P[L.LENGTH], soft[0], soft[4])
                 face = soft[4]
             _conserve(
-                n, w, dt, rho, mom, ene, face, P[L.INV_VOLUME], X[L.W_P],
-                X[L.W_FM], X[L.W_FP], X[L.W_FE],
+                n,
+                w,
+                dt,
+                rho,
+                mom,
+                ene,
+                face,
+                P[L.INV_VOLUME],
+                X[L.W_P],
+                X[L.W_FM],
+                X[L.W_FP],
+                X[L.W_FE],
             )
             if compliant:  # the wall acts on the gas as it now is
                 _take_gas(
-                    n, gamma, rho, mom, ene, P[L.COMPLIANCE], P[L.REST_P],
-                    soft[0], soft[1], soft[2], soft[3],
+                    n,
+                    gamma,
+                    rho,
+                    mom,
+                    ene,
+                    P[L.COMPLIANCE],
+                    P[L.REST_P],
+                    soft[0],
+                    soft[1],
+                    soft[2],
+                    soft[3],
                 )
             # Drag ratio and decay factors follow density and Reynolds number, which change little
             # within a few steps: refreshed every WALL_EVERY steps.
@@ -1310,27 +1590,85 @@ def advance(
                 )
                 if unsteady:
                     _decay(
-                        n, dt, prandtl, rho, P[L.RELAX], X[L.W_PHI], X[L.W_AU], X[L.W_AT],
+                        n,
+                        dt,
+                        prandtl,
+                        rho,
+                        P[L.RELAX],
+                        X[L.W_PHI],
+                        X[L.W_AU],
+                        X[L.W_AT],
                         X[L.W_FADE],
                     )
             step += 1
             if unsteady:
                 _inverse(n, rho, X[L.W_RI])
                 _unsteady_heat(
-                    n, gamma, r_gas, prandtl, dt, rho, mom, ene, X[L.W_RI], X[L.W_T], X[L.W_PHI],
-                    X[L.W_AT], X[L.W_FADE], stay, P[L.HEAT], P[L.HEAT_TURBULENT],
-                    P[L.HEAT_UNSTEADY], P[L.WALL_T], X[L.W_WARM],
-                    S[L.Z0], S[L.Z0 + 1], S[L.Z0 + 2], S[L.Z0 + 3], S[L.Z0 + 4], S[L.Z0 + 5],
+                    n,
+                    gamma,
+                    r_gas,
+                    prandtl,
+                    dt,
+                    rho,
+                    mom,
+                    ene,
+                    X[L.W_RI],
+                    X[L.W_T],
+                    X[L.W_PHI],
+                    X[L.W_AT],
+                    X[L.W_FADE],
+                    stay,
+                    P[L.HEAT],
+                    P[L.HEAT_TURBULENT],
+                    P[L.HEAT_UNSTEADY],
+                    P[L.WALL_T],
+                    X[L.W_WARM],
+                    S[L.Z0],
+                    S[L.Z0 + 1],
+                    S[L.Z0 + 2],
+                    S[L.Z0 + 3],
+                    S[L.Z0 + 4],
+                    S[L.Z0 + 5],
                 )
                 _unsteady_drag(
-                    n, dt, rho, mom, X[L.W_RI], X[L.W_U], X[L.W_PHI], X[L.W_AU], X[L.W_FADE], stay,
-                    P[L.VISCOUS], P[L.LOSS], P[L.UNSTEADY], X[L.W_DRAG],
-                    S[L.Y0], S[L.Y0 + 1], S[L.Y0 + 2], S[L.Y0 + 3], S[L.Y0 + 4], S[L.Y0 + 5],
+                    n,
+                    dt,
+                    rho,
+                    mom,
+                    X[L.W_RI],
+                    X[L.W_U],
+                    X[L.W_PHI],
+                    X[L.W_AU],
+                    X[L.W_FADE],
+                    stay,
+                    P[L.VISCOUS],
+                    P[L.LOSS],
+                    P[L.UNSTEADY],
+                    X[L.W_DRAG],
+                    S[L.Y0],
+                    S[L.Y0 + 1],
+                    S[L.Y0 + 2],
+                    S[L.Y0 + 3],
+                    S[L.Y0 + 4],
+                    S[L.Y0 + 5],
                 )
             else:
                 _steady_wall(
-                    n, gamma, r_gas, dt, rho, mom, ene, X[L.W_PHI], P[L.VISCOUS], P[L.LOSS],
-                    P[L.HEAT], P[L.HEAT_TURBULENT], P[L.WALL_T], X[L.W_DRAG], X[L.W_WARM],
+                    n,
+                    gamma,
+                    r_gas,
+                    dt,
+                    rho,
+                    mom,
+                    ene,
+                    X[L.W_PHI],
+                    P[L.VISCOUS],
+                    P[L.LOSS],
+                    P[L.HEAT],
+                    P[L.HEAT_TURBULENT],
+                    P[L.WALL_T],
+                    X[L.W_DRAG],
+                    X[L.W_WARM],
                 )
             if compliant:
                 _give_back(n, rho, mom, ene, soft[1], soft[2], soft[3])

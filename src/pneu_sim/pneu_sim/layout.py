@@ -3,8 +3,8 @@
 
 Every field of a rig lives in one row of a two-dimensional array ``[row, slot * lanes + lane]``.
 A *slot* is a gas cell or one of the two ghost cells that close each pipe; a *lane* is one rig of a
-batch. The lane is the innermost index, so a neighbour in space is ``lanes`` entries away, and the same
-loop vectorises along the pipe for one rig and across rigs for a batch.
+batch. The lane is the innermost index, so a neighbour in space is ``lanes`` entries away, and the
+same loop vectorises along the pipe for one rig and across rigs for a batch.
 """
 
 from typing import Final
@@ -103,7 +103,8 @@ Q_RATIO: Final = 1  # critical pressure ratio b
 Q_AREA: Final = 2  # effective area fully open, m^2 (EFFECTIVE_AREA ports)
 Q_LAMINAR: Final = 3  # pressure ratio above which flow is linear in the pressure drop
 Q_JET: Final = 4  # velocity heads of the entered line that the port's jet does not recover
-PORT_PARAMS: Final = 5
+Q_HEAD: Final = 5  # share of the velocity head of the line it leaves that drives the port
+PORT_PARAMS: Final = 6
 
 # --- reservoir parameter rows ---------------------------------------------------------------------
 R_PRESSURE: Final = 0
@@ -130,11 +131,11 @@ VAN_LEER: Final = 1
 UNSTEADY_TERMS: Final = 6
 """Memory states per cell of the unsteady wall friction (and of the unsteady wall heat)."""
 UNSTEADY_RATE: Final = 28.0
-"""Decay rate of the slowest memory state, in units of nu / R^2; each next one is four times faster."""
+"""Decay rate of the slowest memory state, in nu / R^2; each next one is four times faster."""
 UNSTEADY_WEIGHTS: Final = (1.17738631, 2.27579547, 4.65128154, 9.49798127, 14.11059658, 90.6150335)
 """Weights m_k of W(tau) = sum m_k exp(-n_k tau), n_k = 28 * 4^k.
 
 Fitted by non-negative least squares to the exact wall shear of oscillating laminar pipe flow,
-``sqrt(s) I1(sqrt s) / I2(sqrt s)`` (Zielke 1968), relative error <= 0.2 % for |s| nu / R^2 up to 3000.
-The ratio of four turns the six exponentials per cell and step into one and its squares.
+``sqrt(s) I1(sqrt s) / I2(sqrt s)`` (Zielke 1968), relative error <= 0.2 % for |s| nu / R^2 up to
+3000. The ratio of four turns the six exponentials per cell and step into one and its squares.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Running models: one rig along a recording, or many parameter sets over many roll-outs in one batch."""
+"""Running models: one rig along a recording, or many parameter sets over many roll-outs at once."""
 
 import math
 import os
@@ -62,8 +62,10 @@ def initial_field(rig: Rig, plan: Plan) -> InitialField:
             if tap.pipe == name or (
                 tap.chamber is not None and tap.chamber in (pipe.from_node, pipe.to_node)
             ):
-                x = tap.position_m if tap.pipe == name else (
-                    0.0 if tap.chamber == pipe.from_node else pipe.length_m
+                x = (
+                    tap.position_m
+                    if tap.pipe == name
+                    else (0.0 if tap.chamber == pipe.from_node else pipe.length_m)
                 )
                 points.append((x, np.eye(n_taps)[t], 0.0))
         for x, node in ((0.0, pipe.from_node), (pipe.length_m, pipe.to_node)):
@@ -144,7 +146,7 @@ def rollouts(
 ) -> Rollouts:
     """Rolls every model out from every start, in one batch.
 
-    Each roll-out begins at rest with pressures interpolated from the taps (thesis 8.1.2). During its
+    Each roll-out begins at rest with pressures interpolated from the taps (thesis 8.1.2). In its
     first ``warm_up`` samples the state is drawn to the measured taps, so that velocities and
     temperatures settle to what the recorded history implies; after that it runs free.
 

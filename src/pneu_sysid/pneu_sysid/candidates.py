@@ -101,13 +101,14 @@ class Refit:
     rig: Rig = field(repr=False)
 
 
-def all_sites(rig: Rig, spacing_m: float = 0.25) -> list[Site]:
+def all_sites(rig: Rig, positions: int = 8) -> list[Site]:
     """Every effect of the catalogue at every place of a rig.
 
     Args:
         rig: The rig.
-        spacing_m: Distance between positions tried along a pipe.
+        positions: Intervals between the positions tried along the longest pipe.
     """
+    spacing_m = max(0.25, max(pipe.length_m for pipe in rig.pipes.values()) / positions)
     return [
         Site(effect, place, shape)
         for effect in registry().values()
@@ -145,7 +146,9 @@ def score(
         (n_starts, m) residual and the scores, in the order of the sites.
     """
     steps = [SECANT * site.effect.strength.typical for site in sites]
-    rigs = [rig] + [s.attached(rig, s.effect.strength.absent + h) for s, h in zip(sites, steps, strict=True)]
+    rigs = [rig] + [
+        s.attached(rig, s.effect.strength.absent + h) for s, h in zip(sites, steps, strict=True)
+    ]
     y = problem.predict(rigs, progress)
     noise = problem.noise_pa
     missing = ~np.isfinite(problem.target())

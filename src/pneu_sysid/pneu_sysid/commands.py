@@ -18,9 +18,11 @@ from pneu_sim.rig import get_parameter, load_rig, save_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.compare import compare as run_compare
 from pneu_sysid.compare import compare_table
-from pneu_sysid.diagnose import Diagnosis, diagnose as run_diagnose, result_of_diagnosis
+from pneu_sysid.diagnose import Diagnosis, result_of_diagnosis
+from pneu_sysid.diagnose import diagnose as run_diagnose
 from pneu_sysid.fit import FitOutcome, fit_rig, pairs_above
-from pneu_sysid.learn import add_effect, learn as run_learn, result_of_learning
+from pneu_sysid.learn import add_effect, result_of_learning
+from pneu_sysid.learn import learn as run_learn
 from pneu_sysid.problem import make_problem, record_for
 from pneu_sysid.records import Recording
 from pneu_sysid.report import write_report
@@ -172,8 +174,13 @@ def fit(
     save_rig(outcome.rig, output)
     result = fit_result(str(rig), str(output), recording, outcome)
     table = Table(title=f"{start.name} fitted to {recording.name}")
-    for column, side in (("parameter", "left"), ("start", "right"), ("value", "right"),
-                         ("std. error", "right"), ("", "left")):
+    for column, side in (
+        ("parameter", "left"),
+        ("start", "right"),
+        ("value", "right"),
+        ("std. error", "right"),
+        ("", "left"),
+    ):
         table.add_column(column, justify=side)  # type: ignore[arg-type]
     for p in result.parameters:
         note = "at bound" if p.at_bound else "" if p.identified else "not identified"
@@ -244,9 +251,7 @@ def fit_result(
 
 def compare(
     bag: BagPath,
-    rig: Annotated[
-        list[Path], typer.Option("--rig", help="Rig file; repeat to compare several.")
-    ],
+    rig: Annotated[list[Path], typer.Option("--rig", help="Rig file; repeat to compare several.")],
     refine: Annotated[bool, typer.Option(help="Run the first model on a finer grid too.")] = True,
     json_path: JsonPath = None,
     report: HtmlPath = None,
@@ -340,7 +345,13 @@ def diagnosis_table(found: Diagnosis) -> Table:
 
 
 def add(
-    effect: Annotated[str, typer.Argument(metavar="EFFECT[@PLACE[:POSITION]]")],
+    effect: Annotated[
+        str,
+        typer.Argument(
+            metavar="EFFECT[@PLACE[:POSITION]]",
+            help="Effect of `pneu effects`, where, and how far along a pipe in m.",
+        ),
+    ],
     rig: RigPath,
     bag: Annotated[Path, typer.Option("--bag", help="Recording to refit on.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Better rig file.")],
@@ -431,20 +442,16 @@ def learn(
     loaded = load_rig(rig)
     recording = _read(bag, loaded, console)
     with _progress() as bar:
-        learned = run_learn(
-            loaded, recording, out=output, workers=workers, progress=_stages(bar)
-        )
+        learned = run_learn(loaded, recording, out=output, workers=workers, progress=_stages(bar))
     console.print(step_table(learned.steps))
     console.print(f"[bold]{escape(learned.sentence)}[/bold]")
     problem = make_problem(learned.rig, recording)
-    result = result_of_learning(
-        loaded.name, learned, problem, _findings(recording), str(output)
-    )
+    result = result_of_learning(loaded.name, learned, problem, _findings(recording), str(output))
     save_rig(learned.rig, output / "rig.yaml")
     write_json(output / "learn.json", result)
     if json_path is not None:
         write_json(json_path, result)
-    names = [("before", learned.rigs[0], None)]
+    names: list[tuple[str, Rig, str | None]] = [("before", learned.rigs[0], None)]
     if len(learned.rigs) > 1:
         names.append(("after", learned.rigs[-1], str(output / "rig.yaml")))
     compared = run_compare(recording, names, refine=False)

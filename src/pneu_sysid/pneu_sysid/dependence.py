@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an unexplained residual depends on: one variable at a time, judged on roll-outs kept aside."""
+"""What an unexplained residual depends on: one variable at a time, judged on data kept aside."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,8 @@ def dependences(problem: Problem, residual: Floats) -> list[tuple[str, str, floa
     """Names the variables that predict a residual on roll-outs kept aside.
 
     For each tap and variable, the mean residual in quantile bins of the variable is learnt on some
-    roll-outs and tried on the others; the gain is the fraction of squared residual it removes there.
+    roll-outs and tried on the others; the gain is the fraction of squared residual it removes
+    there.
 
     Args:
         problem: The problem.

@@ -26,11 +26,22 @@ from pneu_sysid.gauss_newton import jacobian
 from pneu_sysid.parameters import default_parameters, rig_at, variables_of
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
-from pneu_sysid.results import Candidate, DiagnoseResult, Numerics, pneu_version
+from pneu_sysid.results import (
+    Candidate,
+    Dependence,
+    DiagnoseResult,
+    Numerics,
+    Verdict,
+    pneu_version,
+)
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
+SCORE_EVERY = 2
+"""Scores are taken on every second roll-out: enough to rank, at half the cost."""
+SCORE_LEAST = 8
+"""Roll-outs that must be left to a score; of fewer it takes all."""
 FINALISTS = 8
 """Candidates that are refitted."""
 WORTH = 0.10
@@ -41,8 +52,10 @@ SIGNIFICANT = 3.0
 """Jackknife t below which a candidate is not believed."""
 ALIKE = 0.95
 """Cosine above which two effects change the prediction alike."""
-EQUALLY_GOOD = 0.10
-"""Held-out gains within this fraction of the best are as good."""
+EQUALLY_GOOD = 1.25
+"""A rival is as good if it leaves at most this multiple of what the best leaves, held out."""
+CONTENDER = 0.35
+"""Only candidates with this fraction of the best score are refitted, but at least three."""
 MOST = 0.5
 """An effect must explain this fraction of the excess over the floor to be the answer by itself."""
 
@@ -64,7 +77,7 @@ class Diagnosis:
         problem: The problem it was made on.
     """
 
-    verdict: str
+    verdict: Verdict
     sentence: str
     finalists: list[Refit]
     scores: list[Score]
@@ -82,18 +95,17 @@ class Diagnosis:
             k: Index into ``finalists``.
         """
         me = self.finalists[k]
-        near = max(me.held_out, 1e-9)
         return [
             other.site.label
             for i, other in enumerate(self.finalists)
             if i != k
-            and abs(other.held_out - me.held_out) <= EQUALLY_GOOD * near
+            and 1.0 - other.held_out <= EQUALLY_GOOD * (1.0 - me.held_out)
             and cosine(other.change, me.change) >= ALIKE
         ]
 
 
 def floor_of(rig: Rig, problem: Problem) -> Floats:
-    """(n_taps,) what the model cannot be blamed for, in noise units: noise, or its calibration's rest.
+    """(n_taps,) what the model cannot be blamed for, in noise units: noise, or calibration's rest.
 
     Args:
         rig: The rig; its calibration tells how well it did on its own recording.
@@ -123,6 +135,8 @@ def nuisance_of(rig: Rig, problem: Problem) -> Floats | None:
     if rig.calibration is not None and rig.calibration.recording != problem.recording.name:
         return None
     parameters = rig.fit.parameters or default_parameters(rig)
+    if not parameters:
+        return None
     variables = variables_of(rig, parameters)
     x = np.array([v.value for v in variables])
     starts = len(problem.starts)
@@ -134,10 +148,15 @@ def nuisance_of(rig: Rig, problem: Problem) -> Floats | None:
         )
 
     _, j = jacobian(residuals, x, variables)  # type: ignore[arg-type]
-    # A parameter whose prior range moves the prediction by less than the noise cannot hide anything.
+    # A parameter whose prior range moves the prediction by less than the noise hides nothing.
     spread = np.array([min(v.std, v.upper - v.lower) for v in variables])
     felt = np.linalg.norm(j.reshape(-1, x.size), axis=0) * spread
     return j[..., felt > 1.0]
+
+
+def _stride(problem: Problem) -> int:
+    """Scores take every so-many-th roll-out, but all of few: their jackknife needs some."""
+    return SCORE_EVERY if len(problem.starts) >= SCORE_LEAST * SCORE_EVERY else 1
 
 
 def diagnose(
@@ -169,10 +188,18 @@ def diagnose(
     problem = make_problem(rig, recording, dx_m=coarse, workers=workers)
     tell("base", 0.0)
     nuisance = nuisance_of(rig, problem)
-    sites = all_sites(rig)
-    base, scores = score(problem, rig, sites, nuisance, lambda f: tell("scores", f))
+    base = residual_matrix(problem, problem.predict([rig])[0])
+    stride = _stride(problem)
+    part = problem.every(stride)
+    if nuisance is not None:
+        nuisance = nuisance[::stride]
+    _, scores = score(part, rig, all_sites(rig), nuisance, lambda f: tell("scores", f))
     best = best_per_place(scores)
-    chosen = [s for s in best if s.explained > 0.0][:finalists]
+    chosen = [
+        s
+        for k, s in enumerate(best[:finalists])
+        if s.explained > 0.0 and (k < 3 or s.explained >= CONTENDER * best[0].explained)
+    ]
     refits = []
     for k, candidate in enumerate(chosen):
         tell("refits", k / max(len(chosen), 1))
@@ -222,7 +249,7 @@ def _judge(
     left = excess * (1.0 - top.held_out) if top else excess
     finalists = credible + [r for r in refits if r not in credible]
     result = Diagnosis(
-        verdict="",
+        verdict="unknown",
         sentence="",
         finalists=finalists,
         scores=scores,
@@ -260,7 +287,7 @@ def _judge(
 
 def _second_helps(problem: Problem, base: Floats, top: Refit, scores: list[Score]) -> bool:
     """Whether a second effect of the catalogue explains much of what the best one leaves."""
-    rest = base - top.change
+    rest = (base - top.change)[:: _stride(problem)]
     total = float(np.sum(rest**2))
     noise = float(rest.size)
     best = 0.0
@@ -368,10 +395,10 @@ def result_of_diagnosis(name: str, found: Diagnosis, findings: list[str]) -> Dia
         findings=findings,
         verdict=found.verdict,
         sentence=found.sentence,
-        rmse_pa=found.rmse_pa,
+        rmse_pa=dict(found.rmse_pa),
         candidates=candidates,
         depends_on=[
-            {"variable": v, "tap": tap, "gain": gain} for v, tap, gain in found.depends_on
+            Dependence(variable=v, tap=tap, gain=gain) for v, tap, gain in found.depends_on
         ],
         numerics=found.numerics
         or Numerics(

@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,7 +114,10 @@ def fit_rig(
     """
     chosen_parameters = parameters or rig.fit.parameters or default_parameters(rig)
     first = variables_of(rig, chosen_parameters)
-    start = [float(np.exp(v.value)) if p.log else v.value for v, p in zip(first, chosen_parameters, strict=True)]
+    start = [
+        float(np.exp(v.value)) if p.log else v.value
+        for v, p in zip(first, chosen_parameters, strict=True)
+    ]
     horizon = rig.fit.horizon_s
     plan: list[tuple[float | None, float | None, int]] = []
     if rig.model == "pde":
@@ -135,12 +139,12 @@ def fit_rig(
         ]
         label = f"{horizon_s or horizon or recording.time_s[-1]:g} s"
         estimate = minimise(
-            residual_function(problem, used, lambda x, at=at: rig_at(at, chosen_parameters, x)),
+            residual_function(problem, used, partial(rig_at, at, chosen_parameters)),
             variables,
             iterations=steps,
             robust=robust,
             ties=curve_ties(at, chosen_parameters),
-            progress=None if progress is None else lambda i, c, s=label: progress(s, i, c),
+            progress=None if progress is None else partial(progress, label),
         )
         now = rig_at(at, chosen_parameters, estimate.values)
     assert estimate is not None

@@ -71,7 +71,9 @@ class Estimate:
     visible: NDArray[np.bool_]
 
 
-def jacobian(residuals: Residuals, x: Floats, variables: Sequence[Variable]) -> tuple[Floats, Floats]:
+def jacobian(
+    residuals: Residuals, x: Floats, variables: Sequence[Variable]
+) -> tuple[Floats, Floats]:
     """Residuals and their forward-difference Jacobian, in one batched call.
 
     Args:

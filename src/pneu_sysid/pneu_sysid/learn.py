@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole loop: name what is missing, add it, refit, and again until nothing more is worth adding."""
+"""The whole loop: name what is missing, add it, refit, until nothing more is worth adding."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,17 +14,19 @@ from pneu_sim.errors import InputError
 from pneu_sim.rig import save_rig, with_parameters
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sysid.candidates import Refit, all_sites, best_per_place, residual_matrix, score
-from pneu_sysid.diagnose import WORTH, Diagnosis, diagnose
+from pneu_sysid.diagnose import WORTH, Diagnosis, diagnose, floor_of
 from pneu_sysid.fit import fit_rig, residual_function, tap_rmse
 from pneu_sysid.gauss_newton import Estimate, Variable, minimise
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
-from pneu_sysid.results import LearnResult, Step, pneu_version, write_json
+from pneu_sysid.results import LearnResult, Step, Verdict, pneu_version, write_json
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 MOST_EFFECTS = 4
+AT_FLOOR = 1.1
+"""A squared error within this multiple of the floor needs no further diagnosis."""
 
 
 @dataclass
@@ -43,7 +45,7 @@ class Learned:
     rig: Rig
     steps: list[Step]
     diagnoses: list[Diagnosis]
-    verdict: str
+    verdict: Verdict
     sentence: str
     rigs: list[Rig] = field(default_factory=list)
 
@@ -238,6 +240,8 @@ def learn(
     _save(state, problem, out)
     while True:
         count = len(state.rig.effects) - given
+        if count and _at_floor(problem, state.rig, residual):
+            break
         found = diagnose(
             state.rig,
             recording,
@@ -286,6 +290,14 @@ def learn(
     _conclude(state, given, ambiguous)
     _save(state, problem, out)
     return state
+
+
+def _at_floor(problem: Problem, rig: Rig, residual: Floats) -> bool:
+    """Whether the held-out error is what noise and calibration leave anyway."""
+    held = problem.held_out
+    r = residual[held].reshape(-1, len(problem.taps))
+    floor = floor_of(rig, problem)
+    return float(np.sum(r**2)) <= AT_FLOOR * r.shape[0] * float(np.sum(floor**2))
 
 
 def _names(rig: Rig, given: int, count: int) -> list[str]:

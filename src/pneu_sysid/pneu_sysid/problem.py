@@ -128,6 +128,16 @@ class Problem:
         """
         return np.nan_to_num((self.target() - readings) / self.noise_pa, nan=0.0)
 
+    def every(self, k: int) -> "Problem":
+        """The same problem with every k-th roll-out only.
+
+        Args:
+            k: Stride.
+        """
+        from dataclasses import replace
+
+        return replace(self, starts=self.starts[::k])
+
     def with_grid(self, dx_m: float) -> "Problem":
         """The same problem on another grid.
 
@@ -150,12 +160,16 @@ class Problem:
         return [build(rig, plan) for rig in rigs]
 
 
-def record_for(rig: Rig, path: str) -> Recording:
+def record_for(
+    rig: Rig, path: str, start_s: float | None = None, end_s: float | None = None
+) -> Recording:
     """Reads the recording of a rig: its commands and tap pressures.
 
     Args:
         path: Bag or text file.
         rig: Rig whose channels say where the signals are.
+        start_s: Start of the part to keep, in s after the start of the recording.
+        end_s: End of the part to keep, in s after the start of the recording.
 
     Raises:
         InputError: The recording cannot be read as the rig describes.
@@ -168,7 +182,13 @@ def record_for(rig: Rig, path: str) -> Recording:
     if not pressures:
         raise InputError(f"rig {rig.name!r}: no tap has a channel, so nothing can be compared")
     return read_recording(
-        path, commands=commands, pressures=pressures, text=rig.text, rate_hz=rig.rate_hz
+        path,
+        commands=commands,
+        pressures=pressures,
+        text=rig.text,
+        rate_hz=rig.rate_hz,
+        start_s=start_s,
+        end_s=end_s,
     )
 
 

@@ -123,7 +123,7 @@ def load_effect_file(path: str | Path) -> list[str]:
     sys.modules[spec.name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever the user's file raises is the user's to read
+    except (Exception, SystemExit) as error:  # whatever the file raises is the user's to read
         message = " ".join(f"{type(error).__name__}: {error}".split())
         raise InputError(f"{path}: {message}") from error
     registry()

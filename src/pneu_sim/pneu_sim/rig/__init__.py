@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One rig file describes pipes, valves, chambers, taps, channels and topics; everything builds from it."""
+"""One rig file: pipes, valves, chambers, taps, channels and topics; everything builds from it."""
 
 from pneu_sim.rig.load import load_rig as load_rig
 from pneu_sim.rig.load import save_rig as save_rig

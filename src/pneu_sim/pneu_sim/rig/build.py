@@ -204,7 +204,8 @@ def plan_grid(rig: Rig, dx_m: float | None = None) -> Plan:
         if rig.grid.dt_s > limit:
             raise InputError(
                 f"rig {rig.name!r}: grid.dt_s: found {rig.grid.dt_s:g} s, the stable limit is"
-                f" {limit:.3g} s (shortest cell {shortest:.4g} m over {rig.grid.wave_speed_m_s:g} m/s)"
+                f" {limit:.3g} s (shortest cell {shortest:.4g} m over"
+                f" {rig.grid.wave_speed_m_s:g} m/s)"
             )
         dt = rig.grid.dt_s
     return Plan(
@@ -263,13 +264,17 @@ def _spread(x: float, centres: Floats) -> list[tuple[int, float]]:
 def _curve(port: Port, valve: Valve) -> tuple[Floats, Floats]:
     """An opening curve as a table over voltage, with the leakage of the closed port added."""
     null = valve.spool.null_v
-    source = port.opening if port.opening.mirror is None else valve.ports[port.opening.mirror].opening
+    source = (
+        port.opening if port.opening.mirror is None else valve.ports[port.opening.mirror].opening
+    )
     x, y = np.array(source.voltage_v), np.array(source.fraction)
     if source.interpolation == "power":
         sign = 1.0 if x[-1] > null else -1.0
         table_v = np.linspace(min(null, x[0]), max(null, x[-1]), CURVE_POINTS)
         order = np.argsort(np.abs(x - null))
-        table = _power_law(np.abs(x - null)[order], y[order], np.maximum(sign * (table_v - null), 0.0))
+        table = _power_law(
+            np.abs(x - null)[order], y[order], np.maximum(sign * (table_v - null), 0.0)
+        )
     else:
         table_v = np.linspace(x[0], x[-1], CURVE_POINTS)
         table = (
@@ -283,7 +288,7 @@ def _curve(port: Port, valve: Valve) -> tuple[Floats, Floats]:
 
 
 def _power_law(s: Floats, f: Floats, at: Floats) -> Floats:
-    """Opening at distances ``at`` from null: monotone cubic in the logarithms, a power law below."""
+    """Opening at distances ``at`` from null: monotone cubic in logarithms, a power law below."""
     out = np.zeros_like(at)
     ls, lf = np.log(s), np.log(f)
     inside = at >= s[0]
@@ -344,7 +349,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         cell[L.RELAX, span] = L.UNSTEADY_RATE * math.pi * mu / area
         cell[L.REYNOLDS, span] = diameter / mu
         cell[L.ROUGH, span] = (wall.roughness_m / (3.7 * diameter)) ** 1.11
-        # the kernel multiplies the laminar drag, so its own factor is taken out of the turbulent part
+        # the kernel multiplies the laminar drag, so its factor is taken out of the turbulent part
         cell[L.TURBULENT, span] = wall.turbulent / max(wall.laminar, 1e-9)
         cell[L.ONSET, span] = 1.0 / wall.onset_reynolds
         if wall.heat_kappa is None:
@@ -408,6 +413,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
                 p.area_m2,
                 p.laminar_ratio,
                 p.jet_loss,
+                p.inlet_head,
             )
             curve[q], curve_v[q] = _curve(p, valve)
             q += 1
@@ -417,7 +423,8 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
             orifice.critical_ratio,
             0.0,
             orifice.laminar_ratio,
-            0.0,
+            1.0,
+            1.0,
         )
         q += 1
 
@@ -433,9 +440,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         first, n = plan.pipes[tap.pipe]
         at = tap.position_m / (rig.pipes[tap.pipe].length_m / n) - 0.5
         e = 2 * list(rig.pipes).index(tap.pipe)
-        sees_ghost = [
-            plan.ends[e + side, L.E_KIND] in (L.RESERVOIR, L.LINK) for side in (0, 1)
-        ]
+        sees_ghost = [plan.ends[e + side, L.E_KIND] in (L.RESERVOIR, L.LINK) for side in (0, 1)]
         flat = [plan.ends[e + side, L.E_KIND] == L.WALL for side in (0, 1)]
         if at < 0.0 and not sees_ghost[0]:
             left, weight = 0, 0.0 if flat[0] else at
@@ -504,7 +509,8 @@ def area_steps(models: Sequence[Model]) -> tuple[Ints, Floats]:
         models: The models.
 
     Returns:
-        ``(index, area)`` as the kernel takes them: (n_steps, 5) integers and (n_steps, 2, n_models).
+        ``(index, area)`` as the kernel takes them: (n_steps, 5) integers and
+        (n_steps, 2, n_models).
     """
     plan = models[0].plan
     if models[0].thesis_joints:

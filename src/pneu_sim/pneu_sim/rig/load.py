@@ -11,6 +11,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from pneu_sim.errors import InputError
+from pneu_sim.rig.build import plan_grid
 from pneu_sim.rig.schema import SCHEMA_VERSION, Rig
 
 
@@ -81,9 +82,15 @@ def load_rig(path: str | Path) -> Rig:
             f"{path}: pneu_rig: found {data.get('pneu_rig')!r}, this version reads {SCHEMA_VERSION}"
         )
     try:
-        return Rig.model_validate(data)
+        rig = Rig.model_validate(data)
     except ValidationError as error:
         raise InputError(_sentence(str(path), error)) from None
+    if rig.grid.dt_s is not None:
+        try:
+            plan_grid(rig)  # knows the stable limit; better refused now than after a long run
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+    return rig
 
 
 def save_rig(rig: Rig, path: str | Path) -> None:

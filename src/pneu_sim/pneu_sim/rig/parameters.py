@@ -32,7 +32,8 @@ def get_parameter(rig: Rig, path: str) -> float:
     Args:
         rig: The rig.
         path: Such as ``pipes.tube.area_m2`` or ``valves.valve.ports.supply.opening.fraction.3``;
-            ``*`` stands for every part of a mapping (``pipes.*.wall.unsteady``) and reads the first.
+            ``*`` stands for every part of a mapping (``pipes.*.wall.unsteady``) and reads the
+            first.
 
     Raises:
         InputError: There is no number at that path.

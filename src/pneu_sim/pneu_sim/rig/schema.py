@@ -2,8 +2,8 @@
 """What a rig file may say: pipes, reservoirs, chambers, valves, taps, channels, effects, fit.
 
 A rig is a network of named *nodes*. Pipes run from one node to another; a reservoir or a chamber of
-that name sits at the node; valve ports and orifices connect two nodes. The node ``closed`` is a wall.
-All quantities are SI, pressures absolute.
+that name sits at the node; valve ports and orifices connect two nodes. The node ``closed`` is a
+wall. All quantities are SI, pressures absolute.
 """
 
 from itertools import pairwise
@@ -39,13 +39,13 @@ class Grid(Part):
         newton_iterations: Iterations for the star pressure of ``exact`` (thesis 4.6.3 uses two).
         cfl: Courant number of the time step (thesis eq. 4.23).
         wave_speed_m_s: Fastest wave the step must allow for.
-        dt_s: Time step; None takes it from the CFL condition. One above the stable limit is refused.
+        dt_s: Time step; None takes it from the CFL condition. Above the stable limit it is refused.
         memory: Whether wall friction and heat are frequency dependent.
         thesis_ends: Treat a reservoir as a neighbouring cell of constant state (thesis 5.5), which
             swallows every wave like an endless pipe, instead of as a large vessel.
-        thesis_joints: Join pipes by smallest-area faces and fictitious walls (thesis 5.3, fig. 5.6),
-            which resist steady flow wherever the area changes; else three or more ends share one
-            pressure, and steady flow across an area step is kept as such.
+        thesis_joints: Join pipes by smallest-area faces and fictitious walls (thesis 5.3,
+            fig. 5.6), which resist steady flow wherever the area changes; else three or more ends
+            share one pressure, and steady flow across an area step is kept as such.
     """
 
     dx_m: Positive = 0.05
@@ -62,7 +62,12 @@ class Grid(Part):
 
 
 class Ambient(Part):
-    """The room: it surrounds every wall and takes up every leak."""
+    """The room: it surrounds every wall and takes up every leak.
+
+    Attributes:
+        pressure_pa: Its pressure.
+        temperature_k: Its temperature.
+    """
 
     pressure_pa: Positive = 101325.0
     temperature_k: Positive = 293.15
@@ -114,21 +119,37 @@ class LocalLoss(Part):
 
 
 class Leak(Part):
-    """An orifice to the room in a pipe's wall."""
+    """An orifice to the room in a pipe's wall.
+
+    Attributes:
+        position_m: Where it sits.
+        area_m2: Effective area.
+    """
 
     position_m: NonNegative
     area_m2: NonNegative
 
 
 class DeadVolume(Part):
-    """A volume that hangs on a pipe: a fitting, a sensor's cavity."""
+    """A volume that hangs on a pipe: a fitting, a sensor's cavity.
+
+    Attributes:
+        position_m: Where it sits.
+        volume_m3: Its volume.
+    """
 
     position_m: NonNegative
     volume_m3: NonNegative
 
 
 class Narrowing(Part):
-    """A stretch of a pipe, centred at ``position_m``, that has lost ``fraction`` of its area."""
+    """A stretch of a pipe with less area: a kink, a blockage.
+
+    Attributes:
+        position_m: Its middle.
+        length_m: Its length.
+        fraction: Share of the area that is lost.
+    """
 
     position_m: NonNegative
     length_m: Positive = 0.1
@@ -209,9 +230,9 @@ class Opening(Part):
     Attributes:
         voltage_v: Voltages of the points, increasing.
         fraction: Opening at each, 1 = fully open.
-        interpolation: ``cubic`` is monotone cubic between the points; ``power`` is monotone cubic in
-            the logarithms of opening and distance from the null voltage, so that two points are a
-            power law, and goes on as one down to zero at null. Its points lie on one side of null.
+        interpolation: ``cubic`` is monotone cubic between the points; ``power`` is monotone cubic
+            in the logarithms of opening and distance from the null voltage, so that two points are
+            a power law, and goes on as one down to zero at null. Its points lie on one side of it.
         mirror: Instead of points, the name of another port of the valve: its curve, mirrored about
             the null voltage, as a symmetrical spool has it.
     """
@@ -249,7 +270,10 @@ class Port(Part):
         conductance_m3_s_pa: Sonic conductance fully open (1 dm^3/(s bar) = 1e-8).
         critical_ratio: Critical pressure ratio b.
         laminar_ratio: Pressure ratio above which flow is linear in the pressure drop (viscous).
-        jet_loss: Velocity heads of the entered pipe that the jet behind the port does not recover.
+        jet_loss: Velocity heads of the entered pipe that the jet behind the port does not recover;
+            1 makes its stagnation pressure the downstream pressure.
+        inlet_head: Share of the velocity head of the pipe it leaves that drives the port; 1 makes
+            its stagnation pressure the upstream pressure, as ISO 6358 does.
         area_m2: Effective area fully open, for ``effective_area``.
         opening: Opening fraction against spool voltage.
         leakage: Opening fraction that remains when the spool closes the port.
@@ -261,7 +285,8 @@ class Port(Part):
     conductance_m3_s_pa: NonNegative = 0.0
     critical_ratio: Ratio = 0.3
     laminar_ratio: Annotated[float, Field(gt=0.8, le=1.0)] = 0.999
-    jet_loss: NonNegative = 0.0
+    jet_loss: NonNegative = 1.0
+    inlet_head: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
     area_m2: NonNegative = 0.0
     opening: Opening
     leakage: NonNegative = 0.0
@@ -294,7 +319,13 @@ class Spool(Part):
 
 
 class Valve(Part):
-    """A spool and the ports it opens."""
+    """A spool and the ports it opens.
+
+    Attributes:
+        command: Name of the command it follows.
+        spool: How the spool follows.
+        ports: Its flow paths.
+    """
 
     command: str
     spool: Spool = Spool()
@@ -302,7 +333,15 @@ class Valve(Part):
 
 
 class Orifice(Part):
-    """A fixed restriction between two nodes."""
+    """A fixed restriction between two nodes.
+
+    Attributes:
+        from_node: Node on one side; positive flow leaves it.
+        to_node: Node on the other side.
+        conductance_m3_s_pa: Sonic conductance (ISO 6358).
+        critical_ratio: Critical pressure ratio b.
+        laminar_ratio: Pressure ratio above which flow is linear in the pressure drop (viscous).
+    """
 
     from_node: str = Field(alias="from")
     to_node: str = Field(alias="to")
@@ -346,13 +385,23 @@ class Tap(Part):
 
 
 class Command(Part):
-    """A valve command and where it is recorded; volts."""
+    """A valve command, in volts.
+
+    Attributes:
+        channel: Where it is recorded.
+    """
 
     channel: Channel | None = None
 
 
 class AttachedEffect(Part):
-    """An effect of the catalogue, attached at a place with given parameters."""
+    """An effect of the catalogue, attached at a place.
+
+    Attributes:
+        effect: Name, as listed by ``pneu effects``.
+        place: Part of the rig it sits on.
+        parameters: Its strength and shape; what is not given is at its usual value.
+    """
 
     effect: str
     place: str
@@ -496,30 +545,43 @@ class Rig(Part):
 
 
 def check_network(rig: Rig) -> None:
-    """Raises ValueError where parts of the rig do not meet."""
+    """Raises ValueError where parts of the rig do not meet.
+
+    Args:
+        rig: The rig.
+    """
     ends: dict[str, int] = {}
     for name, pipe in rig.pipes.items():
         for node in (pipe.from_node, pipe.to_node):
             ends[node] = ends.get(node, 0) + 1
-        for part in (*pipe.losses, *pipe.leaks, *pipe.volumes, *pipe.narrowings):
+        placed: list[LocalLoss | Leak | DeadVolume | Narrowing] = [
+            *pipe.losses,
+            *pipe.leaks,
+            *pipe.volumes,
+            *pipe.narrowings,
+        ]
+        for part in placed:
             if part.position_m > pipe.length_m:
                 raise ValueError(
-                    f"pipes.{name}: position_m {part.position_m} lies beyond length_m {pipe.length_m}"
+                    f"pipes.{name}: position_m {part.position_m} lies beyond length_m"
+                    f" {pipe.length_m}"
                 )
     both = set(rig.reservoirs) & set(rig.chambers)
     if both:
         raise ValueError(f"node {sorted(both)[0]!r} is both a reservoir and a chamber")
     ports: dict[str, int] = {}
-    paths = [
+    paths: list[tuple[str, Port | Orifice]] = [
         (f"valves.{v}.ports.{p}", port)
         for v, valve in rig.valves.items()
         for p, port in valve.ports.items()
     ]
     paths += [(f"orifices.{o}", orifice) for o, orifice in rig.orifices.items()]
-    for where, port in paths:
-        for node in (port.from_node, port.to_node):
+    for where, path in paths:
+        for node in (path.from_node, path.to_node):
             ports[node] = ports.get(node, 0) + 1
-            if node == CLOSED or not (node in ends or node in rig.reservoirs or node in rig.chambers):
+            if node == CLOSED or not (
+                node in ends or node in rig.reservoirs or node in rig.chambers
+            ):
                 raise ValueError(f"{where}: node {node!r} is no pipe end, reservoir or chamber")
     for name, pipe in rig.pipes.items():
         for node in (pipe.from_node, pipe.to_node):
@@ -531,7 +593,8 @@ def check_network(rig: Rig) -> None:
                 )
             if not fixed and ends[node] > 1 and node in ports:
                 raise ValueError(
-                    f"node {node!r} joins {ends[node]} pipes and a valve port; declare a chamber there"
+                    f"node {node!r} joins {ends[node]} pipes and a valve port; declare a chamber"
+                    " there"
                 )
     for name, valve in rig.valves.items():
         if valve.command not in rig.commands:
@@ -559,7 +622,8 @@ def check_network(rig: Rig) -> None:
                 for node in (port.from_node, port.to_node):
                     if node in rig.reservoirs or node in rig.chambers:
                         raise ValueError(
-                            f"valves.{name}.ports.{p}: model effective_area needs a pipe at {node!r}"
+                            f"valves.{name}.ports.{p}: model effective_area needs a pipe at"
+                            f" {node!r}"
                         )
     for name, tap in rig.taps.items():
         if tap.pipe is not None:

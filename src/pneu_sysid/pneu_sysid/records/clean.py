@@ -43,7 +43,11 @@ def clean(path: str, stream: Stream) -> tuple[Stream, list[Finding]]:
 
 
 def is_regular(stream: Stream) -> bool:
-    """Return whether a channel is sampled at a rate, rather than sent on events."""
+    """Return whether a channel is sampled at a rate, rather than sent on events.
+
+    Args:
+        stream: The channel.
+    """
     steps = np.diff(stream.stamp_ns)
     if len(steps) < 10:
         return False

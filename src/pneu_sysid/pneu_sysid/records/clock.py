@@ -111,6 +111,9 @@ def mend_clock_jumps(streams: list[Stream]) -> tuple[list[Stream], list[Finding]
     A header clock that jumped while the log clock ran on is shifted to follow the log
     clock. Where no clock ran through, the longest stretch between jumps is kept, for
     all channels alike. Single stamps far from both their neighbours are dropped.
+
+    Args:
+        streams: All channels of the recording.
     """
     findings: list[Finding] = []
     mended = []
@@ -146,6 +149,9 @@ def clock_jumps(stamp_ns: NDArray[np.int64]) -> list[int]:
 
     A sample behind its predecessors is late, not a jump, if the stream is back in front
     within 10 samples.
+
+    Args:
+        stamp_ns: (n,) stamps in the order of arrival, ns.
     """
     period = median_period_ns(stamp_ns)
     cuts: list[int] = []

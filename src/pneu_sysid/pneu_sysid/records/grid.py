@@ -35,7 +35,12 @@ class Grid:
 
 
 def seconds_after(stream: Stream, origin_ns: int) -> NDArray[np.float64]:
-    """Return stamps in s after an origin; the difference is exact in integers."""
+    """Return stamps in s after an origin; the difference is exact in integers.
+
+    Args:
+        stream: The channel.
+        origin_ns: The origin, ns.
+    """
     return (stream.stamp_ns - origin_ns).astype(np.float64) * 1e-9
 
 
@@ -123,7 +128,12 @@ def _fit_grid(times: NDArray[np.float64], period_s: float) -> tuple[float, float
 
 
 def interpolate(stream: Stream, grid: Grid) -> tuple[NDArray[np.float64], list[Finding]]:
-    """Return a pressure on the grid, NaN outside its samples and inside long gaps."""
+    """Return a pressure on the grid, NaN outside its samples and inside long gaps.
+
+    Args:
+        stream: The pressure.
+        grid: The grid.
+    """
     at = grid.offsets_s
     times, values = seconds_after(stream, grid.origin_ns), stream.values
     right = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
@@ -146,7 +156,12 @@ def interpolate(stream: Stream, grid: Grid) -> tuple[NDArray[np.float64], list[F
 
 
 def hold(stream: Stream, grid: Grid) -> NDArray[np.float64]:
-    """Return a command on the grid, each value held until the next sample."""
+    """Return a command on the grid, each value held until the next sample.
+
+    Args:
+        stream: The command.
+        grid: The grid.
+    """
     times = seconds_after(stream, grid.origin_ns)
     # A stamp a hair after its grid point belongs to it, not to the next.
     index = np.searchsorted(times, grid.offsets_s + SNAP * grid.period_s, side="right") - 1

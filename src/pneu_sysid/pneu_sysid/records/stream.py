@@ -40,7 +40,11 @@ class Stream:
         return len(self.values)
 
     def pick(self, index: NDArray[Any] | slice) -> "Stream":
-        """Return the stream with the samples that a mask, index array or slice selects."""
+        """Return the stream with the samples that a mask, index array or slice selects.
+
+        Args:
+            index: Which samples.
+        """
         header_ns = None if self.header_ns is None else self.header_ns[index]
         return replace(
             self,
@@ -58,7 +62,11 @@ class Stream:
 
 
 def median_period_ns(stamp_ns: NDArray[np.int64]) -> float:
-    """Return the median of the positive steps between stamps in ns (0.0 without any)."""
+    """Return the median of the positive steps between stamps in ns (0.0 without any).
+
+    Args:
+        stamp_ns: (n,) stamps, ns.
+    """
     steps = np.diff(stamp_ns)
     steps = steps[steps > 0]
     return float(np.median(steps)) if steps.size else 0.0

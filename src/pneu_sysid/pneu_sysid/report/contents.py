@@ -33,7 +33,11 @@ class Contents:
         return unique(tap for result in self.present for tap in result.get("taps") or [])
 
     def taps_of(self, result: Result | None) -> list[str]:
-        """Return the taps of one result, or all taps where it does not name its own."""
+        """Return the taps of one result, or all taps where it does not name its own.
+
+        Args:
+            result: The result of one command.
+        """
         return list((result or {}).get("taps") or self.taps)
 
     @property
@@ -57,7 +61,11 @@ class Contents:
         return (self.compare or {}).get("models") or []
 
     def head(self, *keys: str) -> list[str]:
-        """Return the distinct texts that the results carry under any of the keys."""
+        """Return the distinct texts that the results carry under any of the keys.
+
+        Args:
+            keys: Keys at the top of a result.
+        """
         texts: list[str] = []
         for result in self.present:
             for key in keys:
@@ -94,12 +102,21 @@ def read_contents(results: Mapping[str, Mapping[str, Any] | None]) -> Contents:
 
 
 def unique(items: Iterable[_T]) -> list[_T]:
-    """Return the items in order, each once."""
+    """Return the items in order, each once.
+
+    Args:
+        items: The items.
+    """
     return list(dict.fromkeys(items))
 
 
 def ratio(value: float | None, floor: float | None) -> float | None:
-    """Return value / floor, None where either is missing or the floor is zero."""
+    """Return value / floor, None where either is missing or the floor is zero.
+
+    Args:
+        value: A number.
+        floor: What it is measured in.
+    """
     return None if value is None or not floor else value / floor
 
 

@@ -13,7 +13,11 @@ EDGES = (1.25, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0)  # upper ends of all steps but t
 
 
 def heat_class(times_noise: float | None) -> str:
-    """Return the CSS class of an error given in multiples of the sensor noise."""
+    """Return the CSS class of an error given in multiples of the sensor noise.
+
+    Args:
+        times_noise: The error over the noise floor; None where unknown.
+    """
     return "h-none" if times_noise is None else f"h{bisect_left(EDGES, times_noise)}"
 
 

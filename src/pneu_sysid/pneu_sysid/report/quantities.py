@@ -11,7 +11,12 @@ _PLAIN_TO = 5
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Return a number with the given significant digits, as 1.23×10⁻⁸ where it is extreme."""
+    """Return a number with the given significant digits, as 1.23×10⁻⁸ where it is extreme.
+
+    Args:
+        value: The number.
+        digits: How many significant digits.
+    """
     if value is None:
         return NONE
     if value == 0:
@@ -23,7 +28,13 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def with_error(value: float | None, error: float | None, unit: str | None = None) -> str:
-    """Return value ± error with the digits that the error leaves; times below 0.1 s in ms."""
+    """Return value ± error with the digits that the error leaves; times below 0.1 s in ms.
+
+    Args:
+        value: The value.
+        error: Its standard error.
+        unit: The unit of both.
+    """
     if value is None:
         return NONE
     if unit == "s" and abs(value) < 0.1:
@@ -42,7 +53,11 @@ def with_error(value: float | None, error: float | None, unit: str | None = None
 
 
 def percent(fraction: float | None) -> str:
-    """Return a fraction in per cent, one decimal below ten."""
+    """Return a fraction in per cent, one decimal below ten.
+
+    Args:
+        fraction: The fraction, 1 for 100 %.
+    """
     if fraction is None:
         return NONE
     value = 100.0 * fraction
@@ -50,14 +65,23 @@ def percent(fraction: float | None) -> str:
 
 
 def times(ratio: float | None) -> str:
-    """Return a ratio as 1.23×."""
+    """Return a ratio as 1.23×.
+
+    Args:
+        ratio: The ratio.
+    """
     if ratio is None:
         return NONE
     return f"{_fixed(ratio, 2 if ratio < 9.995 else 1 if ratio < 99.95 else 0)}×"
 
 
 def kilopascal(pressure_pa: float | None, *, signed: bool = False) -> str:
-    """Return a pressure difference in kPa to a pascal, or three digits where it is large."""
+    """Return a pressure difference in kPa to a pascal, or three digits where it is large.
+
+    Args:
+        pressure_pa: The difference, Pa.
+        signed: Whether a positive one gets its sign.
+    """
     if pressure_pa is None:
         return NONE
     value = pressure_pa / 1000.0
@@ -66,7 +90,12 @@ def kilopascal(pressure_pa: float | None, *, signed: bool = False) -> str:
 
 
 def milliseconds(time_s: float | None, *, signed: bool = False) -> str:
-    """Return a time in ms."""
+    """Return a time in ms.
+
+    Args:
+        time_s: The time, s.
+        signed: Whether a positive one gets its sign.
+    """
     if time_s is None:
         return NONE
     text = _fixed(1e3 * time_s, 2 if abs(time_s) < 0.1 else 0)
@@ -74,12 +103,20 @@ def milliseconds(time_s: float | None, *, signed: bool = False) -> str:
 
 
 def seconds(time_s: float | None) -> str:
-    """Return a time in s with two decimals."""
+    """Return a time in s with two decimals.
+
+    Args:
+        time_s: The time, s.
+    """
     return NONE if time_s is None else _fixed(time_s, 2)
 
 
 def pretty_unit(unit: str | None) -> str:
-    """Return a unit with superscripts for powers (m^2 as m²) and none for pure numbers."""
+    """Return a unit with superscripts for powers (m^2 as m²) and none for pure numbers.
+
+    Args:
+        unit: The unit, powers after a caret.
+    """
     if not unit or unit == "1":
         return ""
     parts = unit.split("^")

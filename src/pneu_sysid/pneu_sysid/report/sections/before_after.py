@@ -13,7 +13,11 @@ _PARTS = (("rmse_pa", "Training"), ("held_out_rmse_pa", "Held-out"))
 
 
 def render(contents: Contents) -> Markup:
-    """Return the table of errors before and after learning, per tap."""
+    """Return the table of errors before and after learning, per tap.
+
+    Args:
+        contents: The results to report.
+    """
     steps = (contents.learn or {}).get("steps") or []
     if len(steps) < 2:
         return Markup()

@@ -9,7 +9,11 @@ TITLE = "What was not tested"
 
 
 def render(contents: Contents) -> Markup:
-    """Return the limits of these results."""
+    """Return the limits of these results.
+
+    Args:
+        contents: The results to report.
+    """
     lines: list[Markup] = []
     diagnose = contents.diagnose
     if diagnose is None and contents.learn is None:

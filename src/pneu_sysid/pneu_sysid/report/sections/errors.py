@@ -14,7 +14,11 @@ _BAR_PX = 150
 
 
 def render(contents: Contents) -> Markup:
-    """Return the table of errors per tap and model, and what the grid adds to them."""
+    """Return the table of errors per tap and model, and what the grid adds to them.
+
+    Args:
+        contents: The results to report.
+    """
     models = contents.models
     if not models:
         return Markup()
@@ -68,9 +72,7 @@ def render(contents: Contents) -> Markup:
         ),
         "RMS over noise (log)",
     ]
-    caption = (
-        "Bias is measured minus model. A positive lag means that the measurement comes later."
-    )
+    caption = "Bias is measured minus model. A positive lag means that the measurement comes later."
     return join(table(caption, header, rows, class_="models"), _numerics(contents))
 
 

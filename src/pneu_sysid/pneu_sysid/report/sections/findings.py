@@ -9,7 +9,11 @@ TITLE = "Findings in the recording"
 
 
 def render(contents: Contents) -> Markup:
-    """Return the findings as a list, or say that there are none."""
+    """Return the findings as a list, or say that there are none.
+
+    Args:
+        contents: The results to report.
+    """
     if not contents.findings:
         return tag("p", "No gaps, duplicates, jumps or invalid samples were reported.")
     return tag("ul", [tag("li", line) for line in contents.findings])

@@ -13,7 +13,11 @@ _LARGEST_MATRIX = 24
 
 
 def render(contents: Contents) -> Markup:
-    """Return the parameters, the warnings, the correlations and the error of the fit."""
+    """Return the parameters, the warnings, the correlations and the error of the fit.
+
+    Args:
+        contents: The results to report.
+    """
     fit = contents.fit
     if not fit:
         return Markup()

@@ -18,7 +18,11 @@ _WORST_SHOWN = 6
 
 
 def render(contents: Contents) -> Markup:
-    """Return the viewer, its switches and its data."""
+    """Return the viewer, its switches and its data.
+
+    Args:
+        contents: The results to report.
+    """
     series = (contents.compare or {}).get("series") or {}
     time_s = np.asarray(series.get("time_s") or [], dtype=np.float64)
     measured = series.get("measured") or {}

@@ -18,7 +18,11 @@ _BARS = (
 
 
 def render(contents: Contents) -> Markup:
-    """Return the ranking of the tested candidates and what an unknown effect depends on."""
+    """Return the ranking of the tested candidates and what an unknown effect depends on.
+
+    Args:
+        contents: The results to report.
+    """
     diagnose = contents.diagnose or {}
     candidates = [c for c in diagnose.get("candidates") or [] if c.get("tested") is not False]
     parts: list[Markup] = []

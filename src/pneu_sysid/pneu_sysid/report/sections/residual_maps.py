@@ -26,7 +26,11 @@ _CHARACTER_PX, _LONGEST_LABEL = 7.4, 32
 
 
 def render(contents: Contents) -> Markup:
-    """Return both maps of every model, all on one colour scale."""
+    """Return both maps of every model, all on one colour scale.
+
+    Args:
+        contents: The results to report.
+    """
     over_time = [_time_map(model, contents) for model in contents.models]
     together = max(1, _MAX_COLUMNS // max(1, len(contents.taps_of(contents.compare))))
     regimes = [

@@ -25,7 +25,11 @@ _AFTER = {
 
 
 def render(contents: Contents) -> Markup:
-    """Return the verdict card, the key figures and what they were made from."""
+    """Return the verdict card, the key figures and what they were made from.
+
+    Args:
+        contents: The results to report.
+    """
     judged = contents.learn or contents.diagnose
     kind = str((judged or {}).get("verdict") or "none")
     mark, word = _WORDS.get(kind, ("•", "Result"))

@@ -17,7 +17,11 @@ _SERIES = (("total_times_noise", "train"), ("held_out_times_noise", "held"))
 
 
 def render(contents: Contents) -> Markup:
-    """Return the waterfall chart and the error of each tap at each step."""
+    """Return the waterfall chart and the error of each tap at each step.
+
+    Args:
+        contents: The results to report.
+    """
     steps = (contents.learn or {}).get("steps") or []
     levels = [step[key] for step in steps for key, _ in _SERIES if (step.get(key) or 0) > 0]
     chart = _chart(steps, levels) if levels else Markup()

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""On recordings with a hidden effect the missing physics is named, placed and added."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studies.confusion import NOISE_PA, synthetic
+
+from pneu_sim.rig import load_rig
+from pneu_sim.rig.schema import AttachedEffect, Rig
+from pneu_sysid.compare import compare
+from pneu_sysid.diagnose import diagnose
+from pneu_sysid.learn import learn
+from pneu_sysid.problem import record_for
+from pneu_sysid.records import Recording
+
+ROOT = Path(__file__).resolve().parent.parent
+BAGS = ROOT / "data" / "bags"
+SECONDS = 5.0
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    """Rig A, calibrated on a healthy recording of an independent plant."""
+    return load_rig(ROOT / "rigs" / "rig_a_fitted.yaml")
+
+
+@pytest.fixture(scope="module")
+def exact(rig: Rig) -> Rig:
+    """The same rig for recordings made from it: its calibration is exact there."""
+    assert rig.calibration is not None
+    floor = dict.fromkeys(rig.taps, NOISE_PA)
+    return rig.model_copy(
+        update={"calibration": rig.calibration.model_copy(update={"rmse_pa": floor})}
+    )
+
+
+def with_effects(rig: Rig, *effects: AttachedEffect) -> Rig:
+    """The rig with effects attached."""
+    return rig.model_copy(update={"effects": list(effects)})
+
+
+def test_healthy_bag_is_predicted_and_nothing_is_missing(rig: Rig) -> None:
+    """A recording the calibration never saw: near the noise, far below the thin plate."""
+    recording = record_for(rig, str(BAGS / "a_healthy_2"))
+    plate = load_rig(ROOT / "rigs" / "rig_a_thin_plate.yaml")
+    result = compare(recording, [("pde", rig, None), ("plate", plate, None)], refine=False)
+    pde, lumped = (model.taps for model in result.models)
+    for tap in ("supply", "middle", "exhaust"):
+        assert pde[tap].times_noise < 3.2
+    assert pde["end"].times_noise < 3.5
+    assert pde["valve_out"].times_noise < 4.5
+    for tap in ("valve_out", "middle", "end"):
+        assert lumped[tap].rmse_pa > 4.0 * pde[tap].rmse_pa
+    assert diagnose(rig, recording, refine=False).verdict == "nothing_missing"
+
+
+def test_leak_is_named_placed_measured_and_added(rig: Rig, tmp_path: Path) -> None:
+    """A bag of the independent plant with a leak of 0.8 x 0.02 mm^2 at the tube's end."""
+    recording = record_for(rig, str(BAGS / "a_leak"))
+    learned = learn(rig, recording, out=tmp_path)
+    step = learned.steps[1]
+    assert (step.added, str(step.place).split(":")[0]) == ("leak", "tube")
+    assert abs(float(str(step.place).split(":")[1]) - 2.5) < 0.2 * 2.5
+    assert step.strength == pytest.approx(0.8 * 0.02e-6, rel=0.2)
+    assert step.held_out_times_noise < 0.2 * learned.steps[0].held_out_times_noise
+    written = json.loads((tmp_path / "learn.json").read_text())
+    assert written["schema"] == "pneu.learn/1"
+    assert load_rig(tmp_path / "step_1.yaml").effects[0].effect == "leak"
+
+
+def test_tap_lag_is_named_and_measured(rig: Rig) -> None:
+    """A bag of the independent plant whose ``end`` sensor lags by 6 ms."""
+    found = diagnose(rig, record_for(rig, str(BAGS / "a_tap_lag")), refine=False)
+    top = found.finalists[0]
+    assert found.verdict in ("effect", "ambiguous")
+    assert (top.site.effect.name, top.site.place) == ("sensor_lag", "end")
+    assert top.strength == pytest.approx(6e-3, rel=0.2)
+
+
+def test_two_effects_at_once_are_both_found(exact: Rig) -> None:
+    """A leak and a late valve together, recorded on a finer grid."""
+    leak = AttachedEffect(
+        effect="leak", place="tube", parameters={"area_m2": 2e-8, "position_m": 2.5}
+    )
+    late = AttachedEffect(effect="valve_delay", place="valve", parameters={"delay_s": 3e-3})
+    recording = synthetic(with_effects(exact, leak, late), SECONDS, 5, "two effects")
+    learned = learn(exact, recording)
+    found = {step.added: step for step in learned.steps[1:]}
+    assert {"leak", "valve_delay"} <= set(found)
+    assert learned.rig.effects[-1].effect in found
+    strengths = {e.effect: e.parameters for e in learned.rig.effects}
+    assert strengths["leak"]["area_m2"] == pytest.approx(2e-8, rel=0.2)
+    assert strengths["valve_delay"]["delay_s"] == pytest.approx(3e-3, rel=0.2)
+    assert learned.steps[-1].held_out_times_noise < 1.3
+
+
+def test_what_no_catalogue_holds_is_called_unknown(exact: Rig) -> None:
+    """A sensor with a wavy characteristic: no effect fits, but what it depends on is named."""
+    clean = synthetic(exact, SECONDS, 6, "wavy sensor")
+    wave = 8e3 * np.sin(2.0 * np.pi * (clean.pressures["end"] - 101e3) / 130e3)
+    recording = Recording(
+        name=clean.name,
+        time_s=clean.time_s,
+        commands=clean.commands,
+        pressures={**clean.pressures, "end": clean.pressures["end"] + wave},
+        rate_hz=clean.rate_hz,
+    )
+    found = diagnose(exact, recording, refine=False)
+    assert found.verdict == "unknown"
+    variable, tap, gain = found.depends_on[0]
+    assert tap == "end"
+    assert "pressure" in variable
+    assert gain > 0.3
+
+
+def test_healthy_synthetic_recording_raises_no_alarm(exact: Rig) -> None:
+    """Noise alone is not taken for physics."""
+    found = diagnose(exact, synthetic(exact, SECONDS, 7, "healthy"), refine=False)
+    assert found.verdict == "nothing_missing"
