@@ -196,6 +196,12 @@ def study(name: str) -> Chamber:
     )
 
 
+def seconds(value: float, error: float) -> str:
+    """A time and its standard error, to the digits that the error leaves."""
+    digits = max(0, 1 - math.floor(math.log10(error)))
+    return f"{value:.{digits}f} ± {error:.{digits}f}"
+
+
 def table_of(chambers: list[Chamber]) -> Table:
     """The table of all chambers."""
     table = Table(title="closed chambers: a model without a leak")
@@ -222,8 +228,8 @@ def table_of(chambers: list[Chamber]) -> Table:
             c.found.verdict,
             best.site.effect.name + (f" or {alike[0].partition('@')[0]}" if alike else ""),
             f"{100.0 * best.held_out:.0f} %",
-            f"{c.tau_s:.3g} ± {c.tau_error_s:.1g}",
-            f"{c.direct_s:.3g} ± {c.direct_error_s:.1g}",
+            seconds(c.tau_s, c.tau_error_s),
+            seconds(c.direct_s, c.direct_error_s),
         )
     return table
 
@@ -242,9 +248,9 @@ def draw(chambers: list[Chamber], path: Path) -> None:
         gauge = scale * (c.recording.pressures["chamber"] - room)
         t = c.recording.time_s
         axis.plot(t, gauge, color="0.6", lw=0.8, label="measured")
-        axis.axhline(float(np.nanmedian(gauge[:10])), color="C0", ls="--", label="no leak")
+        axis.axhline(float(np.nanmedian(gauge[:3])), color="C0", ls="--", label="no leak")
         axis.plot(t, scale * (c.predicted_pa - room), color="C3", label="leak added")
-        axis.set_title(f"{c.name}: {c.tau_s:.3g} s", fontsize=10)
+        axis.set_title(f"{c.name}: {seconds(c.tau_s, c.tau_error_s)} s", fontsize=10)
         axis.ticklabel_format(useOffset=False)
     for axis in axes[-1]:
         axis.set_xlabel("time, s")
@@ -261,7 +267,7 @@ def draw(chambers: list[Chamber], path: Path) -> None:
 def main() -> None:
     """Prints the table and draws the figure."""
     chambers = [study(name) for name in NAMES]
-    console = Console(width=150)
+    console = Console(width=180)
     console.print(table_of(chambers))
     for c in chambers:
         console.print(f"{c.name}: {c.found.sentence}")

@@ -5,6 +5,7 @@ The rig was calibrated on a recording without a fault (``rigs/rig_a_fitted.yaml`
 was recorded later, with a fault that the program is not told.
 """
 
+import os
 import sys
 import time
 from pathlib import Path
@@ -53,8 +54,6 @@ STORY: tuple[tuple[str, list[str]], ...] = (
 
 def main() -> int:
     """Runs the story; returns the exit status."""
-    import os
-
     os.chdir(ROOT)
     console = Console(width=140) if not sys.stdout.isatty() else Console()
     (ROOT / OUT).mkdir(parents=True, exist_ok=True)

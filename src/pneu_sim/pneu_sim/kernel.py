@@ -25,19 +25,21 @@ WALL_EVERY = 4
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _primitive(n, gamma, r_gas, rho, mom, ene, u, p, c, t, ri):
-    """Velocity, pressure, speed of sound and temperature of every slot (thesis table 4.1)."""
+def _primitive(n, gamma, r_gas, mom, ene, ri, u, p, c, t):
+    """Velocity, pressure, speed of sound and temperature of every slot (thesis table 4.1).
+
+    ``ri`` is the inverse density.
+    """
     gm = gamma - 1.0
     i_r = 1.0 / r_gas
     for i in range(n):
-        d = 1.0 / rho[i]
+        d = ri[i]
         v = mom[i] * d
         q = gm * (ene[i] - 0.5 * mom[i] * v)
         u[i] = v
         p[i] = q
         c[i] = math.sqrt(gamma * q * d)
         t[i] = q * d * i_r
-        ri[i] = d
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -217,17 +219,22 @@ def _hllc(n, w, gamma, c, rr, ur, pr, ir, rl, ul, pl, il, fm, fp, fe):
         s2 = v2 + math.sqrt(gamma * il[i] * (q2 + k * max(q - q2, 0.0)))
         a1 = d1 * (s1 - v1)
         a2 = d2 * (s2 - v2)
-        # For a contact at rest every product below vanishes exactly.
-        s = ((q2 - q1) + (a1 * v1 - a2 * v2)) / (a1 - a2)
-        left = s >= 0.0
+        # Speed of the contact s = x / a, with a < 0; for one at rest every product below vanishes
+        # exactly. It shares one division with the weight g of the star flux.
+        x = (q2 - q1) + (a1 * v1 - a2 * v2)
+        a = a1 - a2
+        left = x <= 0.0
+        sk = s1 if left else s2
+        sb = min(s1, 0.0) if left else max(s2, 0.0)
+        b = sk * a - x
+        y = 1.0 / (a * b)
+        s = x * b * y
+        g = sb * a * a * y  # = sb / (sk - s): zero where the flow through the face is supersonic
         d = d1 if left else d2
         v = v1 if left else v2
         q = q1 if left else q2
         a = a1 if left else a2
-        sk = s1 if left else s2
-        sb = min(s1, 0.0) if left else max(s2, 0.0)
         e = q * gm + 0.5 * d * v * v
-        g = sb / (sk - s)  # zero where the flow through the face is supersonic
         dv = s - v
         m = d * v
         x = q + a * dv
@@ -245,15 +252,17 @@ def _exact(n, w, gamma, newton, rr, ur, pr, rl, ul, pl, fm, fp, fe):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _conserve(n, w, dt, rho, mom, ene, face, inv, p, fm, fp, fe):
+def _conserve(n, w, dt, rho, mom, ene, face, inv, p, fm, fp, fe, ri):
     """Add what the faces carry, and the wall reaction of a changing area (thesis eq. 4.1-4.8)."""
-    rho, mom, ene, inv, p = rho[w:], mom[w:], ene[w:], inv[w:], p[w:]
+    rho, mom, ene, inv, p, ri = rho[w:], mom[w:], ene[w:], inv[w:], p[w:], ri[w:]
     right, gm, gp, ge = face[w:], fm[w:], fp[w:], fe[w:]
     for i in range(n - w):
         k = dt * inv[i]
         a = face[i]
         b = right[i]
-        rho[i] += k * (a * fm[i] - b * gm[i])
+        d = rho[i] + k * (a * fm[i] - b * gm[i])
+        rho[i] = d
+        ri[i] = 1.0 / d
         mom[i] += k * (a * fp[i] - b * gp[i] + p[i] * (b - a))
         ene[i] += k * (a * fe[i] - b * ge[i])
 
@@ -334,65 +343,62 @@ def _unsteady_drag(
     """Wall friction with memory by recursive convolution (Zielke 1968, Kagawa 1983).
 
     Steady part and memory are solved together, implicitly in the new velocity; the memory acts with
-    its mean of before and after. ``stay`` is the inverse of the slowest decay rate times density;
-    ``ri`` the inverse density.
+    its mean of before and after. ``stay`` is the inverse of the slowest decay per step, times
+    density; ``ri`` the inverse density.
     """
     i_dt = 1.0 / dt
+    half = 0.5 * dt
     for i in range(n):
         r = ri[i]
         v0 = mom[i] * r
-        xi = rho[i] * stay[i] * i_dt
+        xi = rho[i] * stay[i]
         f = fade[i]
         a = a1[i]
-        b0 = M0 * xi * (1.0 - a)
-        g0 = a * f
-        a *= a
-        a *= a
-        b1 = M1 * 0.25 * xi * (1.0 - a)
-        g1 = a * f
-        a *= a
-        a *= a
-        b2 = M2 * 0.0625 * xi * (1.0 - a)
-        g2 = a * f
-        a *= a
-        a *= a
-        b3 = M3 * 0.015625 * xi * (1.0 - a)
-        g3 = a * f
-        a *= a
-        a *= a
-        b4 = M4 * 0.00390625 * xi * (1.0 - a)
-        g4 = a * f
-        a *= a
-        a *= a
-        b5 = M5 * 0.0009765625 * xi * (1.0 - a)
-        g5 = a * f
-        c = dt * unst[i] * r
+        b0 = M0 - M0 * a
         x0 = y0[i]
-        z0 = g0 * x0
+        z0 = a * x0
+        a *= a
+        a *= a
+        b1 = M1 * 0.25 - M1 * 0.25 * a
         x1 = y1[i]
-        z1 = g1 * x1
+        z1 = a * x1
+        a *= a
+        a *= a
+        b2 = M2 * 0.0625 - M2 * 0.0625 * a
         x2 = y2[i]
-        z2 = g2 * x2
+        z2 = a * x2
+        a *= a
+        a *= a
+        b3 = M3 * 0.015625 - M3 * 0.015625 * a
         x3 = y3[i]
-        z3 = g3 * x3
+        z3 = a * x3
+        a *= a
+        a *= a
+        b4 = M4 * 0.00390625 - M4 * 0.00390625 * a
         x4 = y4[i]
-        z4 = g4 * x4
+        z4 = a * x4
+        a *= a
+        a *= a
+        b5 = M5 * 0.0009765625 - M5 * 0.0009765625 * a
         x5 = y5[i]
-        z5 = g5 * x5
-        b = 0.5 * (b0 + b1 + b2 + b3 + b4 + b5)
-        s = 0.5 * ((x0 + x1 + x2 + x3 + x4 + x5) + (z0 + z1 + z2 + z3 + z4 + z5))
+        z5 = a * x5
+        h = dt * r
+        c = h * unst[i]
+        b = 0.5 * xi * (b0 + b1 + b2 + b3 + b4 + b5)
+        s = 0.5 * ((x0 + x1 + x2 + x3 + x4 + x5) + f * (z0 + z1 + z2 + z3 + z4 + z5))
         v = (v0 - c * (s - b * u[i])) / (
-            1.0 + dt * (visc[i] * phi[i] * r + 0.5 * loss[i] * abs(v0)) + c * b
+            1.0 + h * visc[i] * phi[i] + half * loss[i] * abs(v0) + c * b
         )
-        d = v - u[i]
-        y0[i] = z0 + b0 * d
-        y1[i] = z1 + b1 * d
-        y2[i] = z2 + b2 * d
-        y3[i] = z3 + b3 * d
-        y4[i] = z4 + b4 * d
-        y5[i] = z5 + b5 * d
-        mom[i] = rho[i] * v
-        drag[i] = rho[i] * (v - v0) * i_dt
+        d = xi * (v - u[i])
+        y0[i] = f * z0 + b0 * d
+        y1[i] = f * z1 + b1 * d
+        y2[i] = f * z2 + b2 * d
+        y3[i] = f * z3 + b3 * d
+        y4[i] = f * z4 + b4 * d
+        y5[i] = f * z5 + b5 * d
+        m = rho[i] * v
+        drag[i] = (m - mom[i]) * i_dt
+        mom[i] = m
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -426,65 +432,59 @@ def _unsteady_heat(
     """Wall heat with memory: the thermal twin of the unsteady drag, at the thermal diffusivity."""
     cv = r_gas / (gamma - 1.0)
     i_cv = 1.0 / cv
-    i_dt = prandtl / dt
-    per_s = 1.0 / dt
+    i_dt = 1.0 / dt
+    per_heat = dt * i_cv
     for i in range(n):
         r = ri[i]
         v0 = mom[i] * r
         t0 = (ene[i] * r - 0.5 * v0 * v0) * i_cv
-        xi = rho[i] * stay[i] * i_dt
+        xi = prandtl * rho[i] * stay[i]
         f = fade[i]
         a = a1[i]
-        b0 = M0 * xi * (1.0 - a)
-        g0 = a * f
+        b0 = M0 - M0 * a
+        x0 = y0[i]
+        z0 = a * x0
         a *= a
         a *= a
-        b1 = M1 * 0.25 * xi * (1.0 - a)
-        g1 = a * f
+        b1 = M1 * 0.25 - M1 * 0.25 * a
+        x1 = y1[i]
+        z1 = a * x1
         a *= a
         a *= a
-        b2 = M2 * 0.0625 * xi * (1.0 - a)
-        g2 = a * f
+        b2 = M2 * 0.0625 - M2 * 0.0625 * a
+        x2 = y2[i]
+        z2 = a * x2
         a *= a
         a *= a
-        b3 = M3 * 0.015625 * xi * (1.0 - a)
-        g3 = a * f
+        b3 = M3 * 0.015625 - M3 * 0.015625 * a
+        x3 = y3[i]
+        z3 = a * x3
         a *= a
         a *= a
-        b4 = M4 * 0.00390625 * xi * (1.0 - a)
-        g4 = a * f
+        b4 = M4 * 0.00390625 - M4 * 0.00390625 * a
+        x4 = y4[i]
+        z4 = a * x4
         a *= a
         a *= a
-        b5 = M5 * 0.0009765625 * xi * (1.0 - a)
-        g5 = a * f
-        h = dt * r * i_cv
+        b5 = M5 * 0.0009765625 - M5 * 0.0009765625 * a
+        x5 = y5[i]
+        z5 = a * x5
+        h = per_heat * r
         c = h * unst[i]
         q = h * heat[i] * (1.0 + heat_turb[i] * (phi[i] - 1.0))
-        x0 = y0[i]
-        z0 = g0 * x0
-        x1 = y1[i]
-        z1 = g1 * x1
-        x2 = y2[i]
-        z2 = g2 * x2
-        x3 = y3[i]
-        z3 = g3 * x3
-        x4 = y4[i]
-        z4 = g4 * x4
-        x5 = y5[i]
-        z5 = g5 * x5
-        b = 0.5 * (b0 + b1 + b2 + b3 + b4 + b5)
-        s = 0.5 * ((x0 + x1 + x2 + x3 + x4 + x5) + (z0 + z1 + z2 + z3 + z4 + z5))
+        b = 0.5 * xi * (b0 + b1 + b2 + b3 + b4 + b5)
+        s = 0.5 * ((x0 + x1 + x2 + x3 + x4 + x5) + f * (z0 + z1 + z2 + z3 + z4 + z5))
         t = (t0 + q * wall_t[i] - c * (s - b * t_old[i])) / (1.0 + q + c * b)
-        d = t - t_old[i]
-        y0[i] = z0 + b0 * d
-        y1[i] = z1 + b1 * d
-        y2[i] = z2 + b2 * d
-        y3[i] = z3 + b3 * d
-        y4[i] = z4 + b4 * d
-        y5[i] = z5 + b5 * d
+        d = xi * (t - t_old[i])
+        y0[i] = f * z0 + b0 * d
+        y1[i] = f * z1 + b1 * d
+        y2[i] = f * z2 + b2 * d
+        y3[i] = f * z3 + b3 * d
+        y4[i] = f * z4 + b4 * d
+        y5[i] = f * z5 + b5 * d
         g = rho[i] * cv * (t - t0)
         ene[i] += g
-        warm[i] = g * per_s
+        warm[i] = g * i_dt
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -619,7 +619,10 @@ def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
         y = math.exp(e * math.log(x))
         f = p0 * y - wave - z * w
         df_dw = -p0 * e * y / x * 2.0 * k * w - z
-        w = min(max(w - f / df_dw, 0.0), w_max)
+        step = f / df_dw
+        w = min(max(w - step, 0.0), w_max)
+        if abs(step) < 1e-6 * w:  # the next one would be of the order of rounding
+            break
     pf = p0 * math.exp(e * math.log(1.0 - k * w * w))
     tf = t0 - 0.5 * (gamma - 1.0) / (gamma * r_gas) * w * w
     return pf / (r_gas * tf), -w, pf
@@ -809,14 +812,20 @@ def _taper(n, gamma, dt, taper, u, rl, pl, il, rr, pr, ir):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill_ghosts(w, gamma, r_gas, ends, end_u, joint, S, X, res_par, res_p, ch_p, ch_t):
-    """Set the ghost beyond every pipe end to what the end sees."""
+def _fill_ghosts(w, gamma, r_gas, vessels, ends, end_u, joint, S, X, res_par, res_p, ch_p, ch_t):
+    """Set the ghost beyond every pipe end to what the end sees.
+
+    Without ``vessels``, those beyond tanks, chambers and junctions keep their old state: there the
+    flux comes from `_ends`, and only slopes and taps in the last half cell look at the ghost.
+    """
     rho, mom, ene = S[L.RHO], S[L.MOM], S[L.ENE]
     for e in range(ends.shape[0]):
         cell = ends[e, L.E_CELL] * w
         ghost = ends[e, L.E_GHOST] * w
         kind = ends[e, L.E_KIND]
         ref = ends[e, L.E_REF]
+        if not vessels and (kind == L.TANK or kind == L.CHAMBER or kind == L.JUNCTION):
+            continue
         for j in range(w):
             i = cell + j
             g = ghost + j
@@ -1319,7 +1328,7 @@ def advance(
     stay = np.zeros(n)
     for i in range(n):
         # ghosts have no wall; the floor keeps their unused memory finite
-        stay[i] = 1.0 / max(P[L.RELAX, i], 1e-12)
+        stay[i] = 1.0 / (dt * max(P[L.RELAX, i], 1e-12))
     step = 0
     for k in range(n_out):
         for s in range(n_sub):
@@ -1337,18 +1346,19 @@ def advance(
                     soft[2],
                     soft[3],
                 )
+            if step == 0 or compliant or k <= nudge_n:  # else `_conserve` has left it
+                _inverse(n, rho, X[L.W_RI])
             _primitive(
                 n,
                 gamma,
                 r_gas,
-                rho,
                 mom,
                 ene,
+                X[L.W_RI],
                 X[L.W_U],
                 X[L.W_P],
                 X[L.W_C],
                 X[L.W_T],
-                X[L.W_RI],
             )
             for c in range(n_ch):
                 for j in range(w):
@@ -1390,7 +1400,10 @@ def advance(
 
             if joints:
                 _joints(w, gamma, 1, ends, P, S, X, joint)
-            _fill_ghosts(w, gamma, r_gas, ends, end_u, joint, S, X, res_par, res_p, ch_p, ch_t)
+            vessels = order == 2 or s == n_sub - 1 or k < nudge_n
+            _fill_ghosts(
+                w, gamma, r_gas, vessels, ends, end_u, joint, S, X, res_par, res_p, ch_p, ch_t
+            )
             if order == 1:
                 rr, ur, pr_, ir = rho, X[L.W_U], X[L.W_P], X[L.W_RI]
                 rl, ul, pl, il = rr, ur, pr_, ir
@@ -1567,6 +1580,7 @@ def advance(
                 X[L.W_FM],
                 X[L.W_FP],
                 X[L.W_FE],
+                X[L.W_RI],
             )
             if compliant:  # the wall acts on the gas as it now is
                 _take_gas(
@@ -1582,6 +1596,7 @@ def advance(
                     soft[2],
                     soft[3],
                 )
+                _inverse(n, rho, X[L.W_RI])
             # Drag ratio and decay factors follow density and Reynolds number, which change little
             # within a few steps: refreshed every WALL_EVERY steps.
             if step % WALL_EVERY == 0:
@@ -1602,7 +1617,6 @@ def advance(
                     )
             step += 1
             if unsteady:
-                _inverse(n, rho, X[L.W_RI])
                 _unsteady_heat(
                     n,
                     gamma,

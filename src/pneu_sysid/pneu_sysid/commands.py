@@ -148,6 +148,7 @@ def fit(
     robust: Annotated[bool, typer.Option(help="Huber loss, for recordings with outliers.")] = False,
     hold_out: Annotated[bool, typer.Option(help="Keep a third of the recording aside.")] = False,
     iterations: Annotated[int, typer.Option(help="Gauss-Newton iterations.", min=1)] = 8,
+    effects: EffectsPath = None,
     json_path: JsonPath = None,
     report: HtmlPath = None,
     workers: Workers = None,
@@ -156,6 +157,8 @@ def fit(
     console = _console()
     for path in (output, json_path, report):
         _writable(path)
+    if effects is not None:
+        load_effect_file(effects)
     start = load_rig(rig)
     recording = _read(bag, start, console)
     with _progress() as bar:
@@ -253,6 +256,7 @@ def compare(
     bag: BagPath,
     rig: Annotated[list[Path], typer.Option("--rig", help="Rig file; repeat to compare several.")],
     refine: Annotated[bool, typer.Option(help="Run the first model on a finer grid too.")] = True,
+    effects: EffectsPath = None,
     json_path: JsonPath = None,
     report: HtmlPath = None,
 ) -> None:
@@ -260,6 +264,8 @@ def compare(
     console = _console()
     for path in (json_path, report):
         _writable(path)
+    if effects is not None:
+        load_effect_file(effects)
     rigs = [load_rig(path) for path in rig]
     recording = _read(bag, rigs[0], console)
     with _progress() as bar:
