@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A real ventilator breathing a test lung: compared, fitted and diagnosed, with what is left unsaid.
+"""A real ventilator breathing a test lung: compared, fitted, diagnosed, and what stays unexplained.
 
 Run ``python examples/ventilator.py``. The rig is fitted to one recording; the last line shows the
 same calibration on another recording, of another setting, which it was never shown.
@@ -27,7 +27,7 @@ RIG = ROOT / "rigs" / "ventilator.yaml"
 FITTED = DATA / "air_pc_1.dat"
 OTHER = DATA / "air_pc_3.dat"
 OTHER_START_S = 1.7
-"""The other recording begins within a breath; from here on its breaths begin as the fitted one's."""
+"""The other recording begins within a breath; from here on it starts between two, as the first."""
 
 
 @dataclass(frozen=True)

@@ -343,15 +343,15 @@ def _unsteady_drag(
     """Wall friction with memory by recursive convolution (Zielke 1968, Kagawa 1983).
 
     Steady part and memory are solved together, implicitly in the new velocity; the memory acts with
-    its mean of before and after. ``stay`` is the inverse of the slowest decay per step, times
-    density; ``ri`` the inverse density.
+    its mean of before and after. ``stay`` is the inverse of the slowest decay rate times density;
+    ``ri`` the inverse density.
     """
     i_dt = 1.0 / dt
     half = 0.5 * dt
     for i in range(n):
         r = ri[i]
         v0 = mom[i] * r
-        xi = rho[i] * stay[i]
+        xi = rho[i] * stay[i] * i_dt
         f = fade[i]
         a = a1[i]
         b0 = M0 - M0 * a
@@ -433,12 +433,13 @@ def _unsteady_heat(
     cv = r_gas / (gamma - 1.0)
     i_cv = 1.0 / cv
     i_dt = 1.0 / dt
+    i_rate = prandtl / dt
     per_heat = dt * i_cv
     for i in range(n):
         r = ri[i]
         v0 = mom[i] * r
         t0 = (ene[i] * r - 0.5 * v0 * v0) * i_cv
-        xi = prandtl * rho[i] * stay[i]
+        xi = rho[i] * stay[i] * i_rate
         f = fade[i]
         a = a1[i]
         b0 = M0 - M0 * a
@@ -1328,7 +1329,7 @@ def advance(
     stay = np.zeros(n)
     for i in range(n):
         # ghosts have no wall; the floor keeps their unused memory finite
-        stay[i] = 1.0 / (dt * max(P[L.RELAX, i], 1e-12))
+        stay[i] = 1.0 / max(P[L.RELAX, i], 1e-12)
     step = 0
     for k in range(n_out):
         for s in range(n_sub):

@@ -2,7 +2,7 @@
 """Candidate effects against the residual of a rig: score, quick refit, held-out gain."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from pneu_sim.effects import Effect, registry
 from pneu_sim.effects.base import POSITION
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sysid.fit import residual_function
-from pneu_sysid.gauss_newton import Variable, minimise
+from pneu_sysid.gauss_newton import Variable, huber_cost, minimise
 from pneu_sysid.problem import Problem
 
 Floats = NDArray[np.float64]
@@ -20,6 +20,8 @@ SECANT = 0.5
 """Sensitivities are secants at this fraction of an effect's typical strength: effects such as a
 blockage or a dead-band start flatter or steeper at zero than they go on."""
 REFIT_ITERATIONS = 5
+POSITIONS = 11
+"""Positions along a pipe that are looked at again once the strength is known."""
 
 
 @dataclass(frozen=True)
@@ -242,12 +244,18 @@ def refit(
         return Site(site.effect, site.place, shape)
 
     used = ~problem.held_out
-    estimate = minimise(
-        residual_function(problem, used, lambda x: placed(x).attached(rig, float(x[0]))),
-        variables,
-        iterations=iterations,
-        tolerance=3e-3,
-    )
+    residuals = residual_function(problem, used, lambda x: placed(x).attached(rig, float(x[0])))
+    # whatever else is wrong in the recording must not bend the estimate
+    estimate = minimise(residuals, variables, iterations, tolerance=3e-3, robust=True)
+    if position is not None:
+        # The misfit has several valleys along a pipe: look into all of them at the strength found.
+        spots = np.linspace(variables[1].lower, variables[1].upper, POSITIONS)
+        tried = [np.array([estimate.values[0], spot]) for spot in spots]
+        costs = [huber_cost(r) for r in residuals(tried)]
+        if min(costs) < huber_cost(estimate.residual):
+            at = tried[int(np.argmin(costs))]
+            again = [replace(v, value=float(x)) for v, x in zip(variables, at, strict=True)]
+            estimate = minimise(residuals, again, iterations, tolerance=3e-3, robust=True)
     fitted = placed(estimate.values)
     better = fitted.attached(rig, float(estimate.values[0]))
     residual = residual_matrix(problem, problem.predict([better])[0])

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_sim.errors import InputError
 from pneu_sim.rig.schema import Calibration, FitParameter, Rig
 from pneu_sysid.gauss_newton import Estimate, Variable, minimise
 from pneu_sysid.parameters import curve_ties, default_parameters, rig_at, variables_of
@@ -111,8 +112,16 @@ def fit_rig(
 
     Returns:
         The outcome.
+
+    Raises:
+        InputError: The rig has nothing to fit.
     """
     chosen_parameters = parameters or rig.fit.parameters or default_parameters(rig)
+    if not chosen_parameters:
+        raise InputError(
+            f"rig {rig.name!r}: fit.parameters is empty and a {rig.model} model of this rig has no"
+            " parameters by default, at least one is needed"
+        )
     first = variables_of(rig, chosen_parameters)
     start = [
         float(np.exp(v.value)) if p.log else v.value

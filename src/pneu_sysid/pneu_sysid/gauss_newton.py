@@ -104,11 +104,18 @@ def _weights(r: Floats, robust: bool) -> Floats:
     return np.sqrt(np.minimum(1.0, HUBER / np.maximum(np.abs(r), 1e-12)))
 
 
-def _cost(r: Floats, robust: bool) -> float:
-    if not robust:
-        return 0.5 * float(np.sum(r * r))
+def huber_cost(r: Floats) -> float:
+    """Robust half sum of squares: linear beyond ``HUBER`` noise deviations.
+
+    Args:
+        r: Residuals in noise units, any shape.
+    """
     a = np.abs(r)
     return float(np.sum(np.where(a <= HUBER, 0.5 * a * a, HUBER * (a - 0.5 * HUBER))))
+
+
+def _cost(r: Floats, robust: bool) -> float:
+    return huber_cost(r) if robust else 0.5 * float(np.sum(r * r))
 
 
 def minimise(

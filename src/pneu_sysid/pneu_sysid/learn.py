@@ -17,6 +17,7 @@ from pneu_sysid.candidates import Refit, all_sites, best_per_place, residual_mat
 from pneu_sysid.diagnose import WORTH, Diagnosis, diagnose, floor_of
 from pneu_sysid.fit import fit_rig, residual_function, tap_rmse
 from pneu_sysid.gauss_newton import Estimate, Variable, minimise
+from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.results import LearnResult, Step, Verdict, pneu_version, write_json
@@ -25,6 +26,8 @@ Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 MOST_EFFECTS = 4
+UNEXPLAINED = 0.35
+"""Part of the excess that must remain for the catalogue to be called insufficient."""
 AT_FLOOR = 1.1
 """A squared error within this multiple of the floor needs no further diagnosis."""
 
@@ -100,6 +103,8 @@ def refit_effects(
         variables,
         iterations=iterations,
         tolerance=2e-3,
+        # whatever else is wrong in the recording must not bend the estimate
+        robust=True,
     )
     return rig_of(estimate.values), estimate
 
@@ -227,7 +232,7 @@ def learn(
         What was learned.
     """
     tell = progress or (lambda stage, done: None)
-    if rig.calibration is None:
+    if rig.calibration is None and (rig.fit.parameters or default_parameters(rig)):
         tell("fit", 0.0)
         rig = fit_rig(rig, recording, hold_out=True, workers=workers).rig
         tell("fit", 1.0)
@@ -323,7 +328,12 @@ def _conclude(state: Learned, given: int, ambiguous: list[str]) -> None:
     )
     if ambiguous:
         state.sentence += f"; not to be told from {', '.join(sorted(set(ambiguous)))}"
-    if last is not None and last.verdict == "unknown" and last.excess > 2.0:
+    start = state.diagnoses[0].excess - 1.0 if state.diagnoses else 0.0
+    if (
+        last is not None
+        and last.verdict == "unknown"
+        and last.excess - 1.0 > max(1.0, UNEXPLAINED * start)
+    ):
         state.verdict = "unknown"
         state.sentence += "; more is missing that the catalogue does not hold"
     state.sentence += "."

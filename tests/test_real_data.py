@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measurements of others: the leak of real chambers is named and sized, a ventilator is fitted."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples import closed_chambers, ventilator
+from numpy.typing import NDArray
+
+from pneu_sim.rig import load_rig
+from pneu_sysid.diagnose import diagnose, result_of_diagnosis
+from pneu_sysid.learn import add_effect
+from pneu_sysid.problem import make_problem, record_for
+from pneu_sysid.results import result_of, write_json
+
+VERDICTS = {"nothing_missing", "effect", "ambiguous", "unknown"}
+LEAKS = {"chamber_leak", "leak"}
+
+
+def readings(name: str, begin_s: float, end_s: float) -> tuple[NDArray, NDArray]:
+    """Time and gauge pressure in bar straight from a file, by no code of this repository."""
+    rows = [line.split(";") for line in (closed_chambers.DATA / f"{name}.csv").read_text().split()]
+    # 31.102.000 is 31102.000 ms: without dots, microseconds
+    time_s = np.array([float(row[0].replace(".", "")) for row in rows]) * 1e-6
+    gauge = np.array([float(row[2]) for row in rows])
+    chosen = (time_s >= begin_s) & (time_s <= end_s)
+    return time_s[chosen], gauge[chosen]
+
+
+# The first of the times is what the measurements are known for; the 0.15 mm print's decay slows
+# down as pressure falls, and over all of its recording averages to about 30 s.
+@pytest.mark.parametrize(
+    ("name", "known_s", "within"),
+    [("Aluminium", 31000.0, 0.10), ("Prusa", None, None), ("Ultimaker_015", 30.0, 0.5)],
+)
+def test_leak_of_a_closed_chamber(name: str, known_s: float | None, within: float | None) -> None:
+    chamber = closed_chambers.study(name)
+
+    assert chamber.found.verdict in {"effect", "ambiguous"}
+    assert chamber.found.finalists[0].site.effect.name in LEAKS
+    # A hole in the chamber and one in the stub on it are one thing to a sensor at rest.
+    other = {label.partition("@")[0] for label in chamber.found.alike(0)}
+    assert other == LEAKS - {chamber.found.finalists[0].site.effect.name}
+    for model in chamber.compared.models:
+        assert model.times_noise is not None and model.times_noise > 5.0
+    assert chamber.after.held_out_times_noise < 0.65 * chamber.before.held_out_times_noise
+
+    time_s, gauge = readings(name, 10.0, 10.0 + float(chamber.recording.time_s[-1]))
+    slope = np.polyfit(time_s, np.log(gauge), 1)[0]
+    assert chamber.tau_s == pytest.approx(-1.0 / slope, rel=0.10)
+    assert 0.0 < chamber.tau_error_s < 0.15 * chamber.tau_s
+    if known_s is not None:
+        assert chamber.tau_s == pytest.approx(known_s, rel=within)
+
+
+def test_both_models_find_the_same_leak() -> None:
+    rig = load_rig(closed_chambers.RIG)
+    recording = closed_chambers.stretch_of(rig, closed_chambers.DATA / "Ultimaker_020.csv")
+    rig = closed_chambers.cut(rig, recording)
+    areas = [
+        add_effect(r, recording, "chamber_leak", "chamber")[0].effects[-1].parameters["area_m2"]
+        for r in (rig, rig.model_copy(update={"model": "pde"}))
+    ]
+    assert areas[1] == pytest.approx(areas[0], rel=0.05)
+
+
+def test_ventilator(tmp_path: Path) -> None:
+    nominal = load_rig(ventilator.RIG)
+    recording = record_for(nominal, str(ventilator.FITTED))
+    # kilopascals: the loop holds the airway near its setpoint of 15 cmH2O
+    gauge = recording.pressures["airway"] - nominal.ambient.pressure_pa
+    assert np.quantile(gauge, 0.9) / 98.0665 == pytest.approx(15.0, rel=0.1)
+
+    fitted = ventilator.fit_rig(nominal, recording, hold_out=True, stages_s=())
+    problem = make_problem(nominal, recording)
+    error = problem.target() - problem.predict([nominal])[0]
+    before = float(np.sqrt(np.nanmean(error[problem.held_out] ** 2)))
+    swing = float(np.nanstd(recording.pressures["airway"]))
+    assert before > 500.0
+    assert fitted.held_out_rmse_pa["airway"] < 0.06 * before
+    assert fitted.held_out_rmse_pa["airway"] < 0.1 * swing
+
+    found = diagnose(fitted.rig, recording, refine=False)
+    result = result_of_diagnosis("ventilator", found, [])
+    write_json(tmp_path / "diagnose.json", result)
+    data = json.loads((tmp_path / "diagnose.json").read_text(), parse_constant=pytest.fail)
+    assert result_of(data).as_dict() == data
+    assert data["verdict"] in VERDICTS
+    # The loop's flutter on the plateau is no part of the sensor's noise, and is not explained.
+    assert data["rmse_pa"]["airway"] > 3.0 * data["noise_floor_pa"]["airway"]
