@@ -594,16 +594,15 @@ def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
     Returns:
         Density, outward velocity and pressure at the end.
     """
-    c = math.sqrt(gamma * p / d)
-    z = d * c
+    z = math.sqrt(gamma * p * d)
     wave = p + z * v
     if wave >= p0:
         out = (wave - p0) / z
         pf = p0
         df = d * math.exp(math.log(pf / p) / gamma)
-        cf = math.sqrt(gamma * pf / df)
-        if out > cf:
+        if out * out * df > gamma * pf:
             # sonic at the face: along the isentrope of the end cell
+            c = z / d
             g = (gamma - 1.0) / (gamma + 1.0)
             cf = 2.0 / (gamma + 1.0) * c + g * v
             out = cf
@@ -614,7 +613,9 @@ def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
     k = 0.5 * (gamma - 1.0) * (1.0 + loss) / c0sq
     e = gamma / (gamma - 1.0)
     w_max = math.sqrt(2.0 / (gamma + 1.0) * c0sq / (1.0 + loss))
-    w = min((p0 - wave) / z, w_max)
+    # Bernoulli's law to first order in the velocity head, then Newton's method.
+    drive = p0 - wave
+    w = min(2.0 * drive / (z + math.sqrt(z * z + 4.0 * e * k * p0 * drive)), w_max)
     for _ in range(4):
         x = max(1.0 - k * w * w, 0.05)
         y = math.exp(e * math.log(x))
@@ -624,7 +625,7 @@ def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
         w = min(max(w - step, 0.0), w_max)
         if abs(step) < 1e-6 * w:  # the next one would be of the order of rounding
             break
-    pf = p0 * math.exp(e * math.log(1.0 - k * w * w))
+    pf = wave + z * w if w < w_max else p0 * math.exp(e * math.log(1.0 - k * w * w))
     tf = t0 - 0.5 * (gamma - 1.0) / (gamma * r_gas) * w * w
     return pf / (r_gas * tf), -w, pf
 

@@ -14,9 +14,9 @@ from pneu_sim.errors import InputError
 from pneu_sim.rig import save_rig, with_parameters
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sysid.candidates import Refit, all_sites, best_per_place, residual_matrix, score
-from pneu_sysid.diagnose import WORTH, Diagnosis, diagnose, floor_of
+from pneu_sysid.diagnose import EQUALLY_GOOD, WORTH, Diagnosis, diagnose, floor_of
 from pneu_sysid.fit import fit_rig, residual_function, tap_rmse
-from pneu_sysid.gauss_newton import Estimate, Variable, minimise
+from pneu_sysid.gauss_newton import Estimate, Variable, huber_cost, minimise
 from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
@@ -26,6 +26,8 @@ Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 MOST_EFFECTS = 4
+MATES = 3
+"""Look-alikes of an added effect that are tried again in its place after the next addition."""
 UNEXPLAINED = 0.35
 """Part of the excess that must remain for the catalogue to be called insufficient."""
 AT_FLOOR = 1.1
@@ -242,6 +244,7 @@ def learn(
     state = Learned(rig, steps, [], "nothing_missing", "", [rig])
     given = len(rig.effects)
     ambiguous: list[str] = []
+    mates: list[list[AttachedEffect]] = []
     _save(state, problem, out)
     while True:
         count = len(state.rig.effects) - given
@@ -273,10 +276,30 @@ def learn(
         )
         if gain < WORTH:
             break
-        ambiguous += found.alike(0)
+        labels = set(found.alike(0))
+        alike = [r for r in found.finalists[1:] if r.site.label in labels][:MATES]
+        mates.append([r.rig.effects[-1] for r in alike])
+        if count:
+            better, estimate, after, mates = _reconsider(
+                problem, better, estimate, after, given, mates
+            )
+            rmse, held = _per_tap(problem, after)
+        ambiguous[:] = [_label(e) for options in mates for e in options]
         errors = dict(zip(_names(better, given, count), estimate.std_errors, strict=True))
         strength = find_effect(better.effects[-1].effect).strength.name
         residual = after
+        for k, step in enumerate(state.steps[1:]):
+            now = better.effects[given + k]
+            if _label(now) != f"{step.added}@{step.place}":
+                effect = find_effect(now.effect)
+                state.steps[k + 1] = step.model_copy(
+                    update={
+                        "added": now.effect,
+                        "place": _label(now).split("@", 1)[1],
+                        "strength": now.parameters.get(effect.strength.name),
+                        "unit": effect.strength.unit,
+                    }
+                )
         state.rig = better
         state.rigs.append(better)
         state.steps.append(
@@ -295,6 +318,64 @@ def learn(
     _conclude(state, given, ambiguous)
     _save(state, problem, out)
     return state
+
+
+def _label(effect: AttachedEffect) -> str:
+    place = effect.place
+    if POSITION in effect.parameters:
+        place += f":{effect.parameters[POSITION]:.2f}"
+    return f"{effect.effect}@{place}"
+
+
+def _per_tap(problem: Problem, residual: Floats) -> tuple[dict[str, float], dict[str, float]]:
+    """Error per tap of a residual, on the used and on the held-out part."""
+    r = residual.reshape(len(problem.starts), problem.horizon, -1) * problem.noise_pa
+    seen = np.isfinite(problem.target())
+
+    def rms(part: NDArray[np.bool_]) -> dict[str, float]:
+        return {
+            tap: float(np.sqrt(np.mean(r[part][:, :, k][seen[part][:, :, k]] ** 2)))
+            for k, tap in enumerate(problem.taps)
+            if seen[part][:, :, k].any()
+        }
+
+    return rms(~problem.held_out), rms(problem.held_out)
+
+
+def _reconsider(
+    problem: Problem,
+    rig: Rig,
+    estimate: Estimate,
+    residual: Floats,
+    given: int,
+    mates: list[list[AttachedEffect]],
+) -> tuple[Rig, Estimate, Floats, list[list[AttachedEffect]]]:
+    """Tries the look-alikes of earlier additions again, now that another effect is in the model.
+
+    What could not be told apart while something else was missing often can be afterwards.
+    """
+    indices = list(range(given, len(rig.effects)))
+    kept = [list(options) for options in mates]
+    for k, options in enumerate(mates[:-1]):
+        still: list[AttachedEffect] = []
+        for option in options:
+            effects = list(rig.effects)
+            replaced, effects[given + k] = effects[given + k], option
+            other, found = refit_effects(
+                problem, rig.model_copy(update={"effects": effects}), indices, iterations=3
+            )
+            r = residual_matrix(problem, problem.predict([other])[0])
+            new, old = huber_cost(r), huber_cost(residual)
+            if new < old:
+                if old <= EQUALLY_GOOD * new:
+                    still.append(replaced)
+                else:
+                    still = []
+                rig, estimate, residual = other, found, r
+            elif new <= EQUALLY_GOOD * old:
+                still.append(option)
+        kept[k] = still
+    return rig, estimate, residual, kept
 
 
 def _at_floor(problem: Problem, rig: Rig, residual: Floats) -> bool:
