@@ -83,7 +83,7 @@ def nanoseconds(cells: int, batch: int, order: int, budget_s: float = 1.0) -> fl
         simulator.run(0.005, {"voltage": 7.5})  # gas moves, and the walls remember
         tiles.append(simulator._tile)
     plan = tiles[0].plan
-    steps = max(20, 100_000 // (cells * width))
+    steps = max(20, 200_000 // (cells * width))
     opening = np.full((KNOTS_PER_SAMPLE + 1, plan.ports.shape[0], width), 0.5)
 
     def run() -> None:

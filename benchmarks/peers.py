@@ -6,7 +6,9 @@ A peer that is not installed is left out with a note; clawpack needs a Fortran c
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import tempfile
 from typing import Any, Protocol
 
 import numpy as np
@@ -44,7 +46,8 @@ class PyClaw:
     kernel_language = "Fortran"
 
     def __init__(self, cells: int, order: int) -> None:
-        from clawpack import pyclaw, riemann
+        with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+            from clawpack import pyclaw, riemann  # opens a log file where it is imported
 
         logging.getLogger("pyclaw").setLevel(logging.ERROR)
         self._pyclaw, self._order, self._cells = pyclaw, order, cells

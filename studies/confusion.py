@@ -9,6 +9,7 @@ as they come, so an interrupted run goes on; ``docs/confusion.md`` shows them.
 import argparse
 import json
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -109,10 +110,10 @@ def main(arguments: list[str] | None = None) -> int:
     store = ROOT / "out" / "confusion.json"
     store.parent.mkdir(exist_ok=True)
     done = json.loads(store.read_text()) if store.exists() else {}
-    import time
-
+    planned = cases(rig, options.seeds)
+    total = len(planned)
     started = time.monotonic()
-    for name, place, values, multiple, seed in cases(rig, options.seeds):
+    for name, place, values, multiple, seed in planned:
         key = f"{name}@{place} x{multiple:g} #{seed}"
         if key in done:
             continue
@@ -142,12 +143,12 @@ def main(arguments: list[str] | None = None) -> int:
         part.write_text(json.dumps(done, indent=1))
         part.replace(store)
         console.print(key, "->", done[key]["verdict"], done[key]["named"], done[key]["alike"])
-    (ROOT / "docs" / "confusion.md").write_text(page(done), encoding="utf-8")
-    console.print(page(done))
+    (ROOT / "docs" / "confusion.md").write_text(page(done, total), encoding="utf-8")
+    console.print(page(done, total))
     return 0
 
 
-def page(done: dict[str, dict]) -> str:  # type: ignore[type-arg]
+def page(done: dict[str, dict], total: int) -> str:  # type: ignore[type-arg]
     """The results as a page: matrix by effect, recall, precision, false alarms."""
     healthy = [r for r in done.values() if r["injected"] == "none"]
     faulty = [r for r in done.values() if r["injected"] != "none"]
@@ -170,6 +171,8 @@ def page(done: dict[str, dict]) -> str:  # type: ignore[type-arg]
         " whose residual stays within 10 % of the noise does not show its effect and is not counted"
         " in the recall.",
         "",
+        f"* injections and healthy recordings run: {len(done)} of {total}"
+        + ("" if len(done) == total else " (run again to go on)"),
         f"* recall, first name: {share(exact, felt)}",
         f"* recall, named or declared inseparable from the name: {share(tied, felt)}",
         f"* precision of the names given: {share(right, named)}",

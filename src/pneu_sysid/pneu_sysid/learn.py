@@ -14,7 +14,7 @@ from pneu_sim.errors import InputError
 from pneu_sim.rig import save_rig, with_parameters
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sysid.candidates import Refit, all_sites, best_per_place, residual_matrix, score
-from pneu_sysid.diagnose import EQUALLY_GOOD, WORTH, Diagnosis, diagnose, floor_of
+from pneu_sysid.diagnose import EQUALLY_GOOD, FINALISTS, WORTH, Diagnosis, diagnose, floor_of
 from pneu_sysid.fit import fit_rig, residual_function, tap_rmse
 from pneu_sysid.gauss_newton import Estimate, Variable, huber_cost, minimise
 from pneu_sysid.parameters import default_parameters
@@ -253,7 +253,7 @@ def learn(
         found = diagnose(
             state.rig,
             recording,
-            finalists=8 if count == 0 else 5,
+            finalists=FINALISTS if count == 0 else FINALISTS // 2,
             refine=count == 0,
             workers=workers,
             progress=progress,
