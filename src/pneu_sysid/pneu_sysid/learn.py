@@ -13,7 +13,7 @@ from pneu_sim.effects.base import POSITION
 from pneu_sim.errors import InputError
 from pneu_sim.rig import save_rig, with_parameters
 from pneu_sim.rig.schema import AttachedEffect, Rig
-from pneu_sysid.candidates import Refit, all_sites, best_per_place, residual_matrix, score
+from pneu_sysid.candidates import all_sites, best_per_place, residual_matrix, score
 from pneu_sysid.diagnose import EQUALLY_GOOD, FINALISTS, WORTH, Diagnosis, diagnose, floor_of
 from pneu_sysid.fit import fit_rig, residual_function, tap_rmse
 from pneu_sysid.gauss_newton import Estimate, Variable, huber_cost, minimise
@@ -191,11 +191,7 @@ def _step(
     std_error: float | None = None,
 ) -> Step:
     effect = find_effect(added.effect) if added is not None else None
-    place = None
-    if added is not None:
-        place = added.place
-        if POSITION in added.parameters:
-            place += f":{added.parameters[POSITION]:.2f}"
+    place = None if added is None else _label(added).split("@", 1)[1]
     strength = None
     if added is not None and effect is not None:
         strength = added.parameters.get(effect.strength.name)
@@ -283,7 +279,7 @@ def learn(
             better, estimate, after, mates = _reconsider(
                 problem, better, estimate, after, given, mates
             )
-            rmse, held = _per_tap(problem, after)
+            after, rmse, held = _errors(problem, better)
         ambiguous[:] = [_label(e) for options in mates for e in options]
         errors = dict(zip(_names(better, given, count), estimate.std_errors, strict=True))
         strength = find_effect(better.effects[-1].effect).strength.name
@@ -325,21 +321,6 @@ def _label(effect: AttachedEffect) -> str:
     if POSITION in effect.parameters:
         place += f":{effect.parameters[POSITION]:.2f}"
     return f"{effect.effect}@{place}"
-
-
-def _per_tap(problem: Problem, residual: Floats) -> tuple[dict[str, float], dict[str, float]]:
-    """Error per tap of a residual, on the used and on the held-out part."""
-    r = residual.reshape(len(problem.starts), problem.horizon, -1) * problem.noise_pa
-    seen = np.isfinite(problem.target())
-
-    def rms(part: NDArray[np.bool_]) -> dict[str, float]:
-        return {
-            tap: float(np.sqrt(np.mean(r[part][:, :, k][seen[part][:, :, k]] ** 2)))
-            for k, tap in enumerate(problem.taps)
-            if seen[part][:, :, k].any()
-        }
-
-    return rms(~problem.held_out), rms(problem.held_out)
 
 
 def _reconsider(
@@ -455,12 +436,3 @@ def _save(state: Learned, problem: Problem, out: Path | None) -> None:
     findings = [str(f) for f in problem.recording.report]
     result = result_of_learning(state.rig.name, state, problem, findings, str(out))
     write_json(out / "learn.json", result)
-
-
-def strongest(found: Diagnosis) -> Refit | None:
-    """The best refitted candidate of a diagnosis.
-
-    Args:
-        found: The diagnosis.
-    """
-    return found.finalists[0] if found.finalists else None
