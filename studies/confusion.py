@@ -29,6 +29,8 @@ RATE_HZ = 500.0
 NOISE_PA = 250.0
 STRENGTHS = (1.0, 2.0)
 """Injected strengths, as multiples of each effect's typical one."""
+HEALTHY = 10
+"""Recordings with nothing injected, per seed."""
 
 
 def commands(seconds: float, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -66,7 +68,7 @@ def synthetic(rig: Rig, seconds: float, seed: int, name: str) -> Recording:
 def cases(rig: Rig, seeds: int) -> list[tuple[str, str, dict[str, float], float, int]]:
     """(effect, place, values, multiple, seed) of every injection, healthy ones first."""
     out: list[tuple[str, str, dict[str, float], float, int]] = [
-        ("none", "", {}, 0.0, 100 + s) for s in range(3 * seeds)
+        ("none", "", {}, 0.0, 100 + s) for s in range(HEALTHY * seeds)
     ]
     for effect in registry().values():
         places = effect.places(rig)
@@ -158,7 +160,7 @@ def page(done: dict[str, dict], total: int) -> str:  # type: ignore[type-arg]
     tied = [r for r in felt if r["named"] == r["injected"] or r["injected"] in r["alike"]]
     named = [r for r in faulty if r["named"]]
     right = [r for r in named if r["named"] == r["injected"] or r["injected"] in r["alike"]]
-    alarms = [r for r in healthy if r["named"]]
+    alarms = [r for r in healthy if r["verdict"] != "nothing_missing"]
 
     def share(a: list, b: list) -> str:  # type: ignore[type-arg]
         return f"{len(a)} of {len(b)}" + (f" ({100 * len(a) / len(b):.0f} %)" if b else "")

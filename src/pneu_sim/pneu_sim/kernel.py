@@ -21,6 +21,9 @@ FAST = {"contract", "nsz", "nnan", "ninf", "arcp"}
 M0, M1, M2, M3, M4, M5 = L.UNSTEADY_WEIGHTS
 ANR_DENSITY = 1.185  # kg/m^3, ISO 6358 reference state
 ANR_TEMPERATURE = 293.15  # K
+LEAST_IMPEDANCE = 0.2
+"""Least part of a line's impedance that a port sees once the velocity head that drives it is taken
+off; with less, the flow would drive itself within a step."""
 WALL_EVERY = 4
 
 
@@ -1017,8 +1020,9 @@ def _ports(
             if m_old > 0.0:
                 if ka == L.SIDE_END:
                     x = port_par[k, L.Q_HEAD, j] * _head(w, j, ia, m_old, ends, P, S, X)
-                    za -= x
-                    pa -= 0.5 * x * m_old
+                    lean = max(za - x, LEAST_IMPEDANCE * za)
+                    pa += (lean - za + 0.5 * x) * m_old
+                    za = lean
                 if kb == L.SIDE_END:
                     x = port_par[k, L.Q_JET, j] * _head(w, j, ib, m_old, ends, P, S, X)
                     zb += x
@@ -1026,13 +1030,18 @@ def _ports(
             elif m_old < 0.0:
                 if kb == L.SIDE_END:
                     x = port_par[k, L.Q_HEAD, j] * _head(w, j, ib, m_old, ends, P, S, X)
-                    zb -= x
-                    pb += 0.5 * x * m_old
+                    lean = max(zb - x, LEAST_IMPEDANCE * zb)
+                    pb -= (lean - zb + 0.5 * x) * m_old
+                    zb = lean
                 if ka == L.SIDE_END:
                     x = port_par[k, L.Q_JET, j] * _head(w, j, ia, m_old, ends, P, S, X)
                     za += x
                     pa += 0.5 * x * m_old
             c = opening[k, j] * port_par[k, L.Q_CONDUCTANCE, j]
+            ratio = port_par[k, L.Q_RATIO, j]
+            width = 1.0 - port_par[k, L.Q_LAMINAR, j]
+            if port_par[k, L.Q_WIDENING, j] != 0.0:
+                width *= min(opening[k, j], 1.0) ** port_par[k, L.Q_WIDENING, j]
             m = iso6358_flow(
                 pa,
                 za,
@@ -1041,8 +1050,8 @@ def _ports(
                 zb,
                 tb,
                 c,
-                port_par[k, L.Q_RATIO, j],
-                port_par[k, L.Q_LAMINAR, j],
+                ratio,
+                1.0 - width,
             )
             up_kind, up_index, up_t = (ka, ia, ta) if m >= 0.0 else (kb, ib, tb)
             h0 = cp * up_t

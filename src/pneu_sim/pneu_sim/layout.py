@@ -104,7 +104,8 @@ Q_AREA: Final = 2  # effective area fully open, m^2 (EFFECTIVE_AREA ports)
 Q_LAMINAR: Final = 3  # pressure ratio above which flow is linear in the pressure drop
 Q_JET: Final = 4  # velocity heads of the entered line that the port's jet does not recover
 Q_HEAD: Final = 5  # share of the velocity head of the line it leaves that drives the port
-PORT_PARAMS: Final = 6
+Q_WIDENING: Final = 6  # exponent with which the linear range grows with the opening
+PORT_PARAMS: Final = 7
 
 # --- reservoir parameter rows ---------------------------------------------------------------------
 R_PRESSURE: Final = 0

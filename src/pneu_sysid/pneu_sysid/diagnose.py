@@ -268,23 +268,18 @@ def _judge(
         problem=problem,
     )
     over = held_sum - floor_sum
-    if top is None:
-        if excess <= WITHIN_FLOOR:
-            result.verdict = "nothing_missing"
-            result.sentence = (
-                "Nothing is missing: the model explains the recording as well as its calibration"
-                " and the sensor noise allow."
-            )
-        else:
-            result.verdict = "unknown"
-    else:
-        rest = left * floor_sum - floor_sum
-        alone = rest <= (1.0 - MOST) * over
+    rest = left * floor_sum - floor_sum
+    alone = rest <= (1.0 - MOST) * over
+    if top is not None and (alone or _second_helps(problem, base, top, scores)):
         alike = result.alike(0)
         result.verdict = "ambiguous" if alike else "effect"
-        if not alone and not _second_helps(problem, base, top, scores):
-            result.verdict = "unknown"
         result.sentence = _sentence(result, top, alike, alone)
+    elif excess <= WITHIN_FLOOR:
+        result.verdict = "nothing_missing"
+        result.sentence = (
+            "Nothing is missing: the model explains the recording as well as its calibration"
+            " and the sensor noise allow."
+        )
     if result.verdict == "unknown":
         change = top.change if top is not None else np.zeros_like(base)
         result.depends_on = dependences(problem, base - change)

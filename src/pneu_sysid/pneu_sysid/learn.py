@@ -30,6 +30,8 @@ MATES = 3
 """Look-alikes of an added effect that are tried again in its place after the next addition."""
 UNEXPLAINED = 0.35
 """Part of the excess that must remain for the catalogue to be called insufficient."""
+CREDIBLE_UNKNOWN = 0.5
+"""What a candidate must explain of the held-out error while more than the catalogue is missing."""
 AT_FLOOR = 1.1
 """A squared error within this multiple of the floor needs no further diagnosis."""
 
@@ -239,7 +241,6 @@ def learn(
     steps = [_step(0, problem, residual, rmse, held)]
     state = Learned(rig, steps, [], "nothing_missing", "", [rig])
     given = len(rig.effects)
-    ambiguous: list[str] = []
     mates: list[list[AttachedEffect]] = []
     _save(state, problem, out)
     while True:
@@ -255,22 +256,15 @@ def learn(
             progress=progress,
         )
         state.diagnoses.append(found)
-        credible = [r for r in found.finalists if r.held_out >= WORTH]
-        if found.verdict == "nothing_missing" or not credible or count >= MOST_EFFECTS:
-            break
-        if found.verdict == "unknown" and credible[0].held_out < 0.5:
+        if count >= MOST_EFFECTS or not _worth_adding(found):
             break
         tell("refit", 0.0)
-        top = found.finalists[0]
         better, estimate = refit_effects(
-            problem, top.rig, list(range(given, given + count + 1)), iterations=3
+            problem, found.finalists[0].rig, list(range(given, given + count + 1)), iterations=3
         )
         after, rmse, held = _errors(problem, better)
         tell("refit", 1.0)
-        gain = 1.0 - float(np.sum(after[problem.held_out] ** 2)) / float(
-            np.sum(residual[problem.held_out] ** 2)
-        )
-        if gain < WORTH:
+        if _held_out_gain(problem, residual, after) < WORTH:
             break
         labels = set(found.alike(0))
         alike = [r for r in found.finalists[1:] if r.site.label in labels][:MATES]
@@ -280,40 +274,61 @@ def learn(
                 problem, better, estimate, after, given, mates
             )
             after, rmse, held = _errors(problem, better)
-        ambiguous[:] = [_label(e) for options in mates for e in options]
+            state.steps[1:] = _steps_anew(problem, better, given, state.steps[1:])
+        added = better.effects[-1]
+        strength = f"effects.{len(better.effects) - 1}.parameters."
+        strength += find_effect(added.effect).strength.name
         errors = dict(zip(_names(better, given, count), estimate.std_errors, strict=True))
-        strength = find_effect(better.effects[-1].effect).strength.name
-        residual = after
-        for k, step in enumerate(state.steps[1:]):
-            now = better.effects[given + k]
-            if _label(now) != f"{step.added}@{step.place}":
-                effect = find_effect(now.effect)
-                state.steps[k + 1] = step.model_copy(
-                    update={
-                        "added": now.effect,
-                        "place": _label(now).split("@", 1)[1],
-                        "strength": now.parameters.get(effect.strength.name),
-                        "unit": effect.strength.unit,
-                    }
-                )
-        state.rig = better
-        state.rigs.append(better)
         state.steps.append(
-            _step(
-                count + 1,
-                problem,
-                after,
-                rmse,
-                held,
-                better.effects[-1],
-                float(errors[f"effects.{len(better.effects) - 1}.parameters.{strength}"]),
-            )
+            _step(count + 1, problem, after, rmse, held, added, float(errors[strength]))
         )
-        _conclude(state, given, ambiguous)
+        state.rig, residual = better, after
+        state.rigs.append(better)
+        _conclude(state, given, [_label(e) for options in mates for e in options])
         _save(state, problem, out)
-    _conclude(state, given, ambiguous)
+    _conclude(state, given, [_label(e) for options in mates for e in options])
     _save(state, problem, out)
     return state
+
+
+def _worth_adding(found: Diagnosis) -> bool:
+    """Whether the best candidate of a diagnosis explains enough of what was held out."""
+    credible = [r for r in found.finalists if r.held_out >= WORTH]
+    if found.verdict == "nothing_missing" or not credible:
+        return False
+    return found.verdict != "unknown" or credible[0].held_out >= CREDIBLE_UNKNOWN
+
+
+def _held_out_gain(problem: Problem, before: Floats, after: Floats) -> float:
+    """Part of the held-out squared error that an addition takes away."""
+    held = problem.held_out
+    return 1.0 - float(np.sum(after[held] ** 2)) / float(np.sum(before[held] ** 2))
+
+
+def _steps_anew(problem: Problem, rig: Rig, given: int, steps: list[Step]) -> list[Step]:
+    """Steps as they would have been with the effects that stand in their places now.
+
+    From the first that is another than its step says, on, each is fitted without the later ones.
+    """
+    out: list[Step] = []
+    swapped = False
+    for k, step in enumerate(steps):
+        now = rig.effects[given + k]
+        stood = (step.added, str(step.place).split(":", 1)[0])
+        swapped = swapped or (now.effect, now.place) != stood
+        if not swapped:
+            out.append(step)
+            continue
+        so_far = rig.model_copy(update={"effects": rig.effects[: given + k + 1]})
+        fitted, estimate = refit_effects(problem, so_far, list(range(given, given + k + 1)))
+        after, rmse, held = _errors(problem, fitted)
+        # strength leads among the variables of an effect
+        last = -len(effect_variables(fitted, given + k))
+        added = fitted.effects[-1]
+        out.append(
+            _step(step.step, problem, after, rmse, held, added, float(estimate.std_errors[last]))
+        )
+    return out
 
 
 def _label(effect: AttachedEffect) -> str:

@@ -51,8 +51,9 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
                 around(f"{base}.conductance_m3_s_pa", 2.0, 0.3)
                 add(f"{base}.critical_ratio", 0.02, 0.7, 0.1)
                 add(f"{base}.laminar_ratio", 0.85, 0.9995, 0.02)
+                add(f"{base}.laminar_widening", 0.0, 4.0, 2.0)
                 add(f"{base}.jet_loss", 0.0, 4.0, 1.0)
-                add(f"{base}.inlet_head", 0.0, 1.0, 0.3)
+                add(f"{base}.inlet_head", 0.0, 2.0, 0.5)
             else:
                 around(f"{base}.area_m2", 3.0, 0.5)
             if not lumped:

@@ -414,6 +414,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
                 p.laminar_ratio,
                 p.jet_loss,
                 p.inlet_head,
+                p.laminar_widening,
             )
             curve[q], curve_v[q] = _curve(p, valve)
             q += 1
@@ -425,6 +426,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
             orifice.laminar_ratio,
             1.0,
             1.0,
+            0.0,
         )
         q += 1
 

@@ -269,11 +269,15 @@ class Port(Part):
         model: ``iso6358`` (sonic conductance) or ``effective_area`` (thesis 5.4).
         conductance_m3_s_pa: Sonic conductance fully open (1 dm^3/(s bar) = 1e-8).
         critical_ratio: Critical pressure ratio b.
-        laminar_ratio: Pressure ratio above which flow is linear in the pressure drop (viscous).
+        laminar_ratio: Pressure ratio above which flow is linear in the pressure drop, fully open.
+        laminar_widening: Exponent n with which that range of ratios, 1 - ``laminar_ratio``, grows
+            with the opening. 0 fixes the ratio, as ISO 6358 does; 2 fixes the slope of the flow
+            where the pressures meet, as a flutter of the flow through the port makes it.
         jet_loss: Velocity heads of the entered pipe that the jet behind the port does not recover;
             1 makes its stagnation pressure the downstream pressure.
         inlet_head: Share of the velocity head of the pipe it leaves that drives the port; 1 makes
-            its stagnation pressure the upstream pressure, as ISO 6358 does.
+            its stagnation pressure the upstream pressure, as ISO 6358 does; 2 is a port that takes
+            gas but none of its momentum, which piles up before it (a tee, a blind end behind it).
         area_m2: Effective area fully open, for ``effective_area``.
         opening: Opening fraction against spool voltage.
         leakage: Opening fraction that remains when the spool closes the port.
@@ -285,8 +289,9 @@ class Port(Part):
     conductance_m3_s_pa: NonNegative = 0.0
     critical_ratio: Ratio = 0.3
     laminar_ratio: Annotated[float, Field(gt=0.8, le=1.0)] = 0.999
+    laminar_widening: Annotated[float, Field(ge=0.0, le=4.0)] = 0.0
     jet_loss: NonNegative = 1.0
-    inlet_head: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
+    inlet_head: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0
     area_m2: NonNegative = 0.0
     opening: Opening
     leakage: NonNegative = 0.0
