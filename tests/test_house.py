@@ -12,10 +12,27 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PACKAGES = ("pneu_sim", "pneu_sysid")
+PACKAGES = ("pneu_sim", "pneu_hw_bridge", "pneu_sysid", "pneu_policy", "pneu_runtime")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 SPDX = "# SPDX-License-Identifier: Apache-2.0"
 
+# What ROS brings on a machine that has it, and pneu_runtime on one that has not.
+ROS_PACKAGES = {
+    "action_msgs",
+    "ament_index_python",
+    "builtin_interfaces",
+    "diagnostic_msgs",
+    "lifecycle_msgs",
+    "pneu_msgs",
+    "rcl_interfaces",
+    "rclpy",
+    "rosgraph_msgs",
+    "sensor_msgs",
+    "std_msgs",
+    "std_srvs",
+    "type_description_interfaces",
+    "unique_identifier_msgs",
+}
 # Import names that differ from the name of the distribution that brings them.
 DISTRIBUTION_OF = {"ruamel": "ruamel.yaml", "mpl_toolkits": "matplotlib"}
 
@@ -77,11 +94,19 @@ def test_setup_py_agrees_with_pyproject(package):
     assert setup["license"] == PROJECT["license"]
 
     of_project = {"console_scripts": PROJECT["scripts"], **PROJECT["entry-points"]}
+    nodes = of_project.pop("pneu.executables")
     expected = {
         group: sorted(f"{name} = {value}" for name, value in entries.items() if package in value)
         for group, entries in of_project.items()
     }
-    assert setup["entry_points"] == {group: lines for group, lines in expected.items() if lines}
+    # `ros2 run` finds the nodes of a package among its console scripts
+    expected["console_scripts"] += [
+        f"{name.partition('.')[2]} = {value}"
+        for name, value in nodes.items()
+        if name.startswith(f"{package}.")
+    ]
+    found = {group: sorted(lines) for group, lines in setup["entry_points"].items()}
+    assert found == {group: sorted(lines) for group, lines in expected.items() if lines}
 
 
 def setup_arguments(path):
@@ -112,6 +137,7 @@ def test_what_the_package_imports_is_declared(package):
         for module in imported_modules(path)
         if module not in sys.stdlib_module_names
         and module not in PACKAGES
+        and module not in ROS_PACKAGES
         and DISTRIBUTION_OF.get(module, module) not in declared
     }
     assert not undeclared, "\n".join(sorted(undeclared))
@@ -133,6 +159,19 @@ def test_package_xml_names_what_the_package_imports(package):
     assert imported == listed
 
 
+@pytest.mark.parametrize("package", PACKAGES)
+def test_numerics_import_without_ros(package):
+    """Only nodes, and the runtime that stands in for ROS, may import what ROS brings."""
+    of_ros = {
+        f"{relative(path)} imports {module}"
+        for path in (ROOT / "src" / package / package).rglob("*.py")
+        if "nodes" not in path.parts and package != "pneu_runtime"
+        for module in imported_at_the_top(path)
+        if module in ROS_PACKAGES
+    }
+    assert not of_ros, "\n".join(sorted(of_ros))
+
+
 def test_the_simulator_does_not_import_the_identification():
     offenders = [
         relative(path)
@@ -149,6 +188,15 @@ def distribution(requirement):
 def imported_modules(path):
     """Top-level names of all absolute imports of a file, also those inside functions."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            yield node.module.partition(".")[0]
+
+
+def imported_at_the_top(path):
+    """Top-level names of the imports that run when a file is imported."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Import):
             yield from (alias.name.partition(".")[0] for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:

@@ -24,7 +24,11 @@ setup(
     description="Gas-dynamic and lumped simulation of pneumatic valves, tubes and chambers",
     license="Apache-2.0",
     entry_points={
-        "console_scripts": ["pneu = pneu_sim.cli:main"],
+        "console_scripts": [
+            "pneu = pneu_sim.cli:main",
+            "simulator = pneu_sim.nodes.simulator:main",
+        ],
         "pneu.commands": ["sim = pneu_sim.commands:register"],
+        "pneu.executables": ["pneu_sim.simulator = pneu_sim.nodes.simulator:main"],
     },
 )

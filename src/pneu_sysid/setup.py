@@ -24,6 +24,14 @@ setup(
     description="Identification of pneumatic rigs from recordings, and of missing physics",
     license="Apache-2.0",
     entry_points={
+        "console_scripts": [
+            "identify = pneu_sysid.nodes.identify:main",
+            "replay = pneu_sysid.nodes.replay:main",
+        ],
         "pneu.commands": ["sysid = pneu_sysid.commands:register"],
+        "pneu.executables": [
+            "pneu_sysid.identify = pneu_sysid.nodes.identify:main",
+            "pneu_sysid.replay = pneu_sysid.nodes.replay:main",
+        ],
     },
 )

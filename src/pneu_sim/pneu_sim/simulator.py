@@ -213,6 +213,26 @@ class Simulator:
         others[c] = self._tile.chamber_state[c]
         self._tile.chamber_state[:] = others
 
+    def set_reservoir(self, reservoir: str, pressure: ArrayLike) -> None:
+        """Changes the pressure of a reservoir from now on, until the next reset.
+
+        Args:
+            reservoir: Name of the reservoir.
+            pressure: Pressure at no flow, absolute, Pa; a number, or one per rig.
+
+        Raises:
+            InputError: There is no such reservoir, or the pressure is not positive.
+        """
+        if reservoir not in self._plan.reservoirs:
+            known = ", ".join(self._plan.reservoirs) or "none"
+            raise InputError(f"the rig has no reservoir {reservoir!r} ({known})")
+        if not (np.isfinite(pressure).all() and np.min(pressure) > 0.0):
+            raise InputError(
+                f"reservoir {reservoir!r}, pressure: found {pressure!r}, must be positive"
+            )
+        # The present pressure follows within the time constant of the reservoir's sag.
+        self._tile.reservoir[self._plan.reservoirs.index(reservoir), L.R_PRESSURE] = pressure
+
     def state(self, pipe: str) -> dict[str, Floats]:
         """Gas in the cells of one pipe.
 

@@ -140,6 +140,8 @@ def fit_rig(
     for horizon_s, dx_m, steps in plan:
         problem = make_problem(rig, recording, horizon_s=horizon_s, dx_m=dx_m, workers=workers)
         used = ~problem.held_out if hold_out else np.ones(len(problem.starts), dtype=bool)
+        if horizon_s is not None and horizon is not None:
+            used &= _thinned(len(problem.starts), rig.fit.warm_up_s, horizon_s, horizon)
         at = now
         # The datasheet stays the centre of the prior through all stages.
         variables = [
@@ -191,6 +193,17 @@ def fit_rig(
         rmse_pa=rmse,
         held_out_rmse_pa=held,
     )
+
+
+def _thinned(count: int, warm_up_s: float, horizon_s: float, full_s: float) -> NDArray[np.bool_]:
+    """Roll-outs of a preliminary stage: as many as cost no more than a pass over the recording.
+
+    Each begins with a warm-up, however short it is.
+    """
+    cost = (warm_up_s + horizon_s) / horizon_s / ((warm_up_s + full_s) / full_s)
+    keep = np.zeros(count, dtype=bool)
+    keep[:: max(1, round(cost))] = True
+    return keep
 
 
 def warnings_of(parameters: list[FitParameter], estimate: Estimate) -> list[str]:

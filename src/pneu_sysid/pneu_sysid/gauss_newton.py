@@ -166,11 +166,10 @@ def minimise(
     r, j = jacobian(residuals, x, variables)
     history.append(total(r, x))
     for iteration in range(iterations):
-        # While the model misses by many noise deviations, its misfit is the noise the prior meets.
-        scale = max(1.0, float(np.sqrt(np.mean(r * r))))
+        w = _weights(r, robust)
+        scale = _noise_of_scores(j * w[..., None], r * w)
         prior = precision * scale
         cost = total(r, x)
-        w = _weights(r, robust)
         flat = (j * w[..., None]).reshape(-1, x.size)
         rhs = (r * w).ravel()
         # residual is measured - model, so the model's sensitivities are -j
@@ -205,6 +204,22 @@ def minimise(
             break
         r, j = jacobian(residuals, x, variables)
     return _summary(x, r, j, variables, prior, history[-1], history, robust, scale * tie_a)
+
+
+def _noise_of_scores(j: Floats, r: Floats) -> float:
+    """By how much the data weigh less than independent samples of unit noise would; at least 1.
+
+    The misfit of an imperfect model lasts over many samples. How the scores ``J^T r`` scatter from
+    roll-out to roll-out, against what white noise would give, says what a prior has to meet (the
+    design effect of cluster sampling, here its median over the variables).
+    """
+    information = np.einsum("smp,smp->p", j, j)
+    seen = information > 0.0
+    if j.shape[0] < 2 or not seen.any():
+        return max(1.0, float(np.sqrt(np.mean(r * r))))
+    scores = np.einsum("smp,sm->sp", j, r)[:, seen]
+    scatter = np.sum((scores - scores.mean(axis=0)) ** 2, axis=0)
+    return max(1.0, float(np.sqrt(np.median(scatter / information[seen]))))
 
 
 def _summary(

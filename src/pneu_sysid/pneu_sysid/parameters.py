@@ -42,6 +42,12 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
         if valve.spool.bandwidth_hz is not None:
             around(f"valves.{v}.spool.bandwidth_hz", 3.0, 0.3)
             add(f"valves.{v}.spool.damping", 0.3, 3.0, 0.4)
+        if not lumped and all(port.model == "iso6358" for port in valve.ports.values()):
+            # One block holds all ports; apart, a recording that seldom opens one tells little of it
+            add(f"valves.{v}.ports.*.laminar_ratio", 0.85, 0.9995, 0.02)
+            add(f"valves.{v}.ports.*.laminar_widening", 0.0, 4.0, 2.0)
+            add(f"valves.{v}.ports.*.jet_loss", 0.0, 4.0, 1.0)
+            add(f"valves.{v}.ports.*.inlet_head", 0.0, 2.0, 0.5)
         for p, port in valve.ports.items():
             base = f"valves.{v}.ports.{p}"
             size = "conductance_m3_s_pa" if port.model == "iso6358" else "area_m2"
@@ -50,10 +56,6 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
             elif port.model == "iso6358":
                 around(f"{base}.conductance_m3_s_pa", 2.0, 0.3)
                 add(f"{base}.critical_ratio", 0.02, 0.7, 0.1)
-                add(f"{base}.laminar_ratio", 0.85, 0.9995, 0.02)
-                add(f"{base}.laminar_widening", 0.0, 4.0, 2.0)
-                add(f"{base}.jet_loss", 0.0, 4.0, 1.0)
-                add(f"{base}.inlet_head", 0.0, 2.0, 0.5)
             else:
                 around(f"{base}.area_m2", 3.0, 0.5)
             if not lumped:

@@ -32,6 +32,7 @@ from ruamel.yaml.error import YAMLError
 
 from pneu_sim.channels import Channel
 from pneu_sim.errors import InputError
+from pneu_sim.topics import same_topic
 from pneu_sysid.records.recording import Finding
 from pneu_sysid.records.stream import STAMP_LIMIT_NS, Stream
 
@@ -45,6 +46,7 @@ _IDL_SEPARATOR = "=" * 80 + "\n"
 class _Topic:
     """Raw messages of one topic with one type."""
 
+    name: str
     msgtype: str
     schema: Schema | None
     encoding: str
@@ -106,10 +108,10 @@ def read_bag(
         for name, channel in channels.items():
             assert channel.topic is not None
             topic = _find_topic(path, name, channel, topics)
-            where = f"{path}: channel '{name}': topic '{channel.topic}' ({topic.msgtype})"
+            where = f"{path}: channel '{name}': topic '{topic.name}' ({topic.msgtype})"
             store = _typestore(where, topic, name, findings)
             _check_number(where, store, topic.msgtype, channel.field)
-            key = (channel.topic, topic.msgtype)
+            key = (topic.name, topic.msgtype)
             if key not in decoded:
                 decoded[key] = _decode(where, store, topic)
             messages = decoded[key]
@@ -125,7 +127,7 @@ def read_bag(
                 Stream(
                     name=name,
                     role=role,
-                    source=f"topic {channel.topic}, field {channel.field}",
+                    source=f"topic {topic.name}, field {channel.field}",
                     arrival=np.array(topic.arrival, dtype=np.int64),
                     log_ns=log_ns,
                     header_ns=None if stamp is None else _stamps_ns(messages, stamp),
@@ -302,8 +304,10 @@ def _add_topic(
     schema = schemas.get(channel.schema_id)
     msgtype = schema.name if schema else "unknown"
     kinds = topics.setdefault(channel.topic, {})
-    topic = kinds.setdefault(msgtype, _Topic(msgtype, schema, channel.message_encoding))
-    return topic, channel.topic in wanted
+    topic = kinds.setdefault(
+        msgtype, _Topic(channel.topic, msgtype, schema, channel.message_encoding)
+    )
+    return topic, any(same_topic(channel.topic, name) for name in wanted)
 
 
 # ---- topics, types and fields ---------------------------------------------------------------
@@ -317,7 +321,14 @@ def _full_type(name: str) -> str:
 
 def _find_topic(path: Path, name: str, channel: Channel, topics: _Topics) -> _Topic:
     assert channel.topic is not None
-    kinds = topics.get(channel.topic)
+    matching = [topic for topic in topics if same_topic(topic, channel.topic)]
+    if channel.topic not in matching and len(matching) > 1:
+        raise InputError(
+            f"{path}: channel '{name}': the relative topic '{channel.topic}' may be "
+            f"{' or '.join(sorted(matching))} in the bag; name one of them in the rig file"
+        )
+    full = channel.topic if channel.topic in matching else next(iter(matching), channel.topic)
+    kinds = topics.get(full)
     if not kinds:
         near = difflib.get_close_matches(channel.topic, topics, n=3, cutoff=0.5)
         listed = sorted(topics)
@@ -333,23 +344,23 @@ def _find_topic(path: Path, name: str, channel: Channel, topics: _Topics) -> _To
         match = {_full_type(kind): topic for kind, topic in kinds.items()}.get(wanted)
         if match is None:
             raise InputError(
-                f"{path}: channel '{name}': topic '{channel.topic}' has message type "
+                f"{path}: channel '{name}': topic '{full}' has message type "
                 f"{' and '.join(sorted(kinds))}, expected {wanted}"
             )
     elif len(kinds) > 1:
         raise InputError(
-            f"{path}: channel '{name}': topic '{channel.topic}' carries several message types "
+            f"{path}: channel '{name}': topic '{full}' carries several message types "
             f"({', '.join(sorted(kinds))}); name one with 'type'"
         )
     else:
         match = next(iter(kinds.values()))
     if not match.count:
         raise InputError(
-            f"{path}: channel '{name}': topic '{channel.topic}' is in the bag but holds no message"
+            f"{path}: channel '{name}': topic '{full}' is in the bag but holds no message"
         )
     if match.encoding != "cdr":
         raise InputError(
-            f"{path}: channel '{name}': topic '{channel.topic}' is encoded as "
+            f"{path}: channel '{name}': topic '{full}' is encoded as "
             f"'{match.encoding}', only 'cdr' (ROS 2) is read"
         )
     return match

@@ -1,0 +1,325 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The Modbus device of the emulated lab: registers in front of a plant, with its own watchdog."""
+
+import asyncio
+import math
+import time
+from collections import deque
+from collections.abc import Coroutine
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pymodbus.constants import ExcCodes
+from pymodbus.server import ModbusTcpServer
+from pymodbus.simulator import DataType, SimData, SimDevice
+
+from pneu_hw_bridge.lab.faults import Faults
+from pneu_hw_bridge.lab.plant import Plant
+from pneu_hw_bridge.registers.schema import ChannelBase, Output, RegisterMap
+from pneu_sim.errors import InputError
+
+POLL_S = 0.002
+"""How often the device looks at its watchdog and at faults that end."""
+
+_TABLES = {3: "holding", 6: "holding", 16: "holding", 22: "holding", 23: "holding", 4: "input"}
+_RANGES = {
+    "int16": (-(2**15), 2**15 - 1),
+    "uint16": (0, 2**16 - 1),
+    "int32": (-(2**31), 2**31 - 1),
+    "uint32": (0, 2**32 - 1),
+}
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of the voltages at the valves.
+
+    Attributes:
+        steady_s: When; the machine's steady clock, so that other processes can compare.
+        volts: The voltages.
+        cause: ``write``, ``watchdog`` or ``start``.
+    """
+
+    steady_s: float
+    volts: dict[str, float]
+    cause: str
+
+
+class LabDevice:
+    """Registers, watchdog, faults and the Modbus server.
+
+    Attributes:
+        faults: Faults on demand.
+        history: The newest changes of voltage.
+        requests: Requests that were carried out.
+        refused: Requests that were refused.
+        watchdog_trips: Times the watchdog went off.
+    """
+
+    def __init__(
+        self, plant: Plant, registers: RegisterMap, watchdog_s: float, seed: int = 0
+    ) -> None:
+        """Lays out the registers; `open` begins to serve.
+
+        Args:
+            plant: The plant behind the registers.
+            registers: Where things are.
+            watchdog_s: After how long without a write the valves get their safe voltage, s.
+            seed: Seed of malformed answers.
+
+        Raises:
+            InputError: The map does not fit the plant, or the emulation.
+        """
+        if not 0.0 < watchdog_s <= 10.0:
+            raise InputError(f"watchdog_s: found {watchdog_s:g}, needed is more than 0, at most 10")
+        for name, channel in registers.channels.items():
+            if channel.is_bit:
+                raise InputError(
+                    f"channel {name!r}: the lab serves holding and input registers only"
+                )
+        missing = sorted(set(registers.taps) - set(plant.rig.taps))
+        if missing:
+            raise InputError(
+                f"channel {missing[0]!r}: the rig has taps {', '.join(plant.rig.taps)}"
+            )
+        self._plant = plant
+        self._registers = registers
+        self._watchdog_s = watchdog_s
+        self._rng = np.random.default_rng(seed)
+        self._safe = {name: output.safe for name, output in registers.outputs.items()}
+        self._fed_s = time.monotonic()
+        self._bitten = False
+        self._server: ModbusTcpServer | None = None
+        self._address = ("127.0.0.1", 0)
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._closed = False
+        self.faults = Faults(list(registers.taps), self._fault_changed)
+        self.history: deque[Change] = deque(maxlen=500)
+        self.requests = self.refused = self.watchdog_trips = 0
+        self._note("start")
+
+    async def open(self, host: str, port: int) -> int:
+        """Begins to serve; returns the port.
+
+        Args:
+            host: Address to listen on.
+            port: Port; 0 takes a free one.
+
+        Raises:
+            InputError: The port cannot be had.
+        """
+        self._address = (host, port)
+        await self._listen()
+        self._start(self._watch())
+        return self._address[1]
+
+    async def close(self) -> None:
+        """Ends serving, with the valves at their safe voltage."""
+        self._closed = True
+        for task in self._tasks:
+            task.cancel()
+        await self._hang_up()
+        self._plant.apply(self._safe)
+
+    @property
+    def bitten(self) -> bool:
+        """Whether the watchdog holds the valves at their safe voltage."""
+        return self._bitten
+
+    # Connection
+
+    async def _listen(self) -> None:
+        server = ModbusTcpServer(
+            self._layout(), address=self._address, trace_packet=self._trace_packet
+        )
+        try:
+            await server.serve_forever(background=True)
+        except RuntimeError:
+            host, port = self._address
+            raise InputError(f"cannot listen on {host}:{port}") from None
+        self._server = server
+        listener: Any = server.transport  # an asyncio.Server, whatever pymodbus declares
+        self._address = (self._address[0], int(listener.sockets[0].getsockname()[1]))
+
+    async def _hang_up(self) -> None:
+        server, self._server = self._server, None
+        if server is not None:
+            await server.shutdown()
+
+    def _fault_changed(self, name: str, begins: bool) -> None:
+        if name == "drop" and not self._closed:
+            self._start(self._hang_up() if begins else self._reopen())
+
+    async def _reopen(self) -> None:
+        if self._server is None:
+            await self._listen()
+
+    def _start(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _watch(self) -> None:
+        """Looks after the watchdog, and ends faults whose time is over."""
+        while True:
+            now_s = time.monotonic()
+            self.faults.present(now_s)
+            self._plant.supply(self.faults.get("supply", now_s) is not None)
+            if not self._bitten and now_s - self._fed_s > self._watchdog_s:
+                self._bitten = True
+                self.watchdog_trips += 1
+                self._plant.apply(self._safe)
+                self._note("watchdog")
+            await asyncio.sleep(POLL_S)
+
+    def _note(self, cause: str) -> None:
+        self.history.append(Change(time.monotonic(), self._plant.volts(), cause))
+
+    # Registers
+
+    def _layout(self) -> SimDevice:
+        """Registers of all tables, the gaps between channels included."""
+        blocks: dict[str, list[SimData]] = {}
+        for table in ("holding", "input"):
+            spans = [
+                (channel.address, channel.address + channel.width)
+                for channel in self._registers.channels.values()
+                if channel.table == table
+            ]
+            if table == "holding":
+                spans += [
+                    (setting.address, setting.address + len(setting.encode()))
+                    for setting in self._registers.settings
+                ]
+            first = min((start for start, _ in spans), default=0)
+            last = max((end for _, end in spans), default=1)
+            blocks[table] = [
+                SimData(first, values=[0] * (last - first), datatype=DataType.REGISTERS)
+            ]
+        bits = SimData(0, values=[False] * 16, datatype=DataType.BITS)
+        return SimDevice(
+            self._registers.device.unit,
+            ([bits], [bits], blocks["holding"], blocks["input"]),
+            action=self._access,
+        )
+
+    async def _access(
+        self,
+        function: int,
+        first: int,
+        address: int,
+        count: int,
+        registers: list[int],
+        written: list[int] | list[bool] | None,
+    ) -> ExcCodes | None:
+        """Carries a request out, and is late with the answer where it shall be."""
+        answer = self._answer(function, first, address, count, registers, written)
+        slow = self.faults.get("slow", time.monotonic())
+        if slow is not None:
+            await asyncio.sleep(slow.value)
+        return answer
+
+    def _answer(
+        self,
+        function: int,
+        first: int,
+        address: int,
+        count: int,
+        registers: list[int],
+        written: list[int] | list[bool] | None,
+    ) -> ExcCodes | None:
+        """Brings registers up to date before they are read; carries out what is written."""
+        now_s = time.monotonic()
+        if self.faults.get("silent", now_s) is not None:
+            return ExcCodes.DEVICE_BUSY  # and the answer is not sent
+        refuse = self.faults.get("exception", now_s)
+        if refuse is not None:
+            self.refused += 1
+            return ExcCodes(int(refuse.value))
+        table = _TABLES.get(function)
+        if table is None:
+            self.refused += 1
+            return ExcCodes.ILLEGAL_FUNCTION
+        self.requests += 1
+        end = address + count
+        shown = self._shown(now_s) if written is None else {}
+        volts = self._plant.volts()
+        for name, channel in self._registers.channels.items():
+            at = channel.address - first
+            inside = channel.address < end and address < channel.address + channel.width
+            if channel.table != table or not inside:
+                continue
+            if isinstance(channel, Output):
+                registers[at : at + channel.width] = channel.encode(volts[name])
+            elif written is None and name in shown:
+                raw = _saturated(channel, shown[name])
+                if self.faults.get("word_order", now_s) is not None:
+                    raw.reverse()
+                registers[at : at + channel.width] = raw
+        if written is not None and table == "holding":
+            return self._carry_out(first, address, [int(word) for word in written], registers)
+        return None
+
+    def _carry_out(
+        self, first: int, address: int, written: list[int], registers: list[int]
+    ) -> ExcCodes | None:
+        """Sets the voltages that written registers stand for."""
+        after = list(registers)
+        after[address - first : address - first + len(written)] = written
+        volts = {}
+        for name, output in self._registers.outputs.items():
+            touched = (
+                output.address < address + len(written) and address < output.address + output.width
+            )
+            if not touched:
+                continue
+            at = output.address - first
+            value = output.decode(after[at : at + output.width])
+            if not math.isfinite(value):
+                self.refused += 1
+                return ExcCodes.ILLEGAL_VALUE
+            volts[name] = min(max(value, output.range[0]), output.range[1])
+        if volts:
+            before = self._plant.volts()
+            self._plant.apply(volts)
+            self._fed_s = time.monotonic()
+            self._bitten = False
+            if self._plant.volts() != before:
+                self._note("write")
+        return None
+
+    def _shown(self, now_s: float) -> dict[str, float]:
+        """Readings as the sensors show them, faults included."""
+        values = self._plant.readings()
+        frozen = self.faults.get("frozen", now_s)
+        if frozen is not None:
+            if not frozen.held:
+                chosen = [frozen.channel] if frozen.channel else list(values)
+                frozen.held.update({name: values[name] for name in chosen})
+            values.update(frozen.held)
+        wild = self.faults.get("out_of_range", now_s)
+        if wild is not None:
+            for name in [wild.channel] if wild.channel else list(values):
+                values[name] = wild.value
+        return values
+
+    def _trace_packet(self, sending: bool, data: bytes) -> bytes:
+        """What goes out on the wire."""
+        now_s = time.monotonic()
+        if not sending:
+            return data
+        if self.faults.get("silent", now_s) is not None:
+            return b""
+        if self.faults.get("malformed", now_s) is not None:
+            return self._rng.bytes(int(self._rng.integers(1, 2 * len(data))))
+        return data
+
+
+def _saturated(channel: ChannelBase, value: float) -> list[int]:
+    """Registers of a reading, at the end of its range where the type cannot hold it."""
+    raw = (value - channel.offset) / channel.scale
+    if channel.type in _RANGES:
+        low, high = _RANGES[channel.type]
+        raw = min(max(raw, low), high)
+    return channel.encode(raw * channel.scale + channel.offset)

@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rig simulated in real time, in a thread: voltages in, noisy and late readings out.
+
+Whether the machine can keep up is measured before the start, and refused where it cannot. Where it
+falls behind later it catches up; time that cannot be caught up is skipped, counted and reported.
+"""
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sim import sensors
+from pneu_sim.effects.places import sources
+from pneu_sim.errors import InputError
+from pneu_sim.rig.schema import Rig
+from pneu_sim.simulator import Simulator
+
+Floats = NDArray[np.float64]
+
+LEAST_FACTOR = 1.3
+"""Least speed, times real time, at which a plant is started."""
+
+MOST_CATCH_UP_S = 0.25
+"""Lag that is still caught up; beyond that time is skipped."""
+
+BLOCK_SAMPLES = 10
+"""Most samples simulated under one set of voltages while catching up."""
+
+
+@dataclass(frozen=True)
+class PlantStatus:
+    """How the plant is doing.
+
+    Attributes:
+        time_s: Simulated time.
+        speed: Simulated time per computing time: how many times faster than real time it could run.
+        lag_s: How far it is behind at the moment.
+        worst_lag_s: How far it has been behind.
+        skipped_s: Time that was skipped because it could not be caught up.
+        supply_lost: Whether the supply is cut off.
+    """
+
+    time_s: float
+    speed: float
+    lag_s: float
+    worst_lag_s: float
+    skipped_s: float
+    supply_lost: bool
+
+
+class Plant:
+    """The rig and its thread.
+
+    Attributes:
+        rig: The rig, hidden effects included.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        safe_v: Mapping[str, float],
+        dx_m: float | None = None,
+        sample_s: float = 1e-3,
+        latency_s: float = 0.0,
+        noise_pa: float | None = None,
+        quantum_pa: float | None = None,
+        seed: int = 0,
+    ) -> None:
+        """Builds the rig at rest; `start` begins.
+
+        Args:
+            rig: The rig.
+            safe_v: Voltages that it starts with.
+            dx_m: Cell length that replaces the rig's.
+            sample_s: Interval at which sensors are sampled and voltages taken, s.
+            latency_s: Age of a reading when it becomes visible, s.
+            noise_pa: White noise, one sigma, that replaces that of the rig's taps.
+            quantum_pa: Quantisation step that replaces that of the rig's taps.
+            seed: Seed of the noise.
+
+        Raises:
+            InputError: The rig cannot be simulated so, or needs other voltages.
+        """
+        if not 2e-4 <= sample_s <= 0.1:
+            raise InputError(f"sample_s: found {sample_s:g}, needed are 0.0002 to 0.1 s")
+        if not 0.0 <= latency_s <= 1.0:
+            raise InputError(f"latency_s: found {latency_s:g}, needed are 0 to 1 s")
+        missing = sorted(set(rig.commands) ^ set(safe_v))
+        if missing:
+            raise InputError(
+                f"rig {rig.name!r} and the register map differ in command {missing[0]!r}"
+            )
+        if rig.model != "pde":
+            raise InputError(f"rig {rig.name!r}: the lab needs model pde, found {rig.model}")
+        self.rig = rig
+        self._simulator = Simulator(rig, dx_m=dx_m)
+        self._sample_s = sample_s
+        self._late = round(latency_s / sample_s)
+        self._rng = np.random.default_rng(seed)
+        taps = rig.taps.values()
+        self._noise = np.array([t.noise_pa if noise_pa is None else noise_pa for t in taps])
+        self._quantum = np.array([t.quantum_pa if quantum_pa is None else quantum_pa for t in taps])
+        self._volts = dict(safe_v)
+        self._safe_v = dict(safe_v)
+        self._supplies = {name: rig.reservoirs[name].pressure_pa for name in sources(rig)}
+        self._supply_lost = False
+        self._supply_applied = False
+        self._newest: deque[Floats] = deque(maxlen=self._late + 1)
+        self._thread: threading.Thread | None = None
+        self._stop = threading.Event()
+        self._lag_s = self._worst_lag_s = self._skipped_s = 0.0
+        self._busy_s = self._done_s = 0.0
+        self.failure = ""
+        self._advance(1)
+
+    def measure(self, duration_s: float = 0.3) -> float:
+        """Returns how many times faster than real time the plant runs, then starts it from rest.
+
+        Args:
+            duration_s: Simulated time to measure over, s.
+        """
+        self._advance(1)  # compiles what is not compiled yet
+        self._busy_s = self._done_s = 0.0
+        for _ in range(max(1, round(duration_s / self._sample_s))):
+            self._advance(1)
+        speed = self._done_s / self._busy_s
+        self._simulator.reset()
+        self._newest.clear()
+        self._advance(1)
+        return speed
+
+    def start(self, allow_slow: bool = False) -> float:
+        """Begins to run in real time.
+
+        Args:
+            allow_slow: Start even where the machine cannot keep up.
+
+        Returns:
+            How many times faster than real time the plant runs.
+
+        Raises:
+            InputError: The machine cannot keep up.
+        """
+        speed = self.measure()
+        if speed < LEAST_FACTOR and not allow_slow:
+            raise InputError(
+                f"rig {self.rig.name!r} runs at {speed:.2f} times real time here, needed are"
+                f" {LEAST_FACTOR:g}; choose a longer cell (--dx) or a coarser rig"
+            )
+        self._thread = threading.Thread(target=self._run, name="plant", daemon=True)
+        self._thread.start()
+        return speed
+
+    def stop(self) -> None:
+        """Ends the thread."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(2.0)
+
+    def apply(self, volts: Mapping[str, float]) -> None:
+        """Sets voltages from the next sample on.
+
+        Args:
+            volts: Per command its voltage.
+        """
+        self._volts = {**self._volts, **volts}
+
+    def volts(self) -> dict[str, float]:
+        """Returns the voltages that the valves have now."""
+        return dict(self._volts)
+
+    def supply(self, lost: bool) -> None:
+        """Cuts the supply off, or restores it.
+
+        Args:
+            lost: Whether it is cut off.
+        """
+        self._supply_lost = lost
+
+    def readings(self) -> dict[str, float]:
+        """Returns the newest visible readings, Pa."""
+        values = self._newest[0]
+        return dict(zip(self.rig.taps, values.tolist(), strict=True))
+
+    def status(self) -> PlantStatus:
+        """Returns how the plant is doing."""
+        return PlantStatus(
+            time_s=self._simulator.time_s,
+            speed=self._done_s / self._busy_s if self._busy_s > 0.0 else math.nan,
+            lag_s=self._lag_s,
+            worst_lag_s=self._worst_lag_s,
+            skipped_s=self._skipped_s,
+            supply_lost=self._supply_lost,
+        )
+
+    def _run(self) -> None:
+        begun_s = time.monotonic() - self._simulator.time_s
+        while not self._stop.is_set():
+            lag_s = time.monotonic() - begun_s - self._simulator.time_s
+            self._lag_s = max(lag_s, 0.0)
+            self._worst_lag_s = max(self._worst_lag_s, self._lag_s)
+            if lag_s > MOST_CATCH_UP_S:
+                begun_s += lag_s
+                self._skipped_s += lag_s
+                lag_s = self._sample_s
+            due = int(lag_s / self._sample_s + 1e-6)
+            if due < 1:
+                time.sleep(self._sample_s - max(lag_s, 0.0))
+                continue
+            try:
+                self._advance(min(due, BLOCK_SAMPLES))
+            except InputError as error:  # became unstable
+                self.failure = str(error)
+                return
+
+    def _advance(self, samples: int) -> None:
+        """Simulates some samples under the present voltages."""
+        begun_s = time.perf_counter()
+        if self._supply_lost != self._supply_applied:
+            self._supply_applied = self._supply_lost
+            for name, pressure_pa in self._supplies.items():
+                room = self.rig.ambient.pressure_pa
+                self._simulator.set_reservoir(name, room if self._supply_lost else pressure_pa)
+        duration_s = samples * self._sample_s
+        taken = self._simulator.run(duration_s, self._volts, self._sample_s)
+        clean = np.stack(list(taken.taps.values()), axis=-1)[1:]
+        noisy = sensors.corrupt(clean, self._noise, self._quantum, self._rng)
+        self._newest.extend(noisy)
+        self._done_s += duration_s
+        self._busy_s += time.perf_counter() - begun_s

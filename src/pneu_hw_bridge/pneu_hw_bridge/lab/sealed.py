@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hidden effects of the emulated lab in a file that nobody reads by accident.
+
+The seal is no secret: it is base64 with a checksum, so that a glance at the file, or a search for
+an effect's name, gives nothing away, and so that a damaged file is noticed.
+"""
+
+import base64
+import binascii
+import hashlib
+import json
+import os
+import zlib
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from pneu_sim.errors import InputError
+from pneu_sim.rig.schema import AttachedEffect
+
+SEAL_VERSION = 1
+
+_EFFECTS = TypeAdapter(list[AttachedEffect])
+
+
+def read_effects(path: str | Path) -> list[AttachedEffect]:
+    """Reads effects as a rig file lists them: a YAML or JSON list, or the value of ``effects``.
+
+    Args:
+        path: The file.
+
+    Raises:
+        InputError: It is no such list.
+    """
+    try:
+        data = YAML(typ="safe").load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is not YAML: {getattr(error, 'problem', error)}") from None
+    if isinstance(data, dict):
+        data = data.get("effects")
+    return _checked(data, str(path))
+
+
+def seal(effects: list[AttachedEffect], path: str | Path) -> None:
+    """Writes effects sealed.
+
+    Args:
+        effects: The effects.
+        path: The file; its folder must exist.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    path = Path(path)
+    content = json.dumps(_EFFECTS.dump_python(effects, mode="json")).encode()
+    document = {
+        "pneu_sealed": SEAL_VERSION,
+        "note": "hidden effects for `pneu lab`; `pneu lab reveal` shows them",
+        "sha256": hashlib.sha256(content).hexdigest(),
+        "content": base64.b64encode(zlib.compress(content)).decode(),
+    }
+    aside = path.with_name(f".{path.name}.part")
+    try:
+        aside.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+        os.replace(aside, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+
+
+def open_sealed(path: str | Path) -> list[AttachedEffect]:
+    """Reads sealed effects.
+
+    Args:
+        path: The file.
+
+    Raises:
+        InputError: The file is missing, damaged, or not sealed.
+    """
+    try:
+        document: Any = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except ValueError:
+        raise InputError(f"{path}: is not a sealed file; `pneu lab seal` makes one") from None
+    if not isinstance(document, dict) or document.get("pneu_sealed") != SEAL_VERSION:
+        found = document.get("pneu_sealed") if isinstance(document, dict) else None
+        raise InputError(f"{path}: pneu_sealed: found {found!r}, this version reads {SEAL_VERSION}")
+    try:
+        content = zlib.decompress(base64.b64decode(str(document["content"]), validate=True))
+    except (KeyError, binascii.Error, zlib.error):
+        raise InputError(f"{path}: the sealed content is damaged") from None
+    if hashlib.sha256(content).hexdigest() != document.get("sha256"):
+        raise InputError(f"{path}: the sealed content does not match its checksum")
+    return _checked(json.loads(content), str(path))
+
+
+def _checked(data: Any, path: str) -> list[AttachedEffect]:
+    try:
+        return _EFFECTS.validate_python(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise InputError(
+            f"{path}: {where + ': ' if where else ''}{first['msg']}; needed is a list of effect,"
+            " place, parameters"
+        ) from None

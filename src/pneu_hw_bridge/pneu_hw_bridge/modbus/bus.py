@@ -1,0 +1,352 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A Modbus device at a steady rhythm, in a thread of its own that nothing else can hold up.
+
+Every cycle asks the owner for the voltages, writes them, and hands over what was read. A command
+that arrives between two cycles is written at once. A voltage that has not changed is written again
+only every `KEEP_ALIVE_S`, which keeps the device's own watchdog quiet.
+"""
+
+import asyncio
+import concurrent.futures
+import logging
+import math
+import selectors
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from pneu_hw_bridge.modbus.client import Client, RequestError
+from pneu_hw_bridge.modbus.statistics import Statistics
+from pneu_hw_bridge.registers.batches import plan, plan_writes
+from pneu_hw_bridge.registers.schema import RegisterMap
+from pneu_sim.errors import InputError
+
+LONGEST_TIMEOUT_S = 0.2
+"""Longest wait for an answer that a valve can afford."""
+
+KEEP_ALIVE_S = 0.02
+"""Interval at which an unchanged voltage is written again."""
+
+FIRST_BACKOFF_S = 0.02
+LONGEST_BACKOFF_S = 1.0
+
+
+class Owner(Protocol):
+    """Whom the bus works for. Called in the thread of the bus; must return quickly."""
+
+    def output(self, now_s: float) -> Mapping[str, float]:
+        """Returns the voltages to write now.
+
+        Args:
+            now_s: Steady time.
+        """
+
+    def readings(self, values: Mapping[str, float], steady_s: float, stamp_ns: int) -> None:
+        """Takes what was read in one cycle.
+
+        Args:
+            values: SI value per channel; may be infinite or not a number.
+            steady_s: Steady time of acquisition.
+            stamp_ns: Time of acquisition by the clock given to the bus.
+        """
+
+    def bus(self, fault: str) -> None:
+        """Takes note that the bus changed.
+
+        Args:
+            fault: What is wrong with it; empty where it works.
+        """
+
+
+@dataclass(frozen=True)
+class Vented:
+    """What became of an attempt to write the safe voltages.
+
+    Attributes:
+        verified: Whether the device was read back and holds them.
+        message: What was read back, or why it could not be.
+        duration_s: How long it took.
+    """
+
+    verified: bool
+    message: str
+    duration_s: float
+
+
+class ModbusBus:
+    """The thread. `start`, `vent` and `stop` are called by the owner, from any thread."""
+
+    def __init__(
+        self,
+        registers: RegisterMap,
+        owner: Owner,
+        period_s: float = 0.002,
+        timeout_s: float = 0.1,
+        clock_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        """Plans the requests; `start` begins.
+
+        Args:
+            registers: The device and its channels.
+            owner: Whom the bus works for.
+            period_s: Interval of cycles, s.
+            timeout_s: Longest wait for a connection or an answer, s.
+            clock_ns: Clock of the stamps, ns.
+
+        Raises:
+            InputError: A period or timeout is not allowed.
+        """
+        if not 0.0 < timeout_s <= LONGEST_TIMEOUT_S:
+            raise InputError(
+                f"timeout_s: found {timeout_s:g}, needed is more than 0 and at most"
+                f" {LONGEST_TIMEOUT_S:g} s"
+            )
+        if not 0.0005 <= period_s <= 1.0:
+            raise InputError(f"period_s: found {period_s:g}, needed are 0.0005 to 1 s")
+        self._registers = registers
+        self._owner = owner
+        self._period_s = period_s
+        self._timeout_s = timeout_s
+        self._clock_ns = clock_ns
+        self._reads = plan(registers.inputs, registers.batching)
+        self._writes = plan_writes(registers.outputs)
+        self.statistics = Statistics()
+        self.fault = "not connected yet"
+        self._told: str | None = None
+        self._thread: threading.Thread | None = None
+        # select() waits for microseconds, epoll and poll only for whole milliseconds.
+        self._loop = asyncio.SelectorEventLoop(selectors.SelectSelector())
+        self._loop.set_exception_handler(self._undecodable)
+        self._wake: asyncio.Future[None] | None = None
+        self._poked_s: float | None = None
+        self._stopping = False
+        self._vent: concurrent.futures.Future[Vented] | None = None
+        self._vent_begun_s = 0.0
+        self._vent_deadline_s = 0.0
+        self._written: dict[str, float] = {}
+        self._written_s = -math.inf
+
+    def start(self) -> None:
+        """Begins to connect and to work, in a thread of its own."""
+        # Every failure is counted and told to the owner; pymodbus would log each one as well.
+        logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
+        self._thread = threading.Thread(target=self._run, name="modbus", daemon=True)
+        self._thread.start()
+
+    def poke(self) -> None:
+        """Has the owner's voltages written at once rather than at the next cycle."""
+        if self._poked_s is None:
+            self._poked_s = time.monotonic()
+        self._rouse()
+
+    def vent(self, timeout_s: float = 0.14) -> Vented:
+        """Writes the safe voltages and reads them back, before anything else is done.
+
+        Args:
+            timeout_s: When to give up, s.
+
+        Returns:
+            Whether the device holds them.
+        """
+        begun_s = time.monotonic()
+        if self._thread is None or not self._thread.is_alive():
+            return Vented(False, "the bus is not open", 0.0)
+        future: concurrent.futures.Future[Vented] = concurrent.futures.Future()
+        self._vent_begun_s = begun_s
+        self._vent_deadline_s = begun_s + timeout_s
+        self._vent = future
+        self._rouse()
+        try:
+            return future.result(timeout_s + self._timeout_s)
+        except concurrent.futures.TimeoutError:
+            return Vented(False, f"{self.fault or 'the bus is busy'}", time.monotonic() - begun_s)
+
+    def stop(self) -> None:
+        """Closes the connection and ends the thread."""
+        self._stopping = True
+        if self._thread is None:
+            self._loop.close()
+            return
+        self._rouse()
+        self._thread.join(2.0 * self._timeout_s + 1.0)
+        self._thread = None
+
+    # In the thread
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._supervise())
+        except Exception as error:
+            # Nothing is written from now on: the owner has to know, and the device's watchdog acts.
+            self._tell(f"the thread of the bus failed: {type(error).__name__}: {error}")
+            raise
+        finally:
+            self._loop.close()
+
+    async def _supervise(self) -> None:
+        """Connects, works until it fails, connects again."""
+        backoff_s = FIRST_BACKOFF_S
+        while not self._stopping:
+            client = Client(self._registers.device, self._timeout_s, self.statistics)
+            fault = await client.connect()
+            if fault:
+                self._tell(fault)
+            else:
+                before = self.statistics.cycles
+                try:
+                    await self._work(client)
+                except RequestError as error:
+                    self._tell(str(error))
+                    self.statistics.losses += 1
+                if self.statistics.cycles > before:
+                    backoff_s = FIRST_BACKOFF_S
+            client.close()
+            self._written_s = -math.inf
+            if self._vent is not None and time.monotonic() >= self._vent_deadline_s:
+                self._finish_vent(False, self.fault)
+            wait_s = FIRST_BACKOFF_S if self._vent is not None else backoff_s
+            await self._until(time.monotonic() + wait_s, only=self._asked)
+            backoff_s = min(2.0 * backoff_s, LONGEST_BACKOFF_S)
+        if self._vent is not None:
+            self._finish_vent(False, "the bus was closed")
+
+    async def _work(self, client: Client) -> None:
+        """Cycles on one connection."""
+        for setting in self._registers.settings:
+            await client.write(setting.table, setting.address, setting.encode())
+        tick_s = time.monotonic()
+        while not self._stopping:
+            if self._vent is not None:
+                await self._do_vent(client)
+            try:
+                poked_s, self._poked_s = self._poked_s, None
+                await self._write(client, force=poked_s is not None)
+                if poked_s is not None:
+                    self.statistics.command.add(time.monotonic() - poked_s)
+                now_s = time.monotonic()
+                if now_s >= tick_s:
+                    if now_s > tick_s + self._period_s:
+                        self.statistics.late_cycles += 1
+                        tick_s = now_s
+                    tick_s += self._period_s
+                    await self._read(client)
+                    self.statistics.cycles += 1
+                    self._tell("")
+            except RequestError as error:
+                if not error.usable:
+                    raise
+                self._tell(str(error))
+                tick_s = max(tick_s, time.monotonic() + self._period_s)
+            await self._until(tick_s, only=self._roused)
+
+    async def _write(self, client: Client, force: bool) -> None:
+        """Writes the owner's voltages where they changed or are due."""
+        now_s = time.monotonic()
+        values = dict(self._owner.output(now_s))
+        if not force and values == self._written and now_s - self._written_s < KEEP_ALIVE_S:
+            return
+        await self._send(client, values)
+        self._written, self._written_s = values, now_s
+
+    async def _send(self, client: Client, values: Mapping[str, float]) -> None:
+        for batch in self._writes:
+            try:
+                raw = batch.encode(values)
+            except ValueError:
+                # Limits lie within what the types hold, so this is a fault of ours: be safe.
+                self.statistics.unwritable += 1
+                raw = batch.encode(self._safe())
+            await client.write(batch.table, batch.address, raw)
+
+    async def _read(self, client: Client) -> None:
+        """Reads all inputs and hands them over with the middle of the exchange as their time."""
+        values: dict[str, float] = {}
+        begun_s, begun_ns = time.monotonic(), self._clock_ns()
+        for batch in self._reads:
+            values.update(batch.decode(await client.read(batch)))
+        half_s = 0.5 * (time.monotonic() - begun_s)
+        self._owner.readings(values, begun_s + half_s, begun_ns + round(1e9 * half_s))
+
+    async def _do_vent(self, client: Client) -> None:
+        """Writes the safe voltages and reads them back."""
+        safe = self._safe()
+        try:
+            await self._send(client, safe)
+            self._written, self._written_s = safe, time.monotonic()
+            found: dict[str, float] = {}
+            for batch in self._writes:
+                found.update(batch.decode(await client.read(batch)))
+        except RequestError as error:
+            if time.monotonic() >= self._vent_deadline_s:
+                self._finish_vent(False, str(error))
+            if error.usable:  # the device refused: ask again until the deadline
+                await asyncio.sleep(0.005)
+                return
+            raise
+        outputs = self._registers.outputs
+        wrong = [
+            name
+            for name, value in found.items()
+            if not abs(value - safe[name]) <= outputs[name].resolution
+        ]
+        shown = ", ".join(f"{name} {value:g} V" for name, value in found.items())
+        if not wrong:
+            self._finish_vent(True, f"read back {shown}")
+        elif time.monotonic() >= self._vent_deadline_s:
+            self._finish_vent(False, f"read back {shown}")
+
+    def _finish_vent(self, verified: bool, message: str) -> None:
+        future, self._vent = self._vent, None
+        if future is not None and future.set_running_or_notify_cancel():
+            duration_s = time.monotonic() - self._vent_begun_s
+            future.set_result(Vented(verified, message, duration_s))
+
+    def _safe(self) -> dict[str, float]:
+        return {name: output.safe for name, output in self._registers.outputs.items()}
+
+    def _tell(self, fault: str) -> None:
+        self.fault = fault
+        if fault != self._told:
+            self._told = fault
+            self._owner.bus(fault)
+
+    # Waiting
+
+    def _asked(self) -> bool:
+        return self._stopping or self._vent is not None
+
+    def _roused(self) -> bool:
+        return self._asked() or self._poked_s is not None
+
+    async def _until(self, deadline_s: float, only: Callable[[], bool]) -> None:
+        """Waits until a time, or until there is something to do."""
+        while not only():
+            now_s = time.monotonic()
+            if now_s >= deadline_s:
+                return
+            self._wake = self._loop.create_future()
+            timer = self._loop.call_at(self._loop.time() + deadline_s - now_s, self._on_rouse)
+            if not only():  # it may have come before there was a future to complete
+                await self._wake
+            timer.cancel()
+            self._wake = None
+
+    def _rouse(self) -> None:
+        if not self._loop.is_closed():
+            try:
+                self._loop.call_soon_threadsafe(self._on_rouse)
+            except RuntimeError:
+                # The loop closed between the question and the call: nothing is left to rouse.
+                return
+
+    def _on_rouse(self) -> None:
+        if self._wake is not None and not self._wake.done():
+            self._wake.set_result(None)
+
+    def _undecodable(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Counts what pymodbus raises out of its receive callback: bytes it could not decode."""
+        del loop, context
+        self.statistics.malformed += 1

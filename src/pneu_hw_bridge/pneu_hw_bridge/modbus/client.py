@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One Modbus connection: requests that either give checked registers or say what went wrong.
+
+pymodbus's own retries and reconnection are off. It would repeat a request three times at three
+seconds each and wait up to five minutes between connections, and an answer that cannot be decoded
+shows only as silence; a valve needs to know at once.
+"""
+
+import asyncio
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
+from pymodbus.exceptions import ModbusException
+from pymodbus.framer import FramerType
+
+from pneu_hw_bridge.modbus.statistics import Statistics
+from pneu_hw_bridge.registers.batches import Batch
+from pneu_hw_bridge.registers.schema import Device
+
+_FUNCTIONS = {
+    "read_coils": 1,
+    "read_discrete_inputs": 2,
+    "read_holding_registers": 3,
+    "read_input_registers": 4,
+    "write_coils": 15,
+    "write_registers": 16,
+}
+
+
+class RequestError(Exception):
+    """A request that failed.
+
+    Attributes:
+        usable: Whether the connection may be used further: the device answered properly, but
+            refused.
+    """
+
+    def __init__(self, message: str, usable: bool = False) -> None:
+        """Keeps the reason.
+
+        Args:
+            message: What went wrong.
+            usable: Whether the connection may be used further.
+        """
+        super().__init__(message)
+        self.usable = usable
+
+
+class Client:
+    """One connection to one device, used from one event loop."""
+
+    def __init__(self, device: Device, timeout_s: float, statistics: Statistics) -> None:
+        """Prepares the connection; `connect` makes it.
+
+        Args:
+            device: The device.
+            timeout_s: Longest wait for a connection or an answer, s.
+            statistics: Counters that are kept up to date.
+        """
+        self._device = device
+        self._timeout_s = timeout_s
+        self._statistics = statistics
+        self._modbus: AsyncModbusTcpClient | AsyncModbusSerialClient
+        if device.transport == "tcp":
+            self._modbus = AsyncModbusTcpClient(
+                device.host,
+                port=device.port,
+                timeout=timeout_s,
+                retries=0,
+                reconnect_delay=0,
+                trace_connect=self._connection_changed,
+            )
+        else:
+            self._modbus = AsyncModbusSerialClient(
+                device.serial_port,
+                framer=FramerType.RTU,
+                baudrate=device.baud_rate,
+                parity=device.parity,
+                stopbits=device.stop_bits,
+                bytesize=8,
+                timeout=timeout_s,
+                retries=0,
+                reconnect_delay=0,
+                trace_connect=self._connection_changed,
+            )
+
+    async def connect(self) -> str:
+        """Makes the connection; returns why it failed, empty where it worked."""
+        device = self._device
+        tcp = device.transport == "tcp"
+        fault = f"no connection to {f'{device.host}:{device.port}' if tcp else device.serial_port}"
+        try:
+            up = await self._modbus.connect()
+        except Exception as error:
+            # A serial port fails in the ways of its driver, which share no class of exception.
+            self._statistics.connect_failures += 1
+            return f"{fault} ({error})"
+        if not up:
+            self._statistics.connect_failures += 1
+            return fault
+        self._statistics.connects += 1
+        return ""
+
+    def close(self) -> None:
+        """Closes the connection."""
+        self._modbus.close()
+
+    async def read(self, batch: Batch) -> list[int]:
+        """Returns the registers or bits of a batch.
+
+        Args:
+            batch: What to read.
+
+        Raises:
+            RequestError: It could not be read.
+        """
+        ask: dict[str, Callable[..., Any]] = {
+            "holding": self._modbus.read_holding_registers,
+            "input": self._modbus.read_input_registers,
+            "coil": self._modbus.read_coils,
+            "discrete": self._modbus.read_discrete_inputs,
+        }
+        reply = await self._request(
+            f"read of {batch.count} at {batch.table} {batch.address}",
+            ask[batch.table],
+            batch.address,
+            count=batch.count,
+            device_id=self._device.unit,
+        )
+        if batch.table in ("coil", "discrete"):
+            raw = [int(bit) for bit in reply.bits]
+            fits = batch.count <= len(raw) < batch.count + 8  # replies are padded to whole bytes
+            raw = raw[: batch.count]
+        else:
+            raw = list(reply.registers)
+            fits = len(raw) == batch.count
+        if not fits:
+            self._statistics.malformed += 1
+            raise RequestError(
+                f"read of {batch.count} at {batch.table} {batch.address}: found {len(raw)}"
+            )
+        self._statistics.reads += 1
+        return raw
+
+    async def write(self, table: str, address: int, raw: Sequence[int]) -> None:
+        """Writes registers or bits.
+
+        Args:
+            table: ``holding`` or ``coil``.
+            address: First of them.
+            raw: What to write.
+
+        Raises:
+            RequestError: The device did not confirm it.
+        """
+        what = f"write of {len(raw)} at {table} {address}"
+        unit = self._device.unit
+        if table == "coil":
+            reply = await self._request(
+                what,
+                self._modbus.write_coils,
+                address,
+                [bool(bit) for bit in raw],
+                device_id=unit,
+            )
+        else:
+            reply = await self._request(
+                what, self._modbus.write_registers, address, list(raw), device_id=unit
+            )
+        if (reply.address, reply.count) != (address, len(raw)):
+            self._statistics.malformed += 1
+            raise RequestError(f"{what}: the device confirmed {reply.count} at {reply.address}")
+        self._statistics.writes += 1
+
+    async def _request(
+        self, what: str, send: Callable[..., Any], *args: Any, **options: Any
+    ) -> Any:
+        """Sends one request and sorts out what came back."""
+        begun_s = time.monotonic()
+        if not self._modbus.connected:
+            raise RequestError(f"{what}: not connected")
+        try:
+            reply = await send(*args, **options)
+        except (ModbusException, OSError) as error:
+            lost = not self._modbus.connected
+            late = time.monotonic() - begun_s >= 0.9 * self._timeout_s
+            if lost:
+                reason = "connection lost"
+            elif late:
+                reason = f"no answer within {self._timeout_s:g} s"
+                self._statistics.timeouts += 1
+            else:
+                reason = str(error)
+                self._statistics.malformed += 1
+            raise RequestError(f"{what}: {reason}") from None
+        if reply.isError():
+            self._statistics.exceptions += 1
+            code = getattr(reply, "exception_code", 0)
+            raise RequestError(f"{what}: exception reply {code}", usable=True)
+        # A confused device may answer another function; pymodbus hands that out as it is.
+        if reply.function_code != _FUNCTIONS[send.__name__]:
+            self._statistics.malformed += 1
+            raise RequestError(f"{what}: answered with function {reply.function_code}")
+        self._statistics.request.add(time.monotonic() - begun_s)
+        return reply
+
+    def _connection_changed(self, connected: bool) -> None:
+        """Ends a waiting request when the connection goes; pymodbus would sit out the timeout."""
+        if connected:
+            return
+        waiting: asyncio.Future[Any] = self._modbus.ctx.response_future
+        if not waiting.done():
+            waiting.set_exception(ModbusException("connection lost"))

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What happened on a bus: counters, and quantiles of recent durations."""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+RECENT = 2000
+"""Durations that quantiles are taken over."""
+
+
+@dataclass
+class Durations:
+    """Recent durations.
+
+    Attributes:
+        recent_s: The newest of them, s.
+    """
+
+    recent_s: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
+
+    def add(self, duration_s: float) -> None:
+        """Adds one.
+
+        Args:
+            duration_s: Duration, s.
+        """
+        self.recent_s.append(duration_s)
+
+    def quantile(self, fraction: float) -> float:
+        """Returns a quantile, s; NaN where there is none yet.
+
+        Args:
+            fraction: 0.5 for the median.
+        """
+        ordered = sorted(self.recent_s.copy())
+        if not ordered:
+            return float("nan")
+        return ordered[min(int(fraction * len(ordered)), len(ordered) - 1)]
+
+
+@dataclass
+class Statistics:
+    """Counters of one bus since it was opened.
+
+    Attributes:
+        connects: Connections made.
+        connect_failures: Attempts that failed.
+        losses: Connections that were lost or given up.
+        cycles: Cycles that went through.
+        late_cycles: Cycles that began more than a period late.
+        writes: Writes that were confirmed.
+        reads: Reads that were answered well.
+        timeouts: Requests without an answer in time.
+        exceptions: Exception replies.
+        malformed: Answers that made no sense, or were of the wrong length.
+        unwritable: Outputs that the register's type could not hold.
+        request: Durations of single requests.
+        command: Durations from a command's arrival to its confirmation by the device.
+    """
+
+    connects: int = 0
+    connect_failures: int = 0
+    losses: int = 0
+    cycles: int = 0
+    late_cycles: int = 0
+    writes: int = 0
+    reads: int = 0
+    timeouts: int = 0
+    exceptions: int = 0
+    malformed: int = 0
+    unwritable: int = 0
+    request: Durations = field(default_factory=Durations)
+    command: Durations = field(default_factory=Durations)
+
+    def counters(self) -> dict[str, int]:
+        """Returns all counters by name."""
+        return {name: value for name, value in vars(self).items() if isinstance(value, int)}

@@ -1,0 +1,381 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node between the topics of the graph and real valves and sensors on Modbus.
+
+Topics: takes ``valve/command``, gives ``taps/<tap>/pressure``, ``taps/pressures`` and the state of
+the emergency stop, ``e_stop``. Services: ``~/e_stop`` and ``~/reset_e_stop``. Life cycle: configure
+opens the bus and reads, with the valves vented; activate lets commands through; deactivate, an
+error, and the end of the process vent, by writing to the bus and reading it back.
+"""
+
+import sys
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from pneu_msgs.msg import ValveCommand
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.executors import ExternalShutdownException
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from pneu_hw_bridge.link import Link
+from pneu_hw_bridge.modbus.bus import ModbusBus
+from pneu_hw_bridge.nodes.readings import ReadingsPublisher
+from pneu_hw_bridge.nodes.settings import declare_parameters, read_parameters
+from pneu_hw_bridge.registers.load import load_register_map
+from pneu_hw_bridge.safety.limits import limits_of
+from pneu_hw_bridge.safety.supervisor import Latches, State, Supervisor
+from pneu_sim.errors import InputError
+from pneu_sim.nodes.common import COMMAND_QOS, EXIT_BAD_INPUT, Diagnostics, status, steady_clock
+
+COMMAND_TOPIC = "valve/command"
+
+LOOK_S = 0.05
+"""How often publishers of the command topic are counted."""
+
+E_STOP_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""A state that late joiners must learn."""
+
+
+class ValveBridge(LifecycleNode):
+    """The node; what it decides is in `pneu_hw_bridge.safety`, what it sends in `.modbus`."""
+
+    def __init__(self, **options: Any) -> None:
+        """Declares parameters and offers the emergency stop; opens nothing yet.
+
+        Args:
+            **options: For the node, such as its context or its parameter overrides.
+
+        Raises:
+            InputError: The node was told to use simulated time.
+        """
+        super().__init__("valve_bridge", **options)
+        declare_parameters(self)
+        if self.get_parameter("use_sim_time").value:
+            raise InputError(
+                "use_sim_time: found true; real valves and sensors keep the machine's time"
+            )
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self._latches = Latches()
+        self._bus: ModbusBus | None = None
+        self._link: Link | None = None
+        self._readings: ReadingsPublisher | None = None
+        self._entities: list[tuple[Any, Any]] = []
+        self._e_stop = self.create_publisher(Bool, "e_stop", E_STOP_QOS)
+        self.create_service(Trigger, "~/e_stop", self._on_e_stop)
+        self.create_service(Trigger, "~/reset_e_stop", self._on_reset)
+        self._diagnostics = Diagnostics(self, self._report)
+        self._say_e_stop()
+
+    def start_if_asked(self) -> None:
+        """Configures and activates where the parameter ``autostart`` says so.
+
+        Raises:
+            InputError: The node cannot be configured.
+        """
+        if not self.get_parameter("autostart").value:
+            return
+        if self.trigger_configure() is not TransitionCallbackReturn.SUCCESS:
+            raise InputError("autostart: the node could not be configured, see its log")
+        self.trigger_activate()
+
+    # Life cycle
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Opens the bus and begins to read, valves vented.
+
+        Args:
+            state: The state before.
+        """
+        try:
+            settings = read_parameters(self)
+            registers = load_register_map(settings.register_map, settings.device)
+            limits = limits_of(
+                registers,
+                settings.watchdog_s,
+                settings.sensor_timeout_s,
+                settings.slew_v_s,
+                settings.clamp_margin_v,
+            )
+            arrived = self.create_guard_condition(self._on_samples)
+            self._entities.append((self.destroy_guard_condition, arrived))
+            self._link = Link(
+                Supervisor(limits, self._latches),
+                arrived.trigger,
+                max(1, round(settings.rate_hz / settings.publish_rate_hz)),
+            )
+            clock = self.get_clock()
+            self._bus = ModbusBus(
+                registers,
+                self._link,
+                1.0 / settings.rate_hz,
+                settings.timeout_s,
+                lambda: int(clock.now().nanoseconds),
+            )
+        except InputError as error:
+            self.get_logger().error(str(error))
+            self._close()
+            return TransitionCallbackReturn.FAILURE
+        self._readings = ReadingsPublisher(self, registers.taps, settings.frame_id)
+        listener = self.create_subscription(
+            ValveCommand, COMMAND_TOPIC, self._on_command, COMMAND_QOS
+        )
+        look = self.create_timer(LOOK_S, self._look_around, clock=steady_clock())
+        self._entities += [
+            (self.destroy_subscription, listener),
+            (self.destroy_timer, look),
+        ]
+        self._bus.start()
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Lets commands through.
+
+        Args:
+            state: The state before.
+        """
+        if self._link is not None:
+            self._look_around()
+            self._link.enable(True)
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Vents.
+
+        Args:
+            state: The state before.
+        """
+        self.vent("deactivated")
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Vents and closes the bus.
+
+        Args:
+            state: The state before.
+        """
+        self.vent("cleaned up")
+        self._close()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Vents and closes the bus.
+
+        Args:
+            state: The state before.
+        """
+        self.vent("shut down")
+        self._close()
+        return super().on_shutdown(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Vents and closes the bus; the node can be configured anew.
+
+        Args:
+            state: The state before.
+        """
+        del state
+        self.vent("error")
+        self._close()
+        return TransitionCallbackReturn.SUCCESS
+
+    def vent(self, why: str) -> bool:
+        """Writes the safe voltages to the bus and reads them back; needs no working graph.
+
+        Args:
+            why: For the log.
+
+        Returns:
+            Whether the device holds the safe voltages.
+        """
+        if self._link is None or self._bus is None:
+            return True
+        self._link.enable(False)
+        vented = self._bus.vent()
+        if vented.verified:
+            self.get_logger().info(
+                f"{why}: vented in {1e3 * vented.duration_s:.1f} ms, {vented.message}"
+            )
+        else:
+            self.get_logger().error(
+                f"{why}: venting is not confirmed ({vented.message}); the device's own watchdog"
+                " has to vent"
+            )
+        return vented.verified
+
+    def end(self) -> None:
+        """Vents and closes the bus, at the end of the process."""
+        try:
+            self.vent("end")
+        finally:
+            self._close()
+
+    def _close(self) -> None:
+        """Closes the bus and destroys what configuring created."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            bus.stop()
+        for destroy, entity in self._entities:
+            destroy(entity)
+        self._entities = []
+        if self._readings is not None:
+            self._readings.destroy()
+        self._readings = None
+        self._link = None
+
+    # Graph
+
+    def _on_command(self, message: ValveCommand) -> None:
+        link, bus = self._link, self._bus
+        if link is None or bus is None:
+            return
+        names, voltages = list(message.name), list(message.voltage_v)
+        if len(names) != len(voltages) or len(set(names)) != len(names):
+            link.malformed()
+            refused = f"{len(names)} names and {len(voltages)} voltages, needed are pairs"
+        else:
+            refused = link.command(dict(zip(names, voltages, strict=True)))
+        if not refused:
+            bus.poke()
+        elif refused != "not active":
+            self.get_logger().warning(
+                f"{COMMAND_TOPIC}: refused, {refused}", throttle_duration_sec=1.0
+            )
+
+    def _on_samples(self) -> None:
+        link, readings = self._link, self._readings
+        if link is None or readings is None:
+            return
+        for sample in link.take():
+            readings.publish(sample)
+
+    def _look_around(self) -> None:
+        """Counts publishers, and reports changes of state: here, so that flutter floods no log."""
+        link = self._link
+        if link is None:
+            return
+        # By its final name: counting expands a name, but does not remap it.
+        link.publishers(self.count_publishers(self.resolve_topic_name(COMMAND_TOPIC)))
+        changes = link.take_changes()
+        for state, reason in changes:
+            text = f"{state.value}{': ' if reason else ''}{reason}"
+            if state in (State.E_STOP, State.TRIPPED):
+                self.get_logger().error(text)
+            elif state is State.HOLDING:
+                self.get_logger().warning(text)
+            else:
+                self.get_logger().info(text)
+        if changes:
+            self._diagnostics.publish()
+
+    def _on_e_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        del request
+        reason = "called for by service"
+        if self._link is not None and self._bus is not None:
+            self._link.e_stop(reason)
+            vented = self._bus.vent()
+            response.success = vented.verified
+            response.message = vented.message
+        else:
+            self._latches.e_stop = self._latches.e_stop or reason
+            response.success = True
+            response.message = "latched; the bus is not open"
+        self._say_e_stop()
+        return response
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        del request
+        if self._link is None:
+            refused = ""
+            if self._latches.trip:
+                refused = "the bus is not open, so the pressures are not known"
+            else:
+                self._latches.e_stop = ""
+        else:
+            refused = self._link.reset()
+        response.success = not refused
+        response.message = refused or "released; the next command is followed"
+        self._say_e_stop()
+        return response
+
+    def _say_e_stop(self) -> None:
+        self._e_stop.publish(Bool(data=bool(self._latches.e_stop)))
+
+    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            if parameter.name == "use_sim_time" and parameter.value:
+                reason = "use_sim_time: real valves and sensors keep the machine's time"
+                return SetParametersResult(successful=False, reason=reason)
+            if self._bus is not None and parameter.name != "use_sim_time":
+                reason = f"{parameter.name}: can be set only before the node is configured"
+                return SetParametersResult(successful=False, reason=reason)
+        return SetParametersResult(successful=True)
+
+    def _report(self) -> list[DiagnosticStatus]:
+        name = self.get_name()
+        link, bus = self._link, self._bus
+        if link is None or bus is None:
+            level = DiagnosticStatus.ERROR if self._latches.e_stop else DiagnosticStatus.OK
+            message = f"e-stop: {self._latches.e_stop}" if self._latches.e_stop else "not open"
+            return [status(level, f"{name}: safety", message, {}, "modbus")]
+        report = link.report()
+        level = {
+            State.FOLLOWING: DiagnosticStatus.OK,
+            State.DISABLED: DiagnosticStatus.OK,
+            State.HOLDING: DiagnosticStatus.WARN,
+        }.get(report.state, DiagnosticStatus.ERROR)
+        message = report.state.value + (f": {report.reason}" if report.reason else "")
+        values: dict[str, object] = {
+            **{f"{one} [V]": volts for one, volts in report.output.items()},
+            **{f"{one} [SI]": value for one, value in report.readings.items()},
+            **report.counters,
+            "samples dropped": report.dropped,
+        }
+        safety = status(level, f"{name}: safety", message, values, "modbus")
+        counts = bus.statistics
+        values = {
+            **counts.counters(),
+            "request p50 [s]": counts.request.quantile(0.5),
+            "request p99 [s]": counts.request.quantile(0.99),
+            "command to confirmation p50 [s]": counts.command.quantile(0.5),
+            "command to confirmation p99 [s]": counts.command.quantile(0.99),
+        }
+        level = DiagnosticStatus.ERROR if bus.fault else DiagnosticStatus.OK
+        return [safety, status(level, f"{name}: bus", bus.fault or "works", values, "modbus")]
+
+
+def main(args: list[str] | None = None) -> None:
+    """Runs the node.
+
+    Args:
+        args: Command line; None is the process's own.
+    """
+    node: ValveBridge | None = None
+    try:
+        with rclpy.init(args=args):
+            try:
+                node = ValveBridge()
+                node.start_if_asked()
+                rclpy.spin(node)
+            finally:
+                # The graph is already gone after a signal; the bus is not.
+                if node is not None:
+                    node.end()
+                    node.destroy_node()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except InputError as error:
+        print(" ".join(str(error).split()), file=sys.stderr)
+        sys.exit(EXIT_BAD_INPUT)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,298 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a register map may say: the device, and per channel its place, form, scale and limits.
+
+Written values and readings are in SI units at the valve or the sensor; ``si = raw * scale +
+offset`` converts, whatever amplifiers or transducers lie between.
+"""
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from pneu_hw_bridge.registers.codec import NumberType, Order, from_registers, to_registers, width
+
+SCHEMA_VERSION = 1
+
+MAX_READ_REGISTERS = 125
+"""Most registers that one read may ask for, by the Modbus application protocol 1.1b3, 6.3."""
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Table = Literal["holding", "input", "coil", "discrete"]
+
+
+class Part(BaseModel):
+    """Base of every part of a map: unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Device(Part):
+    """Where the device is reached.
+
+    Attributes:
+        transport: ``tcp``, or ``rtu`` on a serial line.
+        host: Name or address of a TCP device.
+        port: Its TCP port.
+        serial_port: Serial port of an RTU device.
+        baud_rate: Its speed, bit/s.
+        parity: ``N`` none, ``E`` even, ``O`` odd.
+        stop_bits: Stop bits.
+        unit: Modbus unit (slave) address.
+        watchdog_s: After how long without a write the device itself goes to its safe state, s; None
+            where it does not.
+    """
+
+    transport: Literal["tcp", "rtu"] = "tcp"
+    host: str = "127.0.0.1"
+    port: int = Field(default=502, ge=1, le=65535)
+    serial_port: str = "/dev/ttyUSB0"
+    baud_rate: int = Field(default=115200, ge=1200)
+    parity: Literal["N", "E", "O"] = "E"
+    stop_bits: Literal[1, 2] = 1
+    unit: int = Field(default=1, ge=0, le=247)
+    watchdog_s: Positive | None = None
+
+
+class Batching(Part):
+    """How adjacent registers are read together.
+
+    Attributes:
+        max_registers: Most registers in one read.
+        max_gap: Unused registers between two channels that are read along rather than split; 0 for
+            devices that refuse to read what they do not define.
+    """
+
+    max_registers: int = Field(default=MAX_READ_REGISTERS, ge=4, le=MAX_READ_REGISTERS)
+    max_gap: int = Field(default=8, ge=0, le=MAX_READ_REGISTERS)
+
+
+class ChannelBase(Part):
+    """What every channel says.
+
+    Attributes:
+        table: Modbus table: ``holding``, ``input``, ``coil`` or ``discrete``.
+        address: First register or bit, counted from 0 as on the wire.
+        type: Type of the number; None on a coil or discrete input.
+        word_order: ``big`` where the most significant register comes first.
+        byte_order: ``big`` where the most significant byte of a register comes first.
+        scale: SI units per raw unit.
+        offset: SI value at raw zero.
+        unit: SI unit.
+        range: Lowest and highest valid value, SI.
+    """
+
+    table: Table
+    address: int = Field(ge=0, le=65535)
+    type: NumberType | None = None
+    word_order: Order = "big"
+    byte_order: Order = "big"
+    scale: Finite = 1.0
+    offset: Finite = 0.0
+    unit: str
+    range: tuple[Finite, Finite]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "ChannelBase":
+        if self.is_bit != (self.type is None):
+            raise ValueError(
+                "a coil or discrete input has no type"
+                if self.is_bit
+                else f"a channel in table {self.table} needs a type"
+            )
+        if self.scale == 0.0:
+            raise ValueError("scale must not be 0")
+        if self.address + self.width > 65536:
+            raise ValueError(f"address {self.address} leaves no room for {self.type}")
+        if not self.range[0] < self.range[1]:
+            raise ValueError(f"range {list(self.range)} must increase")
+        return self
+
+    @property
+    def is_bit(self) -> bool:
+        """Whether the channel is a single bit."""
+        return self.table in ("coil", "discrete")
+
+    @property
+    def width(self) -> int:
+        """How many registers, or bits, the channel takes."""
+        return 1 if self.type is None else width(self.type)
+
+    def decode(self, raw: list[int]) -> float:
+        """Returns the SI value that registers or a bit hold; may be infinite or not a number.
+
+        Args:
+            raw: The channel's registers or its bit.
+        """
+        number = (
+            float(raw[0])
+            if self.type is None
+            else from_registers(raw, self.type, self.word_order, self.byte_order)
+        )
+        return number * self.scale + self.offset
+
+    def encode(self, value: float) -> list[int]:
+        """Returns the registers or the bit for an SI value.
+
+        Args:
+            value: The value.
+
+        Raises:
+            ValueError: The channel's type cannot hold it.
+        """
+        raw = (value - self.offset) / self.scale
+        if self.type is None:
+            if not math.isfinite(raw):
+                raise ValueError(f"{value!r} cannot be sent as a bit")
+            return [int(raw >= 0.5)]
+        return to_registers(raw, self.type, self.word_order, self.byte_order)
+
+    @property
+    def resolution(self) -> float:
+        """Largest error that sending a value through the registers makes, SI."""
+        if self.type is None:
+            return abs(self.scale)
+        if self.type == "float64":
+            return 1e-12 * max(abs(self.range[0]), abs(self.range[1]), abs(self.scale))
+        if self.type == "float32":
+            return 2.0**-22 * max(abs(self.range[0]), abs(self.range[1]), abs(self.offset))
+        return abs(self.scale)
+
+
+class Output(ChannelBase):
+    """A valve command.
+
+    Attributes:
+        direction: ``write``.
+        safe: What is written to be safe: the voltage that vents.
+    """
+
+    direction: Literal["write"]
+    unit: Literal["V"] = "V"
+    safe: Finite
+
+    @model_validator(mode="after")
+    def _writable(self) -> "Output":
+        if self.table not in ("holding", "coil"):
+            raise ValueError(f"a command cannot be written to table {self.table}")
+        if not self.range[0] <= self.safe <= self.range[1]:
+            raise ValueError(f"safe {self.safe} lies outside of range {list(self.range)}")
+        for value in (*self.range, self.safe):
+            self.encode(value)
+        return self
+
+
+class Input(ChannelBase):
+    """A pressure sensor, or another quantity of the device that is only shown.
+
+    Attributes:
+        direction: ``read``.
+        unit: ``Pa`` (absolute) makes it a tap; others are shown in the diagnostics.
+        trip_above: Reading above which the bridge vents and stays so until it is reset, SI.
+        hold_below: Reading below which the bridge vents until it has risen again (loss of supply).
+        frozen_after_s: For how long a reading may stay bit for bit the same, s; None is for ever.
+            Only for sensors whose noise exceeds their resolution.
+    """
+
+    direction: Literal["read"]
+    trip_above: Finite | None = None
+    hold_below: Finite | None = None
+    frozen_after_s: Positive | None = None
+
+    @model_validator(mode="after")
+    def _limits(self) -> "Input":
+        for name in ("trip_above", "hold_below"):
+            limit = getattr(self, name)
+            if limit is not None and not self.range[0] <= limit <= self.range[1]:
+                raise ValueError(f"{name} {limit} lies outside of range {list(self.range)}")
+        return self
+
+
+Channel = Annotated[Output | Input, Field(discriminator="direction")]
+
+
+class Setting(Part):
+    """A register that is written once whenever the connection comes up.
+
+    Attributes:
+        table: ``holding`` or ``coil``.
+        address: First register or bit.
+        type: Type of the number; None on a coil.
+        word_order: ``big`` where the most significant register comes first.
+        byte_order: ``big`` where the most significant byte of a register comes first.
+        value: Raw value.
+        comment: What it does.
+    """
+
+    table: Literal["holding", "coil"] = "holding"
+    address: int = Field(ge=0, le=65535)
+    type: NumberType | None = None
+    word_order: Order = "big"
+    byte_order: Order = "big"
+    value: Finite
+    comment: str = ""
+
+    @model_validator(mode="after")
+    def _encodes(self) -> "Setting":
+        if (self.table == "coil") != (self.type is None):
+            raise ValueError("a setting needs a type, but on a coil")
+        self.encode()
+        return self
+
+    def encode(self) -> list[int]:
+        """Returns the registers or the bit to write."""
+        if self.type is None:
+            return [int(self.value != 0.0)]
+        return to_registers(self.value, self.type, self.word_order, self.byte_order)
+
+
+class RegisterMap(Part):
+    """A device and its channels.
+
+    Attributes:
+        pneu_registers: Version of this schema.
+        name: Name.
+        description: What it is, for people.
+        device: Where it is reached.
+        batching: How adjacent registers are read together.
+        settings: What is written whenever the connection comes up.
+        channels: Channels, by the names that commands and taps have in the rig file.
+    """
+
+    pneu_registers: Literal[1]
+    name: str
+    description: str = ""
+    device: Device = Device()
+    batching: Batching = Batching()
+    settings: tuple[Setting, ...] = ()
+    channels: dict[str, Channel] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _apart(self) -> "RegisterMap":
+        if not self.outputs:
+            raise ValueError("channels: none has direction write, so there is nothing to command")
+        taken: dict[tuple[str, int], str] = {}
+        for name, channel in self.channels.items():
+            for at in range(channel.address, channel.address + channel.width):
+                other = taken.setdefault((channel.table, at), name)
+                if other != name:
+                    raise ValueError(
+                        f"channels: {name!r} and {other!r} both use {channel.table} {at}"
+                    )
+        return self
+
+    @property
+    def outputs(self) -> dict[str, Output]:
+        """Channels that are written."""
+        return {n: c for n, c in self.channels.items() if isinstance(c, Output)}
+
+    @property
+    def inputs(self) -> dict[str, Input]:
+        """Channels that are read."""
+        return {n: c for n, c in self.channels.items() if isinstance(c, Input)}
+
+    @property
+    def taps(self) -> dict[str, Input]:
+        """Channels that are pressure sensors."""
+        return {n: c for n, c in self.inputs.items() if c.unit == "Pa"}

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers that the safety of a bridge goes by, checked once; hardware refuses to run without."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pneu_hw_bridge.registers.schema import RegisterMap
+from pneu_sim.errors import InputError
+
+LONGEST_WATCHDOG_S = 0.1
+"""Longest time that hardware may run on without a new command."""
+
+
+@dataclass(frozen=True)
+class OutputLimits:
+    """Limits of one valve command.
+
+    Attributes:
+        lower_v: Lowest voltage.
+        upper_v: Highest voltage.
+        safe_v: Voltage that vents.
+    """
+
+    lower_v: float
+    upper_v: float
+    safe_v: float
+
+
+@dataclass(frozen=True)
+class SensorLimits:
+    """Limits of one sensor.
+
+    Attributes:
+        lower_pa: Lowest reading that can be true.
+        upper_pa: Highest reading that can be true.
+        trip_above_pa: Reading above which the bridge trips; infinite for none.
+        hold_below_pa: Reading below which the bridge vents until it has risen; -infinite for none.
+        frozen_after_s: For how long a reading may stay exactly the same; infinite for ever.
+    """
+
+    lower_pa: float
+    upper_pa: float
+    trip_above_pa: float = math.inf
+    hold_below_pa: float = -math.inf
+    frozen_after_s: float = math.inf
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a whole bridge.
+
+    Attributes:
+        outputs: Per command its limits.
+        sensors: Per tap its limits.
+        watchdog_s: How long a command is followed without a new one.
+        sensor_timeout_s: How old the newest reading of a tap may be.
+        slew_v_s: Fastest change of a voltage while commands are followed.
+        clamp_margin_v: How far beyond its range a command is clamped; beyond that it is refused.
+    """
+
+    outputs: Mapping[str, OutputLimits]
+    sensors: Mapping[str, SensorLimits]
+    watchdog_s: float = 0.1
+    sensor_timeout_s: float = 0.1
+    slew_v_s: float = 2000.0
+    clamp_margin_v: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.watchdog_s <= LONGEST_WATCHDOG_S:
+            raise InputError(
+                f"watchdog_s: found {self.watchdog_s:g}, hardware needs more than 0 and at most"
+                f" {LONGEST_WATCHDOG_S:g} s"
+            )
+        for name in ("sensor_timeout_s", "slew_v_s"):
+            value = getattr(self, name)
+            if not (value > 0.0 and math.isfinite(value)):
+                raise InputError(f"{name}: found {value:g}, needed is a positive number")
+        if not (self.clamp_margin_v >= 0.0 and math.isfinite(self.clamp_margin_v)):
+            raise InputError(f"clamp_margin_v: found {self.clamp_margin_v:g}, must not be negative")
+        for name, output in self.outputs.items():
+            if not output.lower_v <= output.safe_v <= output.upper_v:
+                raise InputError(f"command {name!r}: its safe voltage lies outside of its range")
+
+
+def limits_of(
+    registers: RegisterMap,
+    watchdog_s: float = 0.1,
+    sensor_timeout_s: float = 0.1,
+    slew_v_s: float = 2000.0,
+    clamp_margin_v: float = 1.0,
+) -> Limits:
+    """Limits of the device of a register map.
+
+    Args:
+        registers: The map.
+        watchdog_s: How long a command is followed without a new one, s.
+        sensor_timeout_s: How old the newest reading of a tap may be, s.
+        slew_v_s: Fastest change of a voltage, V/s.
+        clamp_margin_v: How far beyond its range a command is clamped, V.
+
+    Raises:
+        InputError: A number is not allowed on hardware.
+    """
+    return Limits(
+        outputs={
+            name: OutputLimits(*channel.range, channel.safe)
+            for name, channel in registers.outputs.items()
+        },
+        sensors={
+            name: SensorLimits(
+                *channel.range,
+                math.inf if channel.trip_above is None else channel.trip_above,
+                -math.inf if channel.hold_below is None else channel.hold_below,
+                math.inf if channel.frozen_after_s is None else channel.frozen_after_s,
+            )
+            for name, channel in registers.taps.items()
+        },
+        watchdog_s=watchdog_s,
+        sensor_timeout_s=sensor_timeout_s,
+        slew_v_s=slew_v_s,
+        clamp_margin_v=clamp_margin_v,
+    )

@@ -1,0 +1,415 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The Modbus bus against a real pymodbus server, a serial line of pseudo terminals, and garbage."""
+
+import asyncio
+import os
+import random
+import socket
+import struct
+import threading
+import time
+import tty
+from contextlib import contextmanager
+
+import pytest
+from pymodbus.constants import ExcCodes
+from pymodbus.framer import FramerType
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+from pymodbus.simulator import DataType, SimData, SimDevice
+
+from pneu_hw_bridge.modbus.bus import ModbusBus
+from pneu_hw_bridge.registers.load import load_register_map
+from pneu_sim.errors import InputError
+
+PRESSURES = [6.0e5, 3.0e5, 2.5e5, 2.0e5, 1.0e5]
+
+
+class Owner:
+    """Keeps what the bus tells, and says what to write."""
+
+    def __init__(self):
+        self.volts = {"voltage": 0.0}
+        self.samples = []
+        self.faults = []
+
+    def output(self, now_s):
+        return self.volts
+
+    def readings(self, values, steady_s, stamp_ns):
+        self.samples.append((values, steady_s, stamp_ns))
+
+    def bus(self, fault):
+        self.faults.append(fault)
+
+
+class Server:
+    """A pymodbus device in a thread, whose behaviour can be changed while it runs."""
+
+    def __init__(self):
+        self.written = []
+        self.reads = []
+        self.delay_s = 0.0
+        self.refuse = None
+        self.loop = asyncio.new_event_loop()
+        self.server = None
+        self.port = 0
+        threading.Thread(target=self.loop.run_forever, daemon=True).start()
+
+    def device(self):
+        words = list(struct.unpack(">10H", struct.pack(">5f", *PRESSURES)))
+        bits = SimData(0, values=[False] * 16, datatype=DataType.BITS)
+        holding = SimData(100, values=[0, 0], datatype=DataType.REGISTERS)
+        inputs = SimData(0, values=words, datatype=DataType.REGISTERS)
+        return SimDevice(1, ([bits], [bits], [holding], [inputs]), action=self.access)
+
+    async def access(self, function, first, address, count, registers, written):
+        if self.delay_s:
+            await asyncio.sleep(self.delay_s)
+        if self.refuse is not None:
+            return self.refuse
+        if written:
+            volts = struct.unpack(">f", struct.pack(">2H", *written))[0]
+            self.written.append((time.monotonic(), volts))
+        else:
+            self.reads.append((function, address, count))
+        return None
+
+    def call(self, coroutine):
+        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(5.0)
+
+    def open(self):
+        async def start():
+            self.server = ModbusTcpServer(self.device(), address=("127.0.0.1", self.port))
+            await self.server.serve_forever(background=True)
+            self.port = self.server.transport.sockets[0].getsockname()[1]
+
+        self.call(start())
+
+    def close(self):
+        self.call(self.server.shutdown())
+
+    def end(self):
+        self.loop.call_soon_threadsafe(self.loop.stop)
+
+
+@pytest.fixture
+def server():
+    one = Server()
+    one.open()
+    yield one
+    one.close()
+    one.end()
+
+
+@contextmanager
+def open_bus(port, owner, **options):
+    bus = ModbusBus(load_register_map("generic_plc", {"port": port}), owner, **options)
+    bus.start()
+    try:
+        yield bus
+    finally:
+        bus.stop()
+
+
+def test_reads_and_writes(server, wait_until):
+    owner = Owner()
+    before_ns = time.time_ns()
+    with open_bus(server.port, owner) as bus:
+        wait_until(lambda: len(owner.samples) > 20)
+        owner.volts = {"voltage": 7.5}
+        bus.poke()
+        wait_until(lambda: server.written and server.written[-1][1] == 7.5)
+    values, steady_s, stamp_ns = owner.samples[-1]
+    assert list(values.values()) == PRESSURES
+    assert before_ns < stamp_ns < time.time_ns()
+    assert steady_s < time.monotonic()
+    assert owner.faults == [""]
+    assert set(server.reads) == {(4, 0, 10)}, "all taps come in one request"
+
+
+def test_command_rate_and_latency(server, wait_until):
+    """500 commands a second, each seen in the register; generous, for busy machines."""
+    owner = Owner()
+    with open_bus(server.port, owner) as bus:
+        wait_until(lambda: owner.samples)
+        begun = next_s = time.monotonic()
+        cycles = len(owner.samples)
+        sent = {}
+        for i in range(500):
+            next_s += 0.002
+            time.sleep(max(next_s - time.monotonic(), 0.0))
+            volts = 1.0 + i / 64.0  # exact in float32
+            sent[volts] = time.monotonic()
+            owner.volts = {"voltage": volts}
+            bus.poke()
+        wait_until(lambda: server.written[-1][1] == volts)
+        took = time.monotonic() - begun
+        cycles = len(owner.samples) - cycles
+    latencies = sorted(t - sent[v] for t, v in server.written if v in sent)
+    assert len(latencies) > 300
+    assert latencies[len(latencies) // 2] < 0.01
+    assert cycles / took > 250.0
+
+
+def test_vent_is_written_and_read_back(server, wait_until):
+    owner = Owner()
+    owner.volts = {"voltage": 7.5}
+    with open_bus(server.port, owner) as bus:
+        wait_until(lambda: server.written and server.written[-1][1] == 7.5)
+        owner.volts = {"voltage": 0.0}
+        vented = bus.vent()
+    assert vented.verified, vented.message
+    assert vented.duration_s < 0.1
+    assert server.written[-1][1] == 0.0
+    assert (3, 100, 2) in server.reads
+
+
+def test_vent_on_a_dead_bus_returns_in_time_and_says_so(server, wait_until):
+    owner = Owner()
+    with open_bus(server.port, owner) as bus:
+        wait_until(lambda: owner.samples)
+        server.close()
+        wait_until(lambda: bus.fault)
+        begun = time.monotonic()
+        vented = bus.vent(0.14)
+        assert time.monotonic() - begun < 0.4
+        assert not vented.verified
+        server.open()
+
+
+def test_a_lost_connection_is_noticed_at_once_and_comes_back(server, wait_until):
+    owner = Owner()
+    with open_bus(server.port, owner) as bus:
+        wait_until(lambda: owner.samples)
+        server.close()
+        assert wait_until(lambda: owner.faults[-1]) < 0.15
+        time.sleep(1.0)
+        server.open()
+        assert wait_until(lambda: owner.faults[-1] == "", 3.0) < 1.5
+        assert bus.statistics.losses >= 1
+        assert bus.statistics.connects == 2
+        assert bus.statistics.connect_failures < 20, "it must not hammer"
+
+
+def test_exception_replies_keep_the_connection(server, wait_until):
+    owner = Owner()
+    with open_bus(server.port, owner) as bus:
+        wait_until(lambda: owner.samples)
+        server.refuse = ExcCodes.DEVICE_FAILURE
+        wait_until(lambda: "exception reply 4" in owner.faults[-1])
+        count = len(owner.samples)
+        time.sleep(0.05)
+        assert len(owner.samples) <= count + 1
+        server.refuse = None
+        wait_until(lambda: owner.faults[-1] == "")
+        assert bus.statistics.exceptions > 0
+        assert bus.statistics.connects == 1
+
+
+def test_a_slow_device_is_given_up_in_time(server, wait_until):
+    owner = Owner()
+    with open_bus(server.port, owner, timeout_s=0.05) as bus:
+        wait_until(lambda: owner.samples)
+        server.delay_s = 0.2
+        assert wait_until(lambda: "no answer within" in owner.faults[-1]) < 0.2
+        server.delay_s = 0.0
+        wait_until(lambda: owner.faults[-1] == "", 3.0)
+        assert bus.statistics.timeouts >= 1
+
+
+def test_nothing_there(tmp_path, wait_until):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        owner = Owner()
+        with open_bus(free.getsockname()[1], owner) as bus:
+            wait_until(lambda: owner.faults)
+            time.sleep(0.5)
+    assert "no connection to 127.0.0.1" in owner.faults[-1]
+    assert 2 <= bus.statistics.connect_failures < 10
+
+
+@pytest.mark.parametrize("options", [{"timeout_s": 0.0}, {"timeout_s": 0.3}, {"period_s": 0.0}])
+def test_unsafe_settings_are_refused(options):
+    with pytest.raises(InputError, match=next(iter(options))):
+        ModbusBus(load_register_map("generic_plc"), Owner(), **options)
+
+
+# Garbage
+
+
+def broken_reply(rng, request):
+    """A reply that is wrong in one of many ways, or right."""
+    tid, unit, function = request[0:2], request[6:7], request[7]
+    kind = rng.randrange(10)
+    body = bytes([function, 20]) + rng.randbytes(20)
+    if kind == 0:
+        return rng.randbytes(rng.randrange(1, 300))
+    if kind == 1:
+        body = bytes([function | 0x80, rng.randrange(256)])
+    elif kind == 2:
+        body = bytes([function, rng.randrange(256)]) + rng.randbytes(rng.randrange(64))
+    elif kind == 3:
+        body = rng.randbytes(rng.randrange(1, 60))
+    elif kind == 4:
+        tid = rng.randbytes(2)
+    elif kind == 5:
+        unit = rng.randbytes(1)
+    elif kind == 6:
+        body = body[: rng.randrange(1, len(body))]
+    elif kind == 7 and function == 16:
+        body = bytes([16]) + rng.randbytes(4)
+    elif function == 16:
+        body = bytes([16]) + request[8:12]
+    frame = tid + b"\0\0" + struct.pack(">H", 1 + len(body)) + unit + body
+    if kind == 8:
+        frame += rng.randbytes(rng.randrange(20))
+    if kind == 9:
+        frame = frame[: rng.randrange(1, len(frame))]
+    return frame
+
+
+def test_ten_thousand_random_replies(wait_until, monkeypatch):
+    """The bus survives them, takes only readings of full length, and works again afterwards."""
+    # So that they take seconds; else the bus would spend its time waiting.
+    monkeypatch.setattr("pneu_hw_bridge.modbus.bus.FIRST_BACKOFF_S", 0.0005)
+    monkeypatch.setattr("pneu_hw_bridge.modbus.bus.LONGEST_BACKOFF_S", 0.0005)
+    rng = random.Random(11)
+    replies = 0
+    sane = threading.Event()
+    listener = socket.create_server(("127.0.0.1", 0))
+    listener.settimeout(0.2)
+    port = listener.getsockname()[1]
+    finished = threading.Event()
+
+    def serve():
+        nonlocal replies
+        while not finished.is_set():
+            try:
+                peer, _ = listener.accept()
+            except TimeoutError:
+                continue
+            with peer:
+                peer.settimeout(0.2)
+                try:
+                    while not finished.is_set():
+                        request = peer.recv(512)
+                        if len(request) < 12:
+                            break
+                        if sane.is_set():
+                            function = request[7]
+                            body = bytes([function]) + (
+                                request[8:12]
+                                if function == 16
+                                else bytes([20]) + struct.pack(">5f", *PRESSURES)
+                            )
+                            head = request[:4] + struct.pack(">H", 1 + len(body)) + request[6:7]
+                            peer.sendall(head + body)
+                            continue
+                        for _ in range(rng.choice([1, 1, 1, 2, 3])):
+                            peer.sendall(broken_reply(rng, request))
+                            replies += 1
+                except OSError:
+                    continue  # the bus gave this connection up, as it should
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    owner = Owner()
+    try:
+        with open_bus(port, owner, timeout_s=0.004) as bus:
+            wait_until(lambda: replies >= 10_000, 60.0, 0.02)
+            sane.set()
+            wait_until(lambda: owner.faults and owner.faults[-1] == "", 5.0)
+            count = len(owner.samples)
+            wait_until(lambda: len(owner.samples) > count + 50)
+            statistics = bus.statistics
+    finally:
+        finished.set()
+        thread.join(3.0)
+        listener.close()
+    assert statistics.malformed > 20
+    assert statistics.exceptions > 5
+    assert list(owner.samples[-1][0].values()) == PRESSURES
+    assert all(len(values) == 5 for values, _, _ in owner.samples)
+
+
+# Serial
+
+
+@contextmanager
+def serial_pair():
+    """Two serial ports that are connected to each other."""
+    ends = [os.openpty() for _ in range(2)]
+    stop = threading.Event()
+    for controller, terminal in ends:
+        tty.setraw(terminal)
+        os.set_blocking(controller, False)
+
+    def carry(source, target):
+        while not stop.is_set():
+            try:
+                os.write(target, os.read(source, 4096))
+            except BlockingIOError:
+                time.sleep(0.0005)
+
+    threads = [
+        threading.Thread(target=carry, args=(ends[a][0], ends[1 - a][0]), daemon=True)
+        for a in range(2)
+    ]
+    for thread in threads:
+        thread.start()
+    try:
+        yield tuple(os.ttyname(terminal) for _, terminal in ends)
+    finally:
+        stop.set()
+        for thread in threads:
+            thread.join(1.0)
+        for controller, terminal in ends:
+            os.close(controller)
+            os.close(terminal)
+
+
+def test_serial_line(wait_until):
+    server = Server()
+    owner = Owner()
+    with serial_pair() as (ours, theirs):
+
+        async def start():
+            server.server = ModbusSerialServer(
+                server.device(),
+                framer=FramerType.RTU,
+                port=theirs,
+                baudrate=115200,
+                parity="N",
+            )
+            await server.server.serve_forever(background=True)
+
+        server.call(start())
+        registers = load_register_map(
+            "generic_plc", {"transport": "rtu", "serial_port": ours, "parity": "N"}
+        )
+        bus = ModbusBus(registers, owner, period_s=0.02, timeout_s=0.2)
+        bus.start()
+        try:
+            wait_until(lambda: len(owner.samples) > 5)
+            owner.volts = {"voltage": 6.25}
+            bus.poke()
+            wait_until(lambda: server.written[-1][1] == 6.25)
+            assert bus.vent().verified
+        finally:
+            bus.stop()
+            server.close()
+            server.end()
+    assert list(owner.samples[-1][0].values()) == PRESSURES
+    assert server.written[-1][1] in (0.0, 6.25)
+
+
+def test_missing_serial_port(wait_until):
+    owner = Owner()
+    device = {"transport": "rtu", "serial_port": "/dev/no_such_port"}
+    bus = ModbusBus(load_register_map("generic_plc", device), owner)
+    bus.start()
+    try:
+        wait_until(lambda: owner.faults)
+    finally:
+        bus.stop()
+    assert owner.faults[-1].startswith("no connection to /dev/no_such_port")

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Register maps: numbers against values worked out by hand, batching, and clear refusals."""
+
+import math
+import random
+import struct
+
+import pytest
+
+from pneu_hw_bridge.registers.batches import plan, plan_writes
+from pneu_hw_bridge.registers.codec import from_registers, to_registers
+from pneu_hw_bridge.registers.load import load_register_map, parse_register_map, profiles
+from pneu_hw_bridge.registers.schema import Batching, Input
+from pneu_sim.errors import InputError
+
+# From the standards of the formats: IEEE 754 and two's complement.
+KNOWN = [
+    (1.0, "float32", "big", "big", [0x3F80, 0x0000]),
+    (1.0, "float32", "little", "big", [0x0000, 0x3F80]),
+    (1.0, "float32", "big", "little", [0x803F, 0x0000]),
+    (1.0, "float32", "little", "little", [0x0000, 0x803F]),
+    (-2.5, "float32", "big", "big", [0xC020, 0x0000]),
+    (1.0, "float64", "big", "big", [0x3FF0, 0, 0, 0]),
+    (1.0, "float64", "little", "big", [0, 0, 0, 0x3FF0]),
+    (-2, "int16", "big", "big", [0xFFFE]),
+    (0x1234, "uint16", "big", "little", [0x3412]),
+    (-2, "int32", "big", "big", [0xFFFF, 0xFFFE]),
+    (0x12345678, "uint32", "big", "big", [0x1234, 0x5678]),
+    (0x12345678, "uint32", "little", "big", [0x5678, 0x1234]),
+    (0x12345678, "uint32", "little", "little", [0x7856, 0x3412]),
+    (2.4, "int16", "big", "big", [2]),
+]
+
+
+@pytest.mark.parametrize(("value", "kind", "words", "octets", "registers"), KNOWN)
+def test_known_numbers(value, kind, words, octets, registers):
+    assert to_registers(value, kind, words, octets) == registers
+    back = from_registers(registers, kind, words, octets)
+    assert back == (round(value) if kind.endswith(("16", "int32")) else value)
+
+
+def test_random_numbers_agree_with_struct_and_survive():
+    rng = random.Random(3)
+    formats = {"float32": ">f", "float64": ">d", "int32": ">i", "uint32": ">I", "int16": ">h"}
+    for _ in range(2000):
+        kind = rng.choice(list(formats))
+        number = rng.randrange(0, 2**15) if "int" in kind else rng.uniform(-1e6, 1e6)
+        data = struct.pack(formats[kind], number)
+        expected = list(struct.unpack(f">{len(data) // 2}H", data))
+        assert to_registers(number, kind) == expected
+        order = {"word_order": rng.choice(["big", "little"]), "byte_order": rng.choice(["little"])}
+        again = from_registers(to_registers(number, kind, **order), kind, **order)
+        assert again == struct.unpack(formats[kind], data)[0]
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"),
+    [(40000, "int16"), (-1, "uint16"), (2**32, "uint32"), (math.nan, "int32"), (1e39, "float32")],
+)
+def test_numbers_that_do_not_fit_are_refused(value, kind):
+    with pytest.raises(ValueError, match="cannot be sent"):
+        to_registers(value, kind)
+
+
+def test_wrong_count_is_refused():
+    with pytest.raises(ValueError, match="needed are 2"):
+        from_registers([1], "float32")
+
+
+@pytest.mark.parametrize("name", profiles())
+def test_profiles_are_valid_and_read_in_one_request(name):
+    registers = load_register_map(name)
+    assert len(plan(registers.inputs, registers.batching)) == 1
+    assert registers.outputs["voltage"].safe == 0.0
+    assert set(registers.taps) == {"supply", "valve_out", "middle", "end", "exhaust"}
+
+
+def test_labjack_addresses_and_scales():
+    registers = load_register_map("labjack_t")
+    voltage = registers.channels["voltage"]
+    assert (voltage.table, voltage.address) == ("holding", 1000)
+    assert voltage.encode(10.0) == [0x40A0, 0x0000]  # 5 V from the DAC, the amplifier doubles it
+    assert [tap.address for tap in registers.taps.values()] == [0, 2, 4, 6, 8]
+    # 1 V from the transmitter is 1 bar gauge
+    assert registers.channels["end"].decode([0x3F80, 0x0000]) == pytest.approx(201325.0)
+    assert registers.settings[0].encode() == [0x4120, 0x0000]
+
+
+def channel(address, table="input", kind="float32"):
+    return Input(
+        direction="read", table=table, address=address, type=kind, unit="Pa", range=(0.0, 1e6)
+    )
+
+
+def test_batches_follow_gaps_limits_and_tables():
+    channels = {
+        "a": channel(0),
+        "b": channel(2),
+        "far": channel(40),
+        "near": channel(44, kind="uint16"),
+        "other": channel(3, "holding"),
+    }
+    batches = plan(channels, Batching(max_gap=2))
+    assert [(b.table, b.address, b.count) for b in batches] == [
+        ("holding", 3, 2),
+        ("input", 0, 4),
+        ("input", 40, 5),
+    ]
+    raw = [0x3F80, 0, 0x4000, 0]
+    assert batches[1].decode(raw) == {"a": 1.0, "b": 2.0}
+    many = {str(i): channel(2 * i) for i in range(10)}
+    assert [b.count for b in plan(many, Batching(max_registers=6))] == [6, 6, 6, 2]
+
+
+def test_nothing_undefined_is_written():
+    registers = parse_register_map(
+        """
+pneu_registers: 1
+name: two
+channels:
+  a: {direction: write, table: holding, address: 0, type: uint16, scale: 0.001,
+      range: [0, 10], safe: 0}
+  b: {direction: write, table: holding, address: 2, type: uint16, scale: 0.001,
+      range: [0, 10], safe: 5}
+""",
+        "two.yaml",
+    )
+    batches = plan_writes(registers.outputs)
+    assert [(b.address, b.encode({"a": 1.0, "b": 2.0})) for b in batches] == [
+        (0, [1000]),
+        (2, [2000]),
+    ]
+
+
+HEAD = "pneu_registers: 1\nname: m\nchannels:\n"
+WRITE = "{direction: write, table: holding, address: 3, type: float32, range: [0, 10], safe: 0}"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("pneu_registers: 2", "found 2, this version reads 1"),
+        ("- a", "a register map is a mapping"),
+        ("{", "is not YAML"),
+        (HEAD + "  a: " + WRITE.replace("address", "adress"), "did you mean 'address'"),
+        (HEAD + "  a: " + WRITE.replace("holding", "input"), "cannot be written to table input"),
+        (HEAD + "  a: " + WRITE.replace("safe: 0", "safe: 11"), "lies outside of range"),
+        (HEAD + "  a: " + WRITE.replace("float32", "float16"), "channels.a.type"),
+        (HEAD + "  a: " + WRITE.replace("float32", "uint16, scale: 1.0e-5"), "cannot be sent"),
+        (HEAD + "  a: " + WRITE + "\n  b: " + WRITE, "both use holding 3"),
+        (HEAD + "  a: " + WRITE.replace("[0, 10]", "[10, 0]"), "must increase"),
+        (
+            HEAD
+            + "  a: {direction: read, table: input, address: 0, type: int16, unit: Pa,"
+            + " range: [0, 1]}",
+            "nothing to command",
+        ),
+        (HEAD + "  a: " + WRITE + "\ndevice: {portt: 3}", "did you mean 'port'"),
+    ],
+)
+def test_bad_maps_are_refused_in_one_sentence(text, says):
+    with pytest.raises(InputError) as caught:
+        parse_register_map(text, "map.yaml")
+    assert says in str(caught.value)
+    assert str(caught.value).startswith("map.yaml: ")
+
+
+def test_missing_map_names_the_profiles():
+    with pytest.raises(InputError, match="generic_plc, labjack_t"):
+        load_register_map("no_such_map.yaml")

@@ -1,0 +1,341 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The valve bridge as a process, between a graph and the emulated lab: topics, safety, its end."""
+
+import math
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from itertools import pairwise
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from pneu_msgs.msg import TapPressures, ValveCommand
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_profile_sensor_data,
+)
+from sensor_msgs.msg import FluidPressure
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+SAFE_WITHIN_S = 0.15
+DOMAIN = random.SystemRandom().randrange(1, 101)
+ENVIRONMENT = {
+    **os.environ,
+    "ROS_DOMAIN_ID": str(DOMAIN),
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+}
+START = (
+    "import sys; from pneu_runtime import hook; hook.install();"
+    "from pneu_hw_bridge.nodes.valve_bridge import main; main(sys.argv[1:])"
+)
+COMMAND_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+LATCHED_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+
+class Graph:
+    """The rest of the graph: a controller, a listener, an operator."""
+
+    def __init__(self):
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=DOMAIN)
+        self.node = rclpy.create_node("tester", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.singles, self.sets, self.stops, self.health = [], [], [], []
+        listen = self.node.create_subscription
+        listen(FluidPressure, "taps/end/pressure", self.singles.append, qos_profile_sensor_data)
+        listen(TapPressures, "taps/pressures", self.sets.append, qos_profile_sensor_data)
+        listen(Bool, "e_stop", self.stops.append, LATCHED_QOS)
+        listen(DiagnosticArray, "/diagnostics", self.health.append, 10)
+        self.publisher = self.node.create_publisher(ValveCommand, "valve/command", COMMAND_QOS)
+        self.volts = None
+        self._end = threading.Event()
+        self._threads = [
+            threading.Thread(target=self.executor.spin, daemon=True),
+            threading.Thread(target=self._control, daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def _control(self):
+        while not self._end.wait(0.002):
+            if self.volts is not None:
+                self.publisher.publish(ValveCommand(name=["voltage"], voltage_v=[self.volts]))
+
+    def call(self, kind, name, request=None):
+        client = self.node.create_client(kind, name)
+        try:
+            assert client.wait_for_service(10.0), name
+            future = client.call_async(request or kind.Request())
+            end = time.monotonic() + 5.0
+            while not future.done():
+                assert time.monotonic() < end, f"{name} did not answer"
+                time.sleep(0.002)
+            return future.result()
+        finally:
+            self.node.destroy_client(client)
+
+    def change(self, transition):
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return self.call(ChangeState, "valve_bridge/change_state", request).success
+
+    def state(self):
+        return self.call(GetState, "valve_bridge/get_state").current_state.id
+
+    def status(self, part="safety"):
+        """The newest diagnostics of a part of the bridge: level and message."""
+        for message in reversed(self.health):
+            for one in message.status:
+                if one.name == f"valve_bridge: {part}":
+                    return one
+        return None
+
+    def close(self):
+        self._end.set()
+        self._threads[1].join(2.0)
+        self.executor.shutdown()
+        self._threads[0].join(2.0)
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def graph():
+    one = Graph()
+    yield one
+    one.close()
+
+
+@contextmanager
+def running_bridge(port, *parameters):
+    """The node as a process."""
+    command = [sys.executable, "-c", START, "--ros-args", "-p", f"port:={port}"]
+    for parameter in parameters:
+        command += ["-p", parameter]
+    process = subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate(timeout=10)
+
+
+@pytest.fixture
+def bridge(healthy_lab):
+    """An active bridge."""
+    with running_bridge(healthy_lab.port, "autostart:=true") as process:
+        yield process
+
+
+def follow(lab, graph, wait_until, volts=5.5):
+    """Sends commands until the valves have them."""
+    graph.volts = volts
+    wait_until(lambda: lab.volts() == volts, 20.0, 0.02)
+    time.sleep(0.1)
+
+
+def safe_after(lab, begun_s):
+    """How long after a moment the valves got, and from then on kept, the safe voltage."""
+    changes = lab.ask("history")["history"]
+    assert changes[-1]["volts"]["voltage"] == 0.0, changes[-3:]
+    last = max(i for i, change in enumerate(changes) if change["volts"]["voltage"] != 0.0)
+    return changes[last + 1]["steady_s"] - begun_s, changes[last + 1]["cause"]
+
+
+def test_readings_and_commands(bridge, lab, graph, wait_until):
+    follow(lab, graph, wait_until, 6.0)
+    follow(lab, graph, wait_until, 5.0)
+    time.sleep(0.5)
+    one, whole = graph.singles[-1], graph.sets[-1]
+    assert list(whole.name) == ["supply", "valve_out", "middle", "end", "exhaust"]
+    assert one.header.frame_id == "end"
+    assert 1.5e5 < one.fluid_pressure < 7e5
+    assert whole.pressure_pa[3] == pytest.approx(one.fluid_pressure, abs=5e3)
+    age_s = time.time() - (one.header.stamp.sec + 1e-9 * one.header.stamp.nanosec)
+    assert -0.01 < age_s < 0.5
+    stamps = [s.header.stamp.sec * 10**9 + s.header.stamp.nanosec for s in graph.sets[-200:]]
+    assert all(b > a for a, b in pairwise(stamps))
+    graph.volts = None
+    begun_s = time.monotonic()
+    time.sleep(0.3)
+    took_s, cause = safe_after(lab, begun_s)
+    assert took_s < SAFE_WITHIN_S
+    assert cause == "write"
+
+
+def test_diagnostics(bridge, lab, graph, wait_until):
+    follow(lab, graph, wait_until)
+    wait_until(lambda: graph.status() is not None and graph.status().message == "following")
+    assert graph.status().level == b"\0"
+    assert graph.status("bus").message == "works"
+    graph.volts = None
+    wait_until(lambda: graph.status().message.startswith("holding: command voltage: none for"))
+    count = len(graph.health)
+    time.sleep(3.2)
+    assert 3 <= len(graph.health) - count <= 5, "1 Hz while nothing changes"
+    follow(lab, graph, wait_until)
+    lab.ask("fault", name="frozen", channel="end")
+    wait_until(lambda: "frozen" in graph.status().message)
+    assert graph.status().level == b"\x01"
+    lab.ask("fault", name="silent")
+    wait_until(lambda: graph.status("bus").level == b"\x02")
+
+
+def test_emergency_stop(bridge, lab, graph, wait_until):
+    follow(lab, graph, wait_until)
+    wait_until(lambda: graph.stops and not graph.stops[-1].data)
+    begun_s = time.monotonic()
+    answer = graph.call(Trigger, "valve_bridge/e_stop")
+    assert answer.success and "read back voltage 0 V" in answer.message
+    time.sleep(0.3)  # commands go on
+    assert safe_after(lab, begun_s)[0] < SAFE_WITHIN_S
+    wait_until(lambda: graph.stops[-1].data)
+    wait_until(lambda: "e_stop" in graph.status().message)
+    late = Graph()
+    try:
+        wait_until(lambda: late.stops, 10.0)
+        assert late.stops[-1].data, "who comes late learns of the stop"
+    finally:
+        late.close()
+    assert graph.change(Transition.TRANSITION_DEACTIVATE)
+    assert graph.change(Transition.TRANSITION_ACTIVATE)
+    time.sleep(0.2)
+    assert lab.volts() == 0.0, "activating anew does not release it"
+    assert graph.call(Trigger, "valve_bridge/reset_e_stop").success
+    wait_until(lambda: lab.volts() == 5.5)
+    wait_until(lambda: not graph.stops[-1].data)
+
+
+def test_life_cycle(healthy_lab, graph, wait_until):
+    lab = healthy_lab
+    with running_bridge(lab.port):
+        assert graph.state() == State.PRIMARY_STATE_UNCONFIGURED
+        assert graph.change(Transition.TRANSITION_CONFIGURE)
+        wait_until(lambda: graph.sets)  # readable, but no commands
+        graph.volts = 7.0
+        time.sleep(0.3)
+        assert lab.volts() == 0.0
+        assert graph.change(Transition.TRANSITION_ACTIVATE)
+        wait_until(lambda: lab.volts() == 7.0)
+        begun_s = time.monotonic()
+        assert graph.change(Transition.TRANSITION_DEACTIVATE)
+        time.sleep(0.2)
+        took_s, cause = safe_after(lab, begun_s)
+        assert (took_s < SAFE_WITHIN_S, cause) == (True, "write")
+        assert graph.change(Transition.TRANSITION_CLEANUP)
+        count = len(graph.sets)
+        time.sleep(0.2)
+        assert len(graph.sets) <= count + 1
+        assert graph.change(Transition.TRANSITION_CONFIGURE)
+        assert graph.change(Transition.TRANSITION_ACTIVATE)
+        wait_until(lambda: lab.volts() == 7.0)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_end_by_a_signal(number, healthy_lab, graph, wait_until):
+    lab = healthy_lab
+    with running_bridge(lab.port, "autostart:=true") as bridge:
+        follow(lab, graph, wait_until)
+        begun_s = time.monotonic()
+        bridge.send_signal(number)
+        bridge.wait(10.0)
+        time.sleep(0.2)
+        took_s, cause = safe_after(lab, begun_s)
+    assert took_s < SAFE_WITHIN_S
+    assert cause == ("watchdog" if number is signal.SIGKILL else "write")
+    if number is not signal.SIGKILL:
+        assert bridge.returncode == 0
+
+
+def test_two_publishers(bridge, lab, graph, wait_until):
+    follow(lab, graph, wait_until)
+    other = graph.node.create_publisher(ValveCommand, "valve/command", COMMAND_QOS)
+    begun_s = time.monotonic()
+    time.sleep(0.5)
+    assert safe_after(lab, begun_s)[0] < SAFE_WITHIN_S
+    wait_until(lambda: "2 publishers" in graph.status().message)
+    graph.node.destroy_publisher(other)
+    wait_until(lambda: lab.volts() == 5.5)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e9, -50.0])
+def test_commands_that_make_no_sense(value, bridge, lab, graph, wait_until):
+    follow(lab, graph, wait_until)
+    graph.volts = value
+    begun_s = time.monotonic()
+    time.sleep(0.3)
+    assert safe_after(lab, begun_s)[0] < SAFE_WITHIN_S
+    follow(lab, graph, wait_until)
+
+
+def test_malformed_commands(bridge, lab, graph, wait_until):
+    follow(lab, graph, wait_until)
+    graph.volts = None
+    for names, volts in (
+        (["voltage"], []),
+        (["other"], [5.0]),
+        ([], []),
+        (["voltage"] * 2, [1, 2]),
+    ):
+        graph.publisher.publish(ValveCommand(name=names, voltage_v=[float(v) for v in volts]))
+    wait_until(lambda: lab.volts() == 0.0)
+    follow(lab, graph, wait_until)
+
+
+def test_parameters(healthy_lab, graph, wait_until):
+    def set_to(name, value):
+        kind = ParameterType.PARAMETER_BOOL if value is True else ParameterType.PARAMETER_DOUBLE
+        field = {"bool_value": value} if value is True else {"double_value": value}
+        one = Parameter(name=name, value=ParameterValue(type=kind, **field))
+        request = SetParameters.Request(parameters=[one])
+        return graph.call(SetParameters, "valve_bridge/set_parameters", request).results[0]
+
+    with running_bridge(healthy_lab.port):
+        for name, value in (("watchdog_s", 0.0), ("watchdog_s", 0.2), ("timeout_s", 1.0)):
+            assert not set_to(name, value).successful
+        assert set_to("watchdog_s", 0.05).successful
+        refused = set_to("use_sim_time", True)
+        assert not refused.successful and "keep the machine's time" in refused.reason
+        assert graph.change(Transition.TRANSITION_CONFIGURE)
+        refused = set_to("watchdog_s", 0.06)
+        assert not refused.successful and "before the node is configured" in refused.reason
+
+
+@pytest.mark.parametrize(
+    ("parameter", "says"),
+    [
+        ("use_sim_time:=true", "keep the machine's time"),
+        ("register_map:=no_such_map.yaml", "could not be configured"),
+    ],
+)
+def test_bad_start(parameter, says, healthy_lab):
+    command = [sys.executable, "-c", START, "--ros-args", "-p", "autostart:=true", "-p", parameter]
+    result = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=30)
+    assert result.returncode == 2
+    assert says in result.stderr

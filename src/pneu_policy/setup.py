@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build pneu_policy as an ament_python package with colcon; pip uses the root pyproject.toml."""
+
+from setuptools import find_packages, setup
+
+package_name = "pneu_policy"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(include=[package_name, f"{package_name}.*"]),
+    package_data={
+        "": ["py.typed", "**/*.yaml", "**/*.html", "**/*.css", "**/*.js", "**/*.json"],
+    },
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="The Pneu developers",
+    maintainer_email="noreply@pneu.invalid",
+    description="Controllers of pneumatic pressure and the targets they follow",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "pid = pneu_policy.nodes.pid:main",
+            "target = pneu_policy.nodes.target:main",
+        ],
+        "pneu.executables": [
+            "pneu_policy.pid = pneu_policy.nodes.pid:main",
+            "pneu_policy.target = pneu_policy.nodes.target:main",
+        ],
+    },
+)

@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where packages are installed: the part of `ament_index_python` that nodes and launch files use.
+
+Packages of ROS workspaces are found by AMENT_PREFIX_PATH. Beside them stand the packages of a
+source tree (the folders with a `package.xml`): that which holds this installation, and those that
+PNEU_PACKAGE_PATH names.
+"""
+
+from ament_index_python.packages import (
+    PackageNotFoundError,
+    get_package_prefix,
+    get_package_share_directory,
+    get_package_share_path,
+    get_packages_with_prefixes,
+)
+from ament_index_python.search_paths import get_search_paths
+
+__all__ = [
+    "PackageNotFoundError",
+    "get_package_prefix",
+    "get_package_share_directory",
+    "get_package_share_path",
+    "get_packages_with_prefixes",
+    "get_search_paths",
+]

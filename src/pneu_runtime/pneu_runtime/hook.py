@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Makes `import rclpy` and the imports of messages work on a machine without ROS.
+
+`install()` adds a finder to Python's import system. It provides `rclpy` and the other packages in
+`embedded/`, and `<package>.msg`, `.srv` and `.action` of every interface package whose definitions
+are known. A package that is really installed is always preferred, and where the real rclpy is
+found nothing is changed at all, since its messages need support that only ROS can give.
+"""
+
+import importlib.abc
+import importlib.machinery
+import importlib.util
+import sys
+import types
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pneu_runtime.interfaces import action_class, known_types, message_class, service_class
+from pneu_runtime.interfaces.catalogue import registry
+
+_EMBEDDED = Path(__file__).parent / "embedded"
+_KINDS = ("msg", "srv", "action")
+_CLASS_OF = {"msg": message_class, "srv": service_class, "action": action_class}
+
+
+class _InterfaceLoader(importlib.abc.Loader):
+    """Makes the modules of an interface package; classes are made when first used."""
+
+    def __init__(self, package: str, kind: str = "") -> None:
+        self._package = package
+        self._kind = kind
+
+    def create_module(self, spec: importlib.machinery.ModuleSpec) -> types.ModuleType | None:
+        return None
+
+    def exec_module(self, module: types.ModuleType) -> None:
+        package, kind = self._package, self._kind
+        if not kind:
+            module.__doc__ = f"Interfaces of the package {package}."
+            return
+        prefix = f"{package}/{kind}/"
+        names = [name.removeprefix(prefix) for name in known_types() if name.startswith(prefix)]
+
+        def get_class(name: str) -> Any:
+            full = prefix + name
+            if name in names:
+                found: Any = _CLASS_OF[kind](full)
+            elif kind != "msg" and "_" in name and name.split("_")[0] in names:
+                found = _part(full)
+            else:
+                raise AttributeError(
+                    f"module '{package}.{kind}' has no attribute '{name}'; it has: "
+                    + ", ".join(names)
+                )
+            setattr(module, name, found)
+            return found
+
+        module.__doc__ = f"Classes of the {kind} definitions of the package {package}."
+        module.__dict__["__all__"] = names
+        module.__dict__["__getattr__"] = get_class
+        module.__dict__["__dir__"] = lambda: [*module.__dict__, *names]
+
+
+def _part(name: str) -> Any:
+    """A part of a service or an action, such as `Trigger_Request` or `Identify_SendGoal`."""
+    return service_class(name) if registry().is_service(name) else message_class(name)
+
+
+class _Finder(importlib.abc.MetaPathFinder):
+    """Finds what this package provides, unless something real is installed under that name."""
+
+    def __init__(self) -> None:
+        self._packages = {name.split("/")[0] for name in known_types()}
+        self._embedded = {path.parent.name: path for path in _EMBEDDED.glob("*/__init__.py")}
+
+    def find_spec(
+        self,
+        fullname: str,
+        path: Sequence[str] | None,
+        target: types.ModuleType | None = None,
+    ) -> importlib.machinery.ModuleSpec | None:
+        package, _, kind = fullname.partition(".")
+        if package in self._embedded and not kind:
+            if _is_installed(fullname, path, self):
+                return None
+            file = self._embedded[package]
+            return importlib.util.spec_from_file_location(
+                fullname, file, submodule_search_locations=[str(file.parent)]
+            )
+        if package not in self._packages or (kind and kind not in _KINDS):
+            return None
+        if _is_installed(fullname, path, self):
+            return None
+        loader = _InterfaceLoader(package, kind)
+        return importlib.machinery.ModuleSpec(fullname, loader, is_package=not kind)
+
+
+def _is_installed(
+    name: str, path: Sequence[str] | None, but: importlib.abc.MetaPathFinder | None = None
+) -> bool:
+    """Whether another finder knows a module.
+
+    A mere folder of that name, such as the one with the message definitions in a workspace, which
+    Python would take for a namespace package, does not count.
+    """
+    for finder in sys.meta_path:
+        if finder is but or isinstance(finder, _Finder):
+            continue
+        find = getattr(finder, "find_spec", None)
+        spec = find(name, path, None) if find else None
+        if spec is not None and spec.loader is not None and spec.origin is not None:
+            return True
+    return False
+
+
+def install() -> bool:
+    """Makes `rclpy` and messages importable, where they are not. Further calls do nothing.
+
+    Returns:
+        bool: whether the embedded runtime is what `import rclpy` gives; False where the real one is
+        installed.
+    """
+    if any(isinstance(finder, _Finder) for finder in sys.meta_path):
+        return True
+    module = sys.modules.get("rclpy")
+    if module is not None or _is_installed("rclpy", None):
+        return False
+    # Before the finder of files, which would take a folder of definitions for a package; what
+    # is really installed is still preferred, see `_is_installed`.
+    files = [finder for finder in sys.meta_path if finder is importlib.machinery.PathFinder]
+    position = sys.meta_path.index(files[0]) if files else len(sys.meta_path)
+    sys.meta_path.insert(position, _Finder())
+    return True

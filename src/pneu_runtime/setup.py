@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build pneu_runtime as an ament_python package with colcon; pip uses the root pyproject.toml."""
+
+from setuptools import find_packages, setup
+
+package_name = "pneu_runtime"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(include=[package_name, f"{package_name}.*"]),
+    package_data={
+        "": [
+            *("py.typed", "**/*.yaml", "**/*.html", "**/*.css", "**/*.js", "**/*.json"),
+            *("share/**/*.msg", "share/**/*.srv", "share/**/*.action"),
+        ],
+        # data to setuptools: these are imported as `rclpy`, and only where there is no real one
+        package_name: ["embedded/**/*.py"],
+    },
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="The Pneu developers",
+    maintainer_email="noreply@pneu.invalid",
+    description="The rclpy API, ROS 2 messages and tools for machines without ROS",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": ["recorder = pneu_runtime.nodes.recorder:main"],
+        "pneu.commands": ["runtime = pneu_runtime.commands:register"],
+    },
+)

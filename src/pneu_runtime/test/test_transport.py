@@ -1,0 +1,503 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The transport within one process: topics, services, waiting, graph, quality of service."""
+
+import json
+import random
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import cyclonedds.builtin as builtin
+import pytest
+from cyclonedds.domain import DomainParticipant
+
+from pneu_runtime import interfaces
+from pneu_runtime.transport import (
+    EndpointQos,
+    EnvironmentVariableError,
+    EventKind,
+    ForeignServiceError,
+    Session,
+    TransportError,
+    UnknownNodeError,
+    Waiter,
+    domain,
+)
+from pneu_runtime.transport.idl import topic_type
+
+DOMAIN = random.Random().randrange(1, 101)
+LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+STRING = "std_msgs/msg/String"
+TRIGGER = "std_srvs/srv/Trigger"
+RELIABLE = EndpointQos()
+
+
+def text(value):
+    return interfaces.serialize(interfaces.message_class(STRING)(data=value))
+
+
+def words(source):
+    """All messages that wait at a subscription."""
+    found = []
+    while (sample := source.take()) is not None:
+        cls = interfaces.message_class(STRING)
+        found.append(interfaces.deserialize(sample.data, cls).data)
+    return found
+
+
+def until(condition, timeout_s=10.0):
+    """Waits for a condition to become true."""
+    end = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end, "timed out"
+        time.sleep(0.005)
+
+
+@pytest.fixture
+def session():
+    with_domain = Session(DOMAIN, environment=LOCAL)
+    yield with_domain
+    with_domain.close()
+
+
+@pytest.fixture
+def node(session):
+    return session.add_node("/rig", "probe")
+
+
+@pytest.fixture
+def waiter():
+    one = Waiter()
+    yield one
+    one.close()
+
+
+# Topics.
+
+
+def test_messages_arrive_in_order_with_their_origin(session, node, waiter):
+    publication = session.create_publication(node, "/words", STRING, RELIABLE)
+    subscription = session.create_subscription(node, "/words", STRING, RELIABLE)
+    waiter.attach(subscription)
+    before = time.time_ns()
+    for word in ("a", "b", "c"):
+        publication.publish(text(word))
+    assert waiter.wait(5) == [subscription]
+    sample = subscription.take()
+    assert sample.publisher_gid == publication.gid
+    assert before <= sample.source_timestamp_ns <= sample.received_timestamp_ns
+    assert words(subscription) == ["b", "c"]
+    assert waiter.wait(0) == []
+    assert (publication.matched_count(), subscription.matched_count()) == (1, 1)
+    assert publication.wait_for_all_acked(1)
+
+
+def test_depth_keeps_the_newest(session, node):
+    publication = session.create_publication(node, "/words", STRING, RELIABLE)
+    subscription = session.create_subscription(node, "/words", STRING, EndpointQos(depth=2))
+    for word in "abcd":
+        publication.publish(text(word))
+    assert words(subscription) == ["c", "d"]
+
+
+def test_late_joiners_get_what_is_kept(session, node):
+    kept = EndpointQos(depth=1, durability=1)
+    publication = session.create_publication(node, "/words", STRING, kept)
+    publication.publish(text("a"))
+    publication.publish(text("b"))
+    late = session.create_subscription(node, "/words", STRING, kept)
+    volatile = session.create_subscription(node, "/words", STRING, RELIABLE)
+    time.sleep(0.1)
+    assert words(late) == ["b"]
+    assert words(volatile) == []
+
+
+def test_own_messages_can_be_left_out(session, node):
+    publication = session.create_publication(node, "/words", STRING, RELIABLE)
+    ignoring = session.create_subscription(
+        node, "/words", STRING, RELIABLE, ignore_local_publications=True
+    )
+    publication.publish(text("a"))
+    time.sleep(0.1)
+    assert words(ignoring) == []
+
+
+def test_two_sessions_of_a_process_meet(session, node):
+    other = Session(DOMAIN, environment=LOCAL)
+    try:
+        publication = session.create_publication(node, "/words", STRING, RELIABLE)
+        subscription = other.create_subscription(
+            other.add_node("/", "other"), "/words", STRING, RELIABLE
+        )
+        until(lambda: publication.matched_count() and subscription.matched_count())
+        publication.publish(text("a"))
+        until(lambda: words(subscription) == ["a"])
+        until(lambda: len(session.node_names()) == 2)
+    finally:
+        other.close()
+    until(lambda: len(session.node_names()) == 1)
+
+
+def test_bytes_of_another_type_are_not_sent(session, node):
+    publication = session.create_publication(node, "/words", STRING, RELIABLE)
+    with pytest.raises(TransportError, match="String"):
+        publication.publish(b"\x00\x01\x00\x00\xff\xff\xff\xff")
+    with pytest.raises(TransportError):
+        publication.publish(b"")
+
+
+def test_what_is_closed_says_so(session, node):
+    publication = session.create_publication(node, "/words", STRING, RELIABLE)
+    subscription = session.create_subscription(node, "/words", STRING, RELIABLE)
+    for one in (publication, subscription):
+        one.close()
+        one.close()
+    assert subscription.take() is None
+    with pytest.raises(TransportError, match="closed"):
+        publication.publish(text("a"))
+    session.close()
+    with pytest.raises(TransportError, match="closed"):
+        session.create_publication(node, "/words", STRING, RELIABLE)
+
+
+# Services.
+
+
+def call(client, server, waiter):
+    cls = interfaces.service_class(TRIGGER)
+    number = client.send(interfaces.serialize(cls.Request()))
+    assert server in waiter.wait(5)
+    request_id, data, info = server.take()
+    assert interfaces.deserialize(data, cls.Request) == cls.Request()
+    assert info.source_timestamp_ns > 0
+    answer = cls.Response(success=True, message=str(number))
+    assert server.respond(request_id, interfaces.serialize(answer))
+    until(lambda: client in waiter.wait(5))
+    got, data, _ = client.take()
+    assert got == number
+    assert interfaces.deserialize(data, cls.Response) == answer
+
+
+def test_services_are_called_and_only_the_caller_hears(session, node, waiter):
+    server = session.create_server(node, "/vent", TRIGGER, RELIABLE)
+    clients = [session.create_client(node, "/vent", TRIGGER, RELIABLE) for _ in range(2)]
+    for source in (server, *clients):
+        waiter.attach(source)
+    assert all(client.server_is_ready() for client in clients)
+    call(clients[0], server, waiter)
+    assert clients[1].take() is None
+    call(clients[1], server, waiter)
+    server.close()
+    until(lambda: not clients[0].server_is_ready())
+
+
+def test_the_answer_to_a_client_that_went_is_dropped(session, node, waiter):
+    server = session.create_server(node, "/vent", TRIGGER, RELIABLE)
+    client = session.create_client(node, "/vent", TRIGGER, RELIABLE)
+    waiter.attach(server)
+    cls = interfaces.service_class(TRIGGER)
+    client.send(interfaces.serialize(cls.Request()))
+    waiter.wait(5)
+    request_id, _, _ = server.take()
+    client.close()
+    assert not server.respond(request_id, interfaces.serialize(cls.Response()))
+
+
+def test_other_vendors_are_refused(session, node, waiter):
+    """Endpoints with the right topic and type but without the key of rmw_cyclonedds."""
+    from pneu_runtime.transport.endpoints import Reader, Writer
+
+    common = (session, None)
+    foreign = (f"{TRIGGER}_Request", RELIABLE, b"", True)
+    reader = Reader(*common, "rq/ventRequest", *foreign)
+    client = session.create_client(node, "/vent", TRIGGER, RELIABLE)
+    cls = interfaces.service_class(TRIGGER)
+    data = interfaces.serialize(cls.Request())
+    with pytest.raises(ForeignServiceError, match="rmw_cyclonedds"):
+        client.send(data)
+    assert not client.server_is_ready()
+    reader.close()
+    server = session.create_server(node, "/vent", TRIGGER, RELIABLE)
+    writer = Writer(*common, "rq/ventRequest", *foreign)
+    writer.publish(data[:4] + bytes(16) + data[4:])
+    time.sleep(0.1)
+    assert server.take() is None
+    client.send(data)
+    until(lambda: server.take() is not None)
+
+
+# Waiting.
+
+
+def test_wake_ends_one_wait(waiter):
+    threading.Timer(0.05, waiter.wake).start()
+    started = time.monotonic()
+    assert waiter.wait(5) == []
+    assert time.monotonic() - started < 1
+    waiter.wake()
+    assert waiter.wait(5) == []
+    started = time.monotonic()
+    assert waiter.wait(0.05) == []
+    assert 0.04 < time.monotonic() - started < 0.5
+
+
+def test_close_ends_all_waits():
+    one = Waiter()
+    threads = [threading.Thread(target=one.wait) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    time.sleep(0.05)
+    one.close()
+    for thread in threads:
+        thread.join(5)
+        assert not thread.is_alive()
+    assert one.wait() == []
+
+
+def test_sources_come_and_go_while_others_wait(session, node, waiter):
+    """Publishing, closing and waiting from four threads."""
+    publication = session.create_publication(node, "/words", STRING, RELIABLE)
+    stop, faults = threading.Event(), []
+
+    def guarded(work):
+        try:
+            while not stop.is_set():
+                work()
+        except Exception as error:
+            faults.append(error)
+
+    def churn():
+        subscription = session.create_subscription(node, "/words", STRING, RELIABLE)
+        waiter.attach(subscription)
+        subscription.close()
+        waiter.detach(subscription)
+
+    def take():
+        for source in waiter.wait(0.01):
+            source.take()
+
+    def send():
+        publication.publish(text("x"))
+
+    works = (churn, take, take, send)
+    threads = [threading.Thread(target=guarded, args=(work,)) for work in works]
+    for thread in threads:
+        thread.start()
+    time.sleep(1.0)
+    stop.set()
+    for thread in threads:
+        thread.join(5)
+        assert not thread.is_alive()
+    assert faults == []
+
+
+# The graph.
+
+
+def test_the_graph_is_told(session, node):
+    session.create_publication(node, "/words", STRING, EndpointQos(depth=3))
+    session.create_subscription(node, "/words", STRING, EndpointQos(reliability=2))
+    session.create_server(node, "/vent", TRIGGER, RELIABLE)
+    session.create_client(node, "/home", TRIGGER, RELIABLE)
+    assert session.node_names() == [("probe", "/rig", "/")]
+    assert session.topic_names_and_types() == [("/words", [STRING])]
+    assert dict(session.topic_names_and_types(no_demangle=True))["rt/words"] == [
+        "std_msgs::msg::dds_::String_"
+    ]
+    assert session.service_names_and_types() == [("/home", [TRIGGER]), ("/vent", [TRIGGER])]
+    assert session.publisher_names_and_types_by_node("probe", "/rig") == [("/words", [STRING])]
+    assert session.subscriber_names_and_types_by_node("probe", "/rig") == [("/words", [STRING])]
+    assert session.service_names_and_types_by_node("probe", "/rig") == [("/vent", [TRIGGER])]
+    assert session.client_names_and_types_by_node("probe", "/rig") == [("/home", [TRIGGER])]
+    (info,) = session.publishers_info("/words")
+    assert (info.node_name, info.node_namespace, info.topic_type) == ("probe", "/rig", STRING)
+    assert info.topic_type_hash == interfaces.type_hash(STRING)
+    assert (info.qos.depth, info.qos.reliability) == (3, 1)
+    (info,) = session.subscriptions_info("/words")
+    assert info.qos.reliability == 2
+    counts = session.count_publishers("/words"), session.count_subscribers("/words")
+    assert counts == (1, 1)
+    assert (session.count_services("/vent"), session.count_clients("/home")) == (1, 1)
+    with pytest.raises(UnknownNodeError, match="nobody"):
+        session.publisher_names_and_types_by_node("nobody", "/")
+
+
+def test_changes_of_the_graph_wake(session, node, waiter):
+    waiter.attach(session.graph_source)
+    session.graph_source.take()
+    version = session.graph_version()
+    publication = session.create_publication(node, "/words", STRING, RELIABLE)
+    assert waiter.wait(5) == [session.graph_source]
+    assert session.graph_version() > version
+    publication.close()
+    assert session.topic_names_and_types() == []
+    session.remove_node(node)
+    assert session.node_names() == []
+
+
+# Quality of service.
+
+CAPTURE = json.loads(
+    (Path(__file__).parent / "data/jazzy_wire/cyclonedds.json").read_text(encoding="utf-8")
+)
+
+
+def captured_qos(kind, topic):
+    endpoints = CAPTURE["endpoints"]
+    (first, *_) = [e for e in endpoints if (e["kind"], e["topic"]) == (kind, topic)]
+    return sorted(first["qos"])
+
+
+def seen_qos(kind, topic):
+    """The policies of an endpoint as Cyclone's own Python layer shows them."""
+    participant = DomainParticipant(DOMAIN)
+    topics = {
+        "writer": builtin.BuiltinTopicDcpsPublication,
+        "reader": builtin.BuiltinTopicDcpsSubscription,
+    }
+    reader = builtin.BuiltinDataReader(participant, topics[kind])
+    found = []
+    until(lambda: found.extend(e for e in reader.take(100) if e.topic_name == topic) or found)
+    return sorted(
+        str(policy) for policy in found[0].qos if not str(policy).startswith("Policy.Userdata")
+    )
+
+
+def test_policies_are_those_of_a_real_ros(session, node):
+    ten_seconds = 10_000_000_000
+    rosout = EndpointQos(depth=1000, durability=1, lifespan_ns=ten_seconds)
+    session.create_publication(node, "/rosout", "rcl_interfaces/msg/Log", rosout)
+    session.create_server(node, "/rig/vent", TRIGGER, RELIABLE)
+    for kind, topic in (
+        ("writer", "ros_discovery_info"),
+        ("writer", "rt/rosout"),
+        ("writer", "rr/rig/ventReply"),
+        ("reader", "rq/rig/ventRequest"),
+    ):
+        assert seen_qos(kind, topic) == captured_qos(kind, topic)
+
+
+def test_events_are_noticed(session, node, waiter):
+    publication = session.create_publication(node, "/words", STRING, EndpointQos(reliability=2))
+    matched = publication.event_source(EventKind.MATCHED)
+    refused = publication.event_source(EventKind.INCOMPATIBLE_QOS)
+    waiter.attach(matched)
+    waiter.attach(refused)
+    assert waiter.wait(0) == []
+    session.create_subscription(node, "/words", STRING, RELIABLE)
+    assert waiter.wait(5) == [refused]
+    assert refused.take() == {
+        "total_count": 1,
+        "total_count_change": 1,
+        "last_policy_kind": 1 << 4,  # RMW_QOS_POLICY_RELIABILITY
+    }
+    subscription = session.create_subscription(node, "/words", STRING, EndpointQos(reliability=2))
+    assert waiter.wait(5) == [matched]
+    assert matched.take()["current_count"] == 1
+    subscription.close()
+    assert waiter.wait(5) == [matched]
+    assert matched.take()["current_count_change"] == -1
+    assert waiter.wait(0) == []
+
+
+def test_a_missed_deadline_is_noticed(session, node, waiter):
+    qos = EndpointQos(deadline_ns=50_000_000)
+    publication = session.create_publication(node, "/words", STRING, qos)
+    subscription = session.create_subscription(node, "/words", STRING, qos)
+    missed = subscription.event_source(EventKind.DEADLINE_MISSED)
+    waiter.attach(missed)
+    publication.publish(text("a"))
+    assert waiter.wait(5) == [missed]
+    assert missed.take()["total_count"] >= 1
+
+
+def test_best_available_takes_what_is_offered(session, node):
+    session.create_publication(node, "/words", STRING, EndpointQos(reliability=2))
+    best = EndpointQos(reliability=4, durability=4)
+    subscription = session.create_subscription(node, "/words", STRING, best)
+    assert (subscription.qos.reliability, subscription.qos.durability) == (2, 2)
+    assert subscription.matched_count() == 1
+
+
+def test_a_program_of_plain_dds_is_heard(session, node):
+    """One that announces its type, which then has to be the same structure."""
+    from cyclonedds.core import Policy, Qos
+    from cyclonedds.idl import IdlStruct, types
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.topic import Topic
+
+    @dataclass
+    class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
+        sec: types.int32
+        nanosec: types.uint32
+
+    @dataclass
+    class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
+        stamp: Time
+        frame_id: str
+
+    @dataclass
+    class FluidPressure(IdlStruct, typename="sensor_msgs.msg.dds_.FluidPressure_"):
+        header: Header
+        fluid_pressure: types.float64
+        variance: types.float64
+
+    name = "sensor_msgs/msg/FluidPressure"
+    assert topic_type(name).__idl__ is not None
+    subscription = session.create_subscription(node, "/taps/end/pressure", name, RELIABLE)
+    participant = DomainParticipant(DOMAIN)
+    topic = Topic(participant, "rt/taps/end/pressure", FluidPressure)
+    writer = DataWriter(participant, topic, Qos(Policy.Reliability.Reliable(0)))
+    until(lambda: subscription.matched_count())
+    writer.write(FluidPressure(Header(Time(1, 2), "end"), 1.5e5, 0.25))
+    taken = []
+    until(lambda: taken.append(subscription.take()) or taken[-1])
+    got = interfaces.deserialize(taken[-1].data, interfaces.message_class(name))
+    assert (got.fluid_pressure, got.header.frame_id, got.header.stamp.nanosec) == (1.5e5, "end", 2)
+
+
+# Settings.
+
+
+@pytest.mark.parametrize("text", ["-1", "233", "a", "1.5", "²"])
+def test_wrong_domains_are_refused(text):
+    with pytest.raises(EnvironmentVariableError, match="ROS_DOMAIN_ID"):
+        domain.domain_id_from({"ROS_DOMAIN_ID": text})
+
+
+def test_settings_follow_the_variables():
+    assert domain.domain_id_from({}) == 0
+    assert domain.domain_id_from({"ROS_DOMAIN_ID": "42"}) == 42
+    local = domain.configuration({})
+    assert "<AllowMulticast>false</AllowMulticast>" in local
+    assert '<Peer address="localhost"/>' in local
+    peers = domain.configuration({"ROS_STATIC_PEERS": "10.0.0.2; a&b"})
+    assert '<Peer address="10.0.0.2"/><Peer address="a&amp;b"/>' in peers
+    subnet = domain.configuration({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"})
+    assert "AllowMulticast" not in subnet
+    assert "Tag" in domain.configuration({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"})
+    own = "<CycloneDDS><Domain/></CycloneDDS>"
+    assert domain.configuration({"CYCLONEDDS_URI": own}).endswith("," + own)
+    with pytest.raises(EnvironmentVariableError, match="ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        domain.configuration({"ROS_AUTOMATIC_DISCOVERY_RANGE": "EVERYWHERE"})
+
+
+def test_nothing_is_left_behind(session, node, waiter):
+    """Memory after many creations and closings, and no thread or entity that stays."""
+    import resource
+
+    def churn(count):
+        for _ in range(count):
+            subscription = session.create_subscription(node, "/words", STRING, RELIABLE)
+            waiter.attach(subscription)
+            waiter.detach(subscription)
+            subscription.close()
+
+    churn(300)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    churn(1500)
+    grown_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert grown_kib < 1500 * 2
+    assert session.count_subscribers("/words") == 0
+    assert node.readers == []

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulator node on a graph: topics, pace, lock-step, reset, what it says of trouble."""
+
+import itertools
+import math
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.live_graph import own_domain, running_graph, wait_for  # isort: skip
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from pneu_msgs.msg import LineState, TapPressures, ValveCommand
+from pneu_msgs.srv import ResetSimulator, StepSimulator
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import FluidPressure
+
+from pneu_sim.errors import InputError
+from pneu_sim.nodes import common
+from pneu_sim.nodes.simulator import SimulatorNode
+
+LAB = str(Path(__file__).parents[3] / "rigs/lab.yaml")
+RATE_HZ = 250.0
+
+
+def simulator(graph, **parameters):
+    return graph.add(SimulatorNode, **{"rig": LAB, "publish_rate_hz": RATE_HZ, **parameters})
+
+
+@pytest.fixture(scope="module", autouse=True)
+def domain():
+    with own_domain():
+        yield
+
+
+@pytest.fixture
+def graph():
+    with running_graph() as graph:
+        yield graph
+
+
+def step(seconds):
+    request = StepSimulator.Request()
+    request.duration.sec = int(seconds)
+    request.duration.nanosec = round((seconds % 1.0) * 1e9)
+    return request
+
+
+def command(volts):
+    return ValveCommand(name=["voltage"], voltage_v=[volts])
+
+
+def test_taps_come_one_by_one_and_as_a_set_at_the_stamps_of_their_samples(graph):
+    simulator(graph)
+    single = graph.listen(FluidPressure, "taps/supply/pressure")
+    together = graph.listen(TapPressures, "taps/pressures")
+    wait_for(lambda: len(single) > 100 and len(together) > 100)
+    stamps = [common.from_stamp(m.header.stamp) for m in list(single)]
+    steps = {b - a for a, b in itertools.pairwise(stamps)}
+    assert min(steps) == round(1e9 / RATE_HZ)
+    assert abs(stamps[-1] - time.time_ns()) < 2e9
+    assert single[0].header.frame_id == "supply"
+    assert single[0].variance == pytest.approx(250.0**2)
+    at = {common.from_stamp(m.header.stamp): m for m in list(together)}
+    common_stamps = [m for m in list(single) if common.from_stamp(m.header.stamp) in at]
+    assert len(common_stamps) > 50
+    for message in common_stamps:
+        same = at[common.from_stamp(message.header.stamp)]
+        assert list(same.name) == ["supply", "valve_out", "middle", "end", "exhaust"]
+        assert same.pressure_pa[0] == message.fluid_pressure
+    assert single[-1].fluid_pressure == pytest.approx(635e3, rel=0.01)
+
+
+def test_commands_open_the_valve_and_their_end_closes_it(graph):
+    node = simulator(graph)
+    taps = graph.listen(FluidPressure, "taps/end/pressure")
+    assert "no command yet" in graph.status("commands").message
+    publisher = graph.probe.create_publisher(ValveCommand, "valve/command", common.COMMAND_QOS)
+    wait_for(lambda: publisher.get_subscription_count() == 1)
+    for _ in range(60):
+        publisher.publish(command(7.0))
+        time.sleep(0.01)
+    assert taps[-1].fluid_pressure > 300e3
+    for volts in (math.nan, math.inf):
+        publisher.publish(command(volts))
+        time.sleep(0.1)  # commands are not queued: the newest one counts
+    time.sleep(0.4)
+    held = taps[-1].fluid_pressure
+    status = graph.status("commands")
+    assert status.level == DiagnosticStatus.WARN and "safe state" in status.message
+    values = {v.key: v.value for v in status.values}
+    assert values["voltage (V)"] == "5" and values["not finite, ignored"] == "2"
+    assert taps[-1].fluid_pressure == pytest.approx(held, rel=0.02)  # closed, neither way
+    pace = graph.status("pace")
+    assert pace.level == DiagnosticStatus.OK, pace.message
+    assert node.count_publishers("valve/command") == 1
+
+
+def test_two_publishers_of_commands_are_noticed(graph):
+    simulator(graph)
+    for _ in range(2):
+        graph.probe.create_publisher(ValveCommand, "valve/command", common.COMMAND_QOS)
+    wait_for(lambda: "several publishers" in graph.status("commands").message)
+
+
+def test_lock_step_keeps_its_own_clock_and_starts_over_at_zero(graph):
+    simulator(graph, pace="lock_step", publish_clock=True, command_timeout_s=0.0)
+    clock = graph.listen(Clock, "/clock")
+    taps = graph.listen(FluidPressure, "taps/end/pressure")
+    publisher = graph.probe.create_publisher(ValveCommand, "valve/command", common.COMMAND_QOS)
+    wait_for(lambda: publisher.get_subscription_count() == 1)
+    publisher.publish(command(6.5))
+    time.sleep(0.2)
+    done = graph.call(StepSimulator, "simulator/step", step(0.1))
+    assert (done.success, common.from_stamp(done.stamp)) == (True, 100_000_000), done.message
+    done = graph.call(StepSimulator, "simulator/step", step(0.1))
+    assert common.from_stamp(done.stamp) == 200_000_000
+    wait_for(lambda: taps and common.from_stamp(taps[-1].header.stamp) == 200_000_000)
+    assert taps[-1].fluid_pressure > 150e3
+    assert common.from_stamp(clock[-1].clock) == 200_000_000
+    time.sleep(0.1)
+    assert common.from_stamp(clock[-1].clock) == 200_000_000  # it waits
+    refused = graph.call(StepSimulator, "simulator/step", step(0.0051))
+    assert not refused.success and "whole number" in refused.message
+    reset = graph.call(
+        ResetSimulator, "simulator/reset", ResetSimulator.Request(name=["tube"], pressure_pa=[3e5])
+    )
+    assert reset.success, reset.message
+    wait_for(lambda: common.from_stamp(clock[-1].clock) == 0)
+    done = graph.call(StepSimulator, "simulator/step", step(0.004))
+    wait_for(lambda: common.from_stamp(taps[-1].header.stamp) == 4_000_000)
+    assert taps[-1].fluid_pressure == pytest.approx(3e5, rel=0.01)
+
+
+def test_a_reset_that_cannot_be_is_refused(graph):
+    simulator(graph, pace="lock_step")
+    for request, told in (
+        (ResetSimulator.Request(name=["tube"]), "equally many"),
+        (ResetSimulator.Request(name=["tube"], pressure_pa=[-1.0]), "not positive"),
+        (ResetSimulator.Request(name=["x"], pressure_pa=[1e5]), "no such part"),
+    ):
+        answer = graph.call(ResetSimulator, "simulator/reset", request)
+        assert not answer.success and told in answer.message
+
+
+def test_the_state_of_lines_is_for_those_who_listen(graph):
+    node = simulator(graph, line_state_rate_hz=50.0)
+    lines = graph.listen(LineState, "lines/tube/state")
+    wait_for(lambda: len(lines) > 5)
+    state = lines[-1]
+    assert state.line == "tube"
+    assert len(state.position_m) == len(state.density_kg_m3) == len(state.pressure_pa) == 30
+    assert state.position_m[0] == pytest.approx(0.025)
+    assert all(p == pytest.approx(101e3, rel=0.01) for p in state.pressure_pa)
+    gaps = [common.from_stamp(m.header.stamp) for m in lines[:5]]
+    assert gaps[1] - gaps[0] == pytest.approx(20e6, rel=0.01)
+    assert node.count_publishers("lines/exhaust_tube/state") == 1
+
+
+def test_what_cannot_keep_real_time_says_so(graph):
+    simulator(graph, factor=100.0, dx_m=0.02)
+    wait_for(lambda: "cannot keep time" in graph.status("pace").message)
+
+
+def test_parameters_have_ranges_and_the_rest_is_fixed(graph):
+    node = simulator(graph)
+    assert node.set_parameters([Parameter("factor", value=2.0)])[0].successful
+    assert not node.set_parameters([Parameter("factor", value=1000.0)])[0].successful
+    assert not node.set_parameters([Parameter("rig", value="other.yaml")])[0].successful
+    for name in node.list_parameters([], 0).names:
+        if name not in ("use_sim_time", "start_type_description_service"):
+            assert node.describe_parameter(name).description, name
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"rig": ""}, "parameter rig: found nothing"),
+        ({"rig": "nowhere.yaml"}, "nowhere.yaml: no such rig file"),
+        ({"pace": "fast"}, "allowed are real_time"),
+    ],
+)
+def test_bad_parameters_are_refused_in_a_sentence(graph, changed, told):
+    with pytest.raises(InputError, match=told):
+        simulator(graph, **changed)
+
+
+def test_there_is_one_clock(graph):
+    graph.probe.create_publisher(Clock, "/clock", 1)
+    with pytest.raises(InputError, match="/clock already has a publisher"):
+        simulator(graph, publish_clock=True)

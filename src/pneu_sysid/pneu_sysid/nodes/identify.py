@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The identification node: fit, compare, diagnose and learn as an action, and a live watch.
+
+Each goal runs in a process of its own, which a cancel ends for good. With the parameter
+``watch_rig`` the node also runs that model alongside the incoming commands and taps and publishes
+what it leaves unexplained. Parameters and topics: see ``ros_ws/README.md``.
+"""
+
+import math
+import threading
+import uuid
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from pneu_msgs.action import Identify
+from pneu_msgs.msg import TapResiduals
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from rclpy.task import Future
+
+from pneu_sim import topics
+from pneu_sim.errors import InputError
+from pneu_sim.nodes import common
+from pneu_sim.rig import load_rig
+from pneu_sim.rig.schema import Rig
+from pneu_sysid.nodes.process import TaskProcess
+from pneu_sysid.nodes.tasks import Outcome, Request, check
+from pneu_sysid.watch import Verdict, Watch, Window
+
+RESIDUALS_TOPIC = "taps/residuals"
+LOOK_S = 0.02
+"""How often the watch looks for new samples."""
+AHEAD_S, BEHIND_S = 0.02, 0.2
+"""A command whose stamp is further from the newest reading's is on another clock, or that of the
+readings lags (a simulator that cannot keep time): it counts from the newest reading on."""
+
+LEVELS = {0: DiagnosticStatus.OK, 1: DiagnosticStatus.WARN, 2: DiagnosticStatus.ERROR}
+
+
+class IdentifyNode(Node):
+    """Identification on demand, and a running model's residual."""
+
+    def __init__(self, **options: Any) -> None:
+        """Offers the action and starts the watch where one is asked for.
+
+        Args:
+            options: Keywords of ``rclpy.node.Node``.
+
+        Raises:
+            InputError: A parameter or the watched rig file is wrong.
+        """
+        super().__init__("identify", **options)
+        self._task: TaskProcess | None = None
+        self._busy = False
+        self._stage = ""
+        self._watcher: Watcher | None = None
+        try:
+            self._set_up()
+        except InputError:
+            self.destroy_node()
+            raise
+
+    def _set_up(self) -> None:
+        self._workers = common.declare(
+            self, "workers", 0, "Threads of a task; 0 is all cores.", (0, 256)
+        )
+        watch_rig = common.declare(
+            self,
+            "watch_rig",
+            "",
+            "Rig file of the model to run alongside; empty is none.",
+            read_only=True,
+        )
+        rate_hz = common.declare(
+            self,
+            "watch_rate_hz",
+            250.0,
+            "Rate at which model and taps are compared, not above that of the taps, Hz.",
+            (10.0, 5000.0),
+            read_only=True,
+        )
+        window_s = common.declare(
+            self,
+            "watch_window_s",
+            0.0,
+            "Length of a window, s; 0 is the horizon of the rig's fit.",
+            (0.0, 10.0),
+            read_only=True,
+        )
+        warn = common.declare(
+            self,
+            "warn_times",
+            3.0,
+            "Multiple of the expected error that is worth a warning.",
+            (1.0, 1e6),
+            read_only=True,
+        )
+        error = common.declare(
+            self,
+            "error_times",
+            10.0,
+            "Multiple of the expected error at which the model does not describe the rig.",
+            (1.0, 1e6),
+            read_only=True,
+        )
+        if watch_rig:
+            rig = load_rig(watch_rig)
+            self._watcher = Watcher(
+                self, rig, Watch(rig, rate_hz, window_s or None), Verdict(warn, error)
+            )
+        self._action = ActionServer(
+            self,
+            Identify,
+            "~/identify",
+            execute_callback=self._execute,
+            goal_callback=self._on_goal,
+            cancel_callback=self._on_cancel,
+        )
+        self._diagnostics = common.Diagnostics(self, self._report)
+        if self._watcher is not None:
+            self._watcher.start()
+
+    def destroy_node(self) -> None:
+        """Ends a running task and the watch, then the node."""
+        if self._task is not None:
+            self._task.end()
+            self._task.wait()
+        if self._watcher is not None:
+            self._watcher.stop()
+        super().destroy_node()
+
+    def _on_goal(self, goal: Identify.Goal) -> GoalResponse:
+        if self._busy:
+            self.get_logger().warning("goal rejected: another one is being worked on")
+            return GoalResponse.REJECT
+        self._busy = True
+        return GoalResponse.ACCEPT
+
+    def _on_cancel(self, goal_handle: Any) -> CancelResponse:
+        if self._task is not None:
+            self._task.end()
+        return CancelResponse.ACCEPT
+
+    async def _execute(self, goal_handle: Any) -> Identify.Result:
+        goal = goal_handle.request
+        output = Path(goal.output)
+        aside = output.absolute().parent / f".{output.name}.{uuid.uuid4().hex[:8]}.part"
+        request = Request(
+            goal.task, goal.bag, goal.rig, goal.output, str(aside), int(self._workers)
+        )
+        try:
+            check(request)
+        except InputError as error:
+            self._busy = False
+            goal_handle.abort()
+            return Identify.Result(success=False, message=str(error))
+        done: Future = Future(executor=self.executor)
+
+        def tell(stage: str, fraction: float) -> None:
+            self._stage = stage
+            if goal_handle.is_active:
+                goal_handle.publish_feedback(Identify.Feedback(stage=stage, progress=fraction))
+
+        self.get_logger().info(f"{goal.task} of {goal.bag}")
+        self._task = TaskProcess(request, tell, done.set_result)
+        if goal_handle.is_cancel_requested:  # between acceptance and start
+            self._task.end()
+        outcome: Outcome = await done
+        self._task, self._busy, self._stage = None, False, ""
+        if goal_handle.is_cancel_requested and not outcome.success:
+            goal_handle.canceled()
+        elif outcome.success:
+            goal_handle.succeed()
+        else:
+            goal_handle.abort()
+        if outcome.success:
+            self.get_logger().info(f"{goal.task}: {outcome.verdict or 'done'}")
+        else:
+            self.get_logger().warning(f"{goal.task}: {outcome.message}")
+        return Identify.Result(
+            success=outcome.success,
+            message=outcome.message,
+            verdict=outcome.verdict,
+            result_file=outcome.result_file,
+        )
+
+    def _report(self) -> list[DiagnosticStatus]:
+        name = self.get_name()
+        text = f"working: {self._stage or 'starting'}" if self._busy else "idle"
+        lines = [common.status(DiagnosticStatus.OK, f"{name}: identification", text, {}, "")]
+        if self._watcher is not None:
+            lines.append(self._watcher.report())
+        return lines
+
+
+class Watcher:
+    """Feeds a watch from the graph, runs it in a thread, and publishes what it finds."""
+
+    def __init__(self, node: Node, rig: Rig, watch: Watch, verdict: Verdict) -> None:
+        """Subscribes; `start` sets it going.
+
+        Args:
+            node: The node.
+            rig: The model.
+            watch: Compares it.
+            verdict: Judges it.
+        """
+        self._node = node
+        self._rig = rig
+        self._watch = watch
+        self._verdict = verdict
+        self._newest: Window | None = None
+        self._failure = ""
+        self._latest_s = math.nan
+        # Callbacks append, the thread takes: a deque needs no lock for that.
+        self._arrived: deque[tuple[bool, str, float, float]] = deque(maxlen=100_000)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
+        self._publisher = node.create_publisher(TapResiduals, RESIDUALS_TOPIC, 10)
+        for topic in topics.tap_topics(rig):
+            node.create_subscription(
+                topics.message_class(topic.type),
+                topic.name,
+                lambda message, topic=topic: self._on_taps(topic, message),
+                qos_profile_sensor_data,
+            )
+        for topic in topics.command_topics(rig):
+            node.create_subscription(
+                topics.message_class(topic.type),
+                topic.name,
+                lambda message, topic=topic: self._on_command(topic, message),
+                common.COMMAND_QOS,
+            )
+
+    def start(self) -> None:
+        """Starts the thread."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ends the thread and waits for it."""
+        self._ended.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def report(self) -> DiagnosticStatus:
+        """How well the model describes the rig."""
+        name = f"{self._node.get_name()}: model {self._rig.name}"
+        level, window = self._verdict.level, self._newest
+        if self._failure:
+            return common.status(DiagnosticStatus.ERROR, name, self._failure, {}, self._rig.name)
+        if window is None or level < 0:
+            text = "too few samples of taps and commands to judge the model yet"
+            return common.status(DiagnosticStatus.STALE, name, text, {}, self._rig.name)
+        times = window.times_expected
+        text = f"as expected: {times:.2g} times the error known from its calibration"
+        if level > 0:
+            what = "worse than expected" if level == 1 else "the model does not describe the rig"
+            text = f"{what}: {times:.2g} times the expected error, most at {window.worst_tap}"
+        values = {
+            f"rms {tap} (Pa)": float(rms)
+            for tap, rms in zip(window.taps, window.rms_pa, strict=True)
+        }
+        return common.status(LEVELS[level], name, text, values, self._rig.name)
+
+    def _time_s(self, message: Any) -> float:
+        header = getattr(message, "header", None)
+        stamp_ns = common.from_stamp(header.stamp) if header is not None else 0
+        return (stamp_ns or self._node.get_clock().now().nanoseconds) * 1e-9
+
+    def _on_taps(self, topic: topics.Topic, message: Any) -> None:
+        time_s = self._latest_s = self._time_s(message)
+        for name, value in topic.read(message).items():
+            self._arrived.append((False, name, time_s, value))
+
+    def _on_command(self, topic: topics.Topic, message: Any) -> None:
+        if math.isnan(self._latest_s):
+            return
+        time_s = self._time_s(message)
+        if not -BEHIND_S <= time_s - self._latest_s <= AHEAD_S:
+            time_s = self._latest_s
+        for name, value in topic.read(message).items():
+            self._arrived.append((True, name, time_s, value))
+
+    def _run(self) -> None:
+        while not self._ended.wait(LOOK_S):
+            while self._arrived:
+                is_command, name, time_s, value = self._arrived.popleft()
+                (self._watch.command if is_command else self._watch.reading)(name, time_s, value)
+            try:
+                window = self._watch.window()
+                self._failure = ""
+            except InputError as error:
+                self._failure = f"the model cannot be run along: {error}"
+                continue
+            if window is not None and self._node.context.ok() and not self._ended.is_set():
+                self._verdict.add(window)
+                self._newest = window
+                self._publish(window)
+
+    def _publish(self, window: Window) -> None:
+        message = TapResiduals(
+            window_s=window.length_s,
+            name=window.taps,
+            residual_pa=window.residual_pa.tolist(),
+            rms_pa=window.rms_pa.tolist(),
+            noise_floor_pa=window.noise_pa.tolist(),
+        )
+        message.header.stamp = common.to_stamp(round(window.end_s * 1e9))
+        message.header.frame_id = self._rig.name
+        self._publisher.publish(message)
+
+
+def main(args: list[str] | None = None) -> None:
+    """Runs the node.
+
+    Args:
+        args: Command line; None is the process's own.
+    """
+    common.run_node(IdentifyNode, args)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rules for names, and how they are made full."""
+
+import pytest
+from rclpy.exceptions import (
+    InvalidNamespaceException,
+    InvalidNodeNameException,
+    InvalidServiceNameException,
+    InvalidTopicNameException,
+)
+from rclpy.expand_topic_name import expand_topic_name
+from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
+from rclpy.utilities import remove_ros_args
+from rclpy.validate_full_topic_name import validate_full_topic_name
+from rclpy.validate_namespace import validate_namespace
+from rclpy.validate_node_name import validate_node_name
+from rclpy.validate_topic_name import validate_topic_name
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+
+@pytest.mark.parametrize(
+    "name", ["chatter", "/chatter", "{node}/chatter", "~/chatter", "~", "a/b_1/c"]
+)
+def test_topic_names_that_are_right(name):
+    assert validate_topic_name(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "index"),
+    [
+        ("", 0),
+        ("1st", 0),
+        ("/2nd", 1),
+        ("a//b", None),
+        ("a/", 1),
+        ("with space", 4),
+        ("what?", 4),
+        ("a/~b", 2),
+        ("~a", 1),
+        ("{open", 0),
+    ],
+)
+def test_topic_names_that_are_wrong(name, index):
+    with pytest.raises(InvalidTopicNameException) as caught:
+        validate_topic_name(name)
+    assert caught.value.name == name
+    if index is not None:
+        assert caught.value.invalid_index == index
+    with pytest.raises(InvalidServiceNameException):
+        validate_topic_name(name, is_service=True)
+
+
+@pytest.mark.parametrize("name", ["chatter", "/a/", "/a//b", "/{node}", "/~", "/a b"])
+def test_full_topic_names_that_are_wrong(name):
+    with pytest.raises(InvalidTopicNameException):
+        validate_full_topic_name(name)
+
+
+@pytest.mark.parametrize("namespace", ["space", "/a/", "/a//b", "/1", "/a b", ""])
+def test_namespaces_that_are_wrong(namespace):
+    with pytest.raises(InvalidNamespaceException):
+        validate_namespace(namespace)
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "1a", "a-b", "a b"])
+def test_node_names_that_are_wrong(name, make_node):
+    with pytest.raises(InvalidNodeNameException):
+        validate_node_name(name)
+    with pytest.raises(InvalidNodeNameException):
+        make_node(name)
+
+
+def test_names_that_are_right():
+    assert validate_node_name("my_node_1")
+    assert validate_namespace("/")
+    assert validate_namespace("/my/space")
+    assert validate_full_topic_name("/my/topic_1")
+
+
+@pytest.mark.parametrize(
+    ("name", "full"),
+    [
+        ("chatter", "/space/chatter"),
+        ("/chatter", "/chatter"),
+        ("~", "/space/me"),
+        ("~/chatter", "/space/me/chatter"),
+        ("{node}/chatter", "/space/me/chatter"),
+        ("/{node}", "/me"),
+    ],
+)
+def test_expansion(name, full):
+    assert expand_topic_name(name, "me", "/space") == full
+
+
+def test_expansion_in_the_root_namespace():
+    assert expand_topic_name("chatter", "me", "/") == "/chatter"
+    assert expand_topic_name("~/chatter", "me", "/") == "/me/chatter"
+
+
+def test_nodes_refuse_wrong_names(node):
+    with pytest.raises(InvalidTopicNameException):
+        node.create_publisher(String, "wrong?", 1)
+    with pytest.raises(InvalidTopicNameException):
+        node.create_subscription(String, "a/", lambda message: None, 1)
+    with pytest.raises(InvalidServiceNameException):
+        node.create_client(Trigger, "wrong?")
+    with pytest.raises(InvalidServiceNameException):
+        node.create_service(Trigger, "a/", lambda request, response: response)
+
+
+def test_hidden_names():
+    assert topic_or_service_is_hidden("/a/_action/status")
+    assert not topic_or_service_is_hidden("/a/b_c")
+
+
+def test_ros_arguments_are_removed():
+    line = ["program", "-a", "--ros-args", "-r", "x:=y", "--", "last", "--ros-args", "-p", "p:=1"]
+    assert remove_ros_args(line) == ["program", "-a", "last"]
