@@ -28,9 +28,5 @@ setup(
             "pid = pneu_policy.nodes.pid:main",
             "target = pneu_policy.nodes.target:main",
         ],
-        "pneu.executables": [
-            "pneu_policy.pid = pneu_policy.nodes.pid:main",
-            "pneu_policy.target = pneu_policy.nodes.target:main",
-        ],
     },
 )

@@ -29,7 +29,10 @@ setup(
     description="The rclpy API, ROS 2 messages and tools for machines without ROS",
     license="Apache-2.0",
     entry_points={
-        "console_scripts": ["recorder = pneu_runtime.nodes.recorder:main"],
-        "pneu.commands": ["runtime = pneu_runtime.commands:register"],
+        "console_scripts": [
+            "player = pneu_runtime.nodes.player:main",
+            "recorder = pneu_runtime.nodes.recorder:main",
+        ],
+        "pneu.commands": ["graph = pneu_runtime.commands:register"],
     },
 )

@@ -29,6 +29,5 @@ setup(
             "simulator = pneu_sim.nodes.simulator:main",
         ],
         "pneu.commands": ["sim = pneu_sim.commands:register"],
-        "pneu.executables": ["pneu_sim.simulator = pneu_sim.nodes.simulator:main"],
     },
 )

@@ -29,9 +29,5 @@ setup(
             "replay = pneu_sysid.nodes.replay:main",
         ],
         "pneu.commands": ["sysid = pneu_sysid.commands:register"],
-        "pneu.executables": [
-            "pneu_sysid.identify = pneu_sysid.nodes.identify:main",
-            "pneu_sysid.replay = pneu_sysid.nodes.replay:main",
-        ],
     },
 )

@@ -64,14 +64,18 @@ class _OneLineErrorGroup(TyperGroup):
         return status
 
 
-def build_app(plugins: Iterable[importlib.metadata.EntryPoint] | None = None) -> typer.Typer:
-    """Build the `pneu` application with the subcommands of every plugin.
+def build_app(
+    plugins: Iterable[importlib.metadata.EntryPoint] | None = None, wanted: str | None = None
+) -> typer.Typer:
+    """Build the `pneu` application with the subcommands of the plugins.
 
     A plugin that cannot be loaded is left out with a line on stderr, so that a broken third-party
     package does not take the other commands with it.
 
     Args:
         plugins: Entry points to load instead of the installed ones of group `pneu.commands`.
+        wanted: A subcommand; plugins after the one that has it are not loaded, so that a tool of
+            the graph does not wait for the numerics.
 
     Returns:
         The application; calling it runs the command line.
@@ -94,13 +98,24 @@ def build_app(plugins: Iterable[importlib.metadata.EntryPoint] | None = None) ->
         except Exception as error:
             _print_traceback_if_asked(error)
             _say(f"commands of {plugin.value} left out: {type(error).__name__}: {error}")
+        if wanted is not None and wanted in _subcommands(app):
+            break
     return app
+
+
+def _subcommands(app: typer.Typer) -> set[str | None]:
+    """Names of the subcommands that an application has so far."""
+    names = {group.name for group in app.registered_groups}
+    for command in app.registered_commands:
+        names.add(command.name or getattr(command.callback, "__name__", "").replace("_", "-"))
+    return names
 
 
 def main() -> None:
     """Run the `pneu` command line on `sys.argv` and exit with its status."""
     try:
-        app = build_app()
+        first = sys.argv[1] if len(sys.argv) > 1 else "-"
+        app = build_app(wanted=None if first.startswith("-") else first)
     except KeyboardInterrupt as error:
         sys.exit(_report(error))
     app(prog_name="pneu")

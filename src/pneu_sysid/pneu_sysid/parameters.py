@@ -10,7 +10,7 @@ from pneu_sysid.gauss_newton import Variable
 SLOPE_CHANGE = 0.2
 """Expected change of an opening curve's slope between neighbouring intervals, of its mean slope."""
 
-EXPONENT_CHANGE = 0.15
+EXPONENT_CHANGE = 0.1
 """Expected change of a power-law curve's local exponent between neighbouring intervals."""
 
 STEP_FRACTION = 2e-3
@@ -46,7 +46,7 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
             # One block holds all ports; apart, a recording that seldom opens one tells little of it
             add(f"valves.{v}.ports.*.laminar_ratio", 0.85, 0.9995, 0.02)
             add(f"valves.{v}.ports.*.laminar_widening", 0.0, 4.0, 2.0)
-            add(f"valves.{v}.ports.*.jet_loss", 0.0, 4.0, 1.0)
+            add(f"valves.{v}.ports.*.jet_loss", 0.0, 4.0, 0.5)
             add(f"valves.{v}.ports.*.inlet_head", 0.0, 2.0, 0.5)
         for p, port in valve.ports.items():
             base = f"valves.{v}.ports.{p}"

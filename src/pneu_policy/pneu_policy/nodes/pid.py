@@ -12,7 +12,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from pneu_msgs.msg import PressureTarget, ValveCommand
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import JumpThreshold
+from rclpy.clock import JumpThreshold, ROSClock
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import qos_profile_sensor_data
@@ -214,7 +214,8 @@ class PidNode(LifecycleNode):
     def _now_ns(self) -> int:
         """The clock that ages are told by: steady, or simulated where that is in use."""
         clock = self.get_clock()
-        return int((clock if clock.ros_time_is_active else self._steady).now().nanoseconds)
+        simulated = isinstance(clock, ROSClock) and clock.ros_time_is_active
+        return int((clock if simulated else self._steady).now().nanoseconds)
 
     _steady = common.steady_clock()
 

@@ -16,6 +16,7 @@ from pneu_msgs.srv import ResetSimulator, StepSimulator
 from rclpy.node import Node
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import FluidPressure
 
 from pneu_sim import topics
 from pneu_sim.errors import InputError
@@ -280,7 +281,8 @@ class SimulatorNode(Node):
             return
         for topic in self._tap_topics:
             message = topic.message(sample.taps, stamp)
-            if topic.type == topics.FLUID_PRESSURE:
+            assert message is not None  # every tap has a reading
+            if isinstance(message, FluidPressure):
                 noise = self._rig.taps[topic.signals[0].name].noise_pa
                 message.variance = (noise / topic.signals[0].scale) ** 2
             self._publishers_of[topic.name].publish(message)
