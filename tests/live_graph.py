@@ -71,6 +71,36 @@ class Graph:
         wait_for(newest)
         return newest()
 
+    def mark(self):
+        """A place in the diagnostics, to ask later what was told since."""
+        if "/diagnostics" not in self.got:
+            self.listen(DiagnosticArray, "/diagnostics", 10)
+        return len(self.got["/diagnostics"])
+
+    def wait_until_told(self, part, text, since=0, seconds=6.0):
+        """Waits until the diagnostics of a part contain a text; returns that status."""
+        found = []
+
+        def told():
+            found[:] = [
+                status
+                for message in self.got["/diagnostics"][since:]
+                for status in message.status
+                if status.name.endswith(part) and text in status.message
+            ]
+            return found
+
+        try:
+            wait_for(told, seconds)
+        except AssertionError:
+            seen = {
+                f"{status.name}: {status.message}"
+                for message in self.got["/diagnostics"][since:]
+                for status in message.status
+            }
+            raise AssertionError(f"{part} did not say {text!r}, but {sorted(seen)}") from None
+        return found[-1]
+
     def close(self):
         self.executor.shutdown()
         self.thread.join(5.0)
@@ -109,9 +139,12 @@ def own_domain():
 @contextlib.contextmanager
 def running_graph():
     """A graph in a context of its own."""
-    with rclpy.init():
+    rclpy.init()
+    try:
         graph = Graph()
         try:
             yield graph
         finally:
             graph.close()
+    finally:
+        rclpy.try_shutdown()

@@ -148,14 +148,15 @@ def test_package_xml_names_what_the_package_imports(package):
     """Each as an exec_depend, or in the comment on what comes by pip; and none is idle."""
     path = ROOT / "src" / package / "package.xml"
     depends = {d.text for d in ElementTree.parse(path).getroot().iter("exec_depend")}
-    (by_pip,) = re.findall(r"come by pip, see pyproject.toml: ([\w, ]+)\.", path.read_text())
+    comments = re.findall(r"come by pip, see pyproject.toml: ([\w, ]+)\.", path.read_text())
+    by_pip = {name for comment in comments for name in comment.split(", ")}
     imported = {
         DISTRIBUTION_OF.get(module, module)
         for source in (ROOT / "src" / package / package).rglob("*.py")
         for module in imported_modules(source)
         if module not in sys.stdlib_module_names and module != package
     }
-    listed = {name.removeprefix("python3-") for name in depends} | set(by_pip.split(", "))
+    listed = {name.removeprefix("python3-") for name in depends} | by_pip
     assert imported == listed
 
 

@@ -18,6 +18,7 @@ from benchmarks.graph.processes import (
     has_ros,
     quantiles,
     running,
+    without_ros,
 )
 from benchmarks.report import Table
 
@@ -70,6 +71,7 @@ def latency(quick: bool) -> Table:
             "ratio": "round trip p50 / raw",
         },
     )
+    without_ros(table)
     for kind, message in KINDS.items():
         with pairs(kind, "echo", "ping") as ends:
             forth: dict[str, list[float]] = {name: [] for name in ends}
@@ -106,6 +108,7 @@ def rate(quick: bool) -> Table:
             "ratio": "rate / raw",
         },
     )
+    without_ros(table)
     for kind, message in KINDS.items():
         best: dict[str, tuple[float, float]] = {}
         with pairs(kind, "sink", "source") as ends:

@@ -21,6 +21,7 @@ from benchmarks.graph.processes import (
     quantiles,
     reply,
     running,
+    without_ros,
 )
 from benchmarks.report import Table
 
@@ -90,6 +91,7 @@ def measure(quick: bool) -> Table:
             "cpu": "CPU of a core, %",
         },
     )
+    without_ros(table)
     for rate_hz in RATES_HZ:
         order = {"rate_hz": rate_hz, "duration_s": duration_s}
         for stack in (OURS, REAL) if has_ros() else (OURS,):

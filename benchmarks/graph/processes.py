@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.report import ROOT
+from benchmarks.report import ROOT, Table
 
 OURS, REAL, RAW = "pneu", "rclpy", "raw"
 """Stacks: our embedded runtime, the rclpy of ROS, and Cyclone DDS as pip brings it."""
@@ -33,6 +33,12 @@ def has_ros() -> bool:
     """Whether the rclpy of ROS can be imported here."""
     spec = importlib.util.find_spec("rclpy")
     return spec is not None and spec.origin is not None
+
+
+def without_ros(table: Table) -> None:
+    """Says in a table that the rclpy of ROS is not beside ours, where that is so."""
+    if not has_ros():
+        table.notes.append("The rclpy of ROS is not installed here: left out.")
 
 
 def environment(stack: str = OURS) -> dict[str, str]:

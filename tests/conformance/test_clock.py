@@ -64,11 +64,11 @@ def test_clocks_tell_the_time():
     steady = Clock(clock_type=ClockType.STEADY_TIME)
     first = steady.now()
     assert steady.now() >= first
-    assert first.clock_type is ClockType.STEADY_TIME
+    assert first.clock_type == ClockType.STEADY_TIME
 
 
 def test_a_node_has_a_ros_clock(node):
-    assert node.get_clock().clock_type is ClockType.ROS_TIME
+    assert node.get_clock().clock_type == ClockType.ROS_TIME
     assert node.get_clock().ros_time_is_active is False
 
 

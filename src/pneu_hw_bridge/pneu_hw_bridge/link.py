@@ -22,10 +22,10 @@ MOST_WAITING = 64
 
 @dataclass(frozen=True)
 class Sample:
-    """What was read in one cycle.
+    """What was read, or written, in one cycle.
 
     Attributes:
-        stamp_ns: Time of acquisition, ns.
+        stamp_ns: Time of acquisition, or of taking effect, ns.
         values: SI value per channel.
     """
 
@@ -72,6 +72,7 @@ class Link:
         self._lock = threading.Lock()
         self._samples: deque[Sample] = deque(maxlen=MOST_WAITING)
         self._dropped = 0
+        self._applied: deque[Sample] = deque(maxlen=MOST_WAITING)
         self._output: Mapping[str, float] = supervisor.safe()
         self._readings: Mapping[str, float] = {}
         self._state: State | None = None
@@ -111,6 +112,18 @@ class Link:
         if due:
             self._notify()
 
+    def written(self, values: Mapping[str, float], stamp_ns: int) -> None:
+        """Takes note of voltages that the device has confirmed.
+
+        Args:
+            values: Volts per output.
+            stamp_ns: When they took effect, ns.
+        """
+        with self._lock:
+            self._dropped += len(self._applied) == MOST_WAITING
+            self._applied.append(Sample(stamp_ns, values))
+        self._notify()
+
     def bus(self, fault: str) -> None:
         """Takes note that the bus changed.
 
@@ -130,17 +143,20 @@ class Link:
 
     # From the node
 
-    def command(self, voltages: Mapping[str, float]) -> str:
-        """Takes a command that was received now.
+    def command(self, voltages: Mapping[str, float], sent_s: float | None = None) -> str:
+        """Takes a command.
 
         Args:
             voltages: Volts per output.
+            sent_s: Steady time at which it was sent, from where on the watchdog counts; None is
+                now.
 
         Returns:
             Why it was refused; empty where it was taken.
         """
         with self._lock:
-            return self._supervisor.command(voltages, time.monotonic())
+            sent_s = time.monotonic() if sent_s is None else sent_s
+            return self._supervisor.command(voltages, sent_s)
 
     def malformed(self) -> None:
         """Counts a command that could not be read."""
@@ -188,6 +204,13 @@ class Link:
         while self._samples:
             samples.append(self._samples.popleft())
         return samples
+
+    def take_applied(self) -> list[Sample]:
+        """Returns the voltages that were written since the last call."""
+        written = []
+        while self._applied:
+            written.append(self._applied.popleft())
+        return written
 
     def take_changes(self) -> list[tuple[State, str]]:
         """Returns the changes of state since the last call, each with its reason."""

@@ -30,6 +30,7 @@ class Owner:
     def __init__(self):
         self.volts = {"voltage": 0.0}
         self.samples = []
+        self.applied = []
         self.faults = []
 
     def output(self, now_s):
@@ -37,6 +38,9 @@ class Owner:
 
     def readings(self, values, steady_s, stamp_ns):
         self.samples.append((values, steady_s, stamp_ns))
+
+    def written(self, values, stamp_ns):
+        self.applied.append((values, stamp_ns))
 
     def bus(self, fault):
         self.faults.append(fault)

@@ -128,7 +128,7 @@ FAULTS = [
     ("launch:\n\n- nodes: {}\n", "line 3: nodes: unknown action; known are arg,"),
     ("launch:\n- node: {pkg: a}\n", "line 2: node: key 'exec' is missing"),
     ("launch:\n- node: {pkg: no_such, exec: a}\n", "no executables of package 'no_such'"),
-    ("launch:\n- node: {pkg: pneu_runtime, exec: recorded}\n", "it has recorder"),
+    ("launch:\n- node: {pkg: pneu_runtime, exec: recorded}\n", "it has player, recorder"),
     ("launch:\n- arg: {name: a}\n", "'a' has no default; give it as a:=value"),
     ("launch:\n- arg: {name: a, default: z, choice: [{value: x}]}\n", "one of x, found 'z'"),
     ("launch:\n- log: {message: $(var nothing)}\n", "no argument or variable 'nothing'"),

@@ -27,24 +27,26 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import String
 
+rclpy.init()
 try:
-    with rclpy.init():
-        node = rclpy.create_node("talker", namespace="/rig")
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        state = node.create_publisher(String, "state", latched)
-        state.publish(String(data="latched"))
-        fast = node.create_publisher(FluidPressure, "taps/end/pressure", qos_profile_sensor_data)
-        count = 0
-        def tick():
-            global count
-            message = FluidPressure(fluid_pressure=float(count))
-            message.header.stamp = node.get_clock().now().to_msg()
-            fast.publish(message)
-            count += 1
-        node.create_timer(0.002, tick)
-        rclpy.spin(node)
+    node = rclpy.create_node("talker", namespace="/rig")
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    state = node.create_publisher(String, "state", latched)
+    state.publish(String(data="latched"))
+    fast = node.create_publisher(FluidPressure, "taps/end/pressure", qos_profile_sensor_data)
+    count = 0
+    def tick():
+        global count
+        message = FluidPressure(fluid_pressure=float(count))
+        message.header.stamp = node.get_clock().now().to_msg()
+        fast.publish(message)
+        count += 1
+    node.create_timer(0.002, tick)
+    rclpy.spin(node)
 except (KeyboardInterrupt, ExternalShutdownException):
     pass
+finally:
+    rclpy.try_shutdown()
 """
 
 

@@ -26,21 +26,23 @@ def answer(request, response):
     response.success, response.message = request.data, "done"
     return response
 
+rclpy.init()
 try:
-    with rclpy.init():
-        node = rclpy.create_node("talker", namespace="/rig")
-        limits = [FloatingPointRange(from_value=0.0, to_value=9.0)]
-        node.declare_parameter(
-            "gain.p", 1.5, ParameterDescriptor(description="A gain.", floating_point_range=limits)
-        )
-        node.declare_parameter("names", ["a", "b"])
-        publisher = node.create_publisher(FluidPressure, "taps/end/pressure", 10)
-        node.create_timer(0.02, lambda: publisher.publish(
-            FluidPressure(header={header}, fluid_pressure=101325.0)))
-        node.create_service(SetBool, "~/enable", answer)
-        rclpy.spin(node)
+    node = rclpy.create_node("talker", namespace="/rig")
+    limits = [FloatingPointRange(from_value=0.0, to_value=9.0)]
+    node.declare_parameter(
+        "gain.p", 1.5, ParameterDescriptor(description="A gain.", floating_point_range=limits)
+    )
+    node.declare_parameter("names", ["a", "b"])
+    publisher = node.create_publisher(FluidPressure, "taps/end/pressure", 10)
+    node.create_timer(0.02, lambda: publisher.publish(
+        FluidPressure(header={header}, fluid_pressure=101325.0)))
+    node.create_service(SetBool, "~/enable", answer)
+    rclpy.spin(node)
 except (KeyboardInterrupt, ExternalShutdownException):
     pass
+finally:
+    rclpy.try_shutdown()
 """.replace("{header}", "__import__('std_msgs.msg', fromlist=['x']).Header(frame_id='end')")
 
 TOPIC = "/rig/taps/end/pressure"

@@ -11,6 +11,9 @@ class Channel(BaseModel):
 
     Attributes:
         topic: Topic of the signal in a bag.
+        applied: Topic, with messages alike, on which a bridge confirms what took effect, and when.
+            A command that was decided acts later, and not always by as much; where the bag has this
+            topic it is read in place of ``topic``.
         field: Dotted path of the number inside the message, such as ``fluid_pressure``,
             ``data`` or ``position[0]``.
         type: Message type the topic must have, checked where given.
@@ -24,6 +27,7 @@ class Channel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     topic: str | None = None
+    applied: str | None = None
     field: str = "data"
     type: str | None = None
     column: str | int | None = None
@@ -35,6 +39,8 @@ class Channel(BaseModel):
     def _has_source_and_scale(self) -> "Channel":
         if self.topic is None and self.column is None:
             raise ValueError("a channel needs a topic (bag) or a column (text file)")
+        if self.applied is not None and self.topic is None:
+            raise ValueError("a channel with 'applied' needs a topic, too")
         if self.scale == 0.0:
             raise ValueError("the scale of a channel must not be 0")
         return self

@@ -21,9 +21,6 @@ FAST = {"contract", "nsz", "nnan", "ninf", "arcp"}
 M0, M1, M2, M3, M4, M5 = L.UNSTEADY_WEIGHTS
 ANR_DENSITY = 1.185  # kg/m^3, ISO 6358 reference state
 ANR_TEMPERATURE = 293.15  # K
-LEAST_IMPEDANCE = 0.2
-"""Least part of a line's impedance that a port sees once the velocity head that drives it is taken
-off; with less, the flow would drive itself within a step."""
 WALL_EVERY = 4
 
 
@@ -939,13 +936,17 @@ def _riemann_port(w, j, gamma, ends, ea, eb, area, S, X):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _head(w, j, end, flow, ends, P, S, X):
-    """Twice the velocity head at a pipe end per flow, 1/(m s), with its first compressible term."""
+def _head(w, j, end, flow, heads, ends, P, S, X):
+    """Velocity heads at a pipe end: twice their pressure per flow, 1/(m s), and the Mach number.
+
+    Stagnation pressure (one head) has its first compressible term; the momentum flux (two heads)
+    is exact without.
+    """
     i = ends[end, L.E_CELL] * w + j
     area = P[L.AREA, i]
     x = abs(flow) / (S[L.RHO, i] * area * area)
-    mach = min(x * area / X[L.W_C, i], 0.9)
-    return x * min(1.0 + 0.25 * mach * mach, 0.95 / max(mach, 0.05))
+    mach = min(x * area / X[L.W_C, i], 0.95)
+    return heads * x * (1.0 + 0.25 * mach * mach * min(max(2.0 - heads, 0.0), 1.0)), mach
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -1019,22 +1020,25 @@ def _ports(
             m_old = port_m[k, 0, j]
             if m_old > 0.0:
                 if ka == L.SIDE_END:
-                    x = port_par[k, L.Q_HEAD, j] * _head(w, j, ia, m_old, ends, P, S, X)
-                    lean = max(za - x, LEAST_IMPEDANCE * za)
+                    h = port_par[k, L.Q_HEAD, j]
+                    x, mach = _head(w, j, ia, m_old, h, ends, P, S, X)
+                    # rarefied gas has less head: at h = 2 the slope is (1 - M)^2, never negative
+                    lean = za * max(1.0 - h * mach * (1.0 - 0.5 * mach), 0.02)
                     pa += (lean - za + 0.5 * x) * m_old
                     za = lean
                 if kb == L.SIDE_END:
-                    x = port_par[k, L.Q_JET, j] * _head(w, j, ib, m_old, ends, P, S, X)
+                    x, mach = _head(w, j, ib, m_old, port_par[k, L.Q_JET, j], ends, P, S, X)
                     zb += x
                     pb -= 0.5 * x * m_old
             elif m_old < 0.0:
                 if kb == L.SIDE_END:
-                    x = port_par[k, L.Q_HEAD, j] * _head(w, j, ib, m_old, ends, P, S, X)
-                    lean = max(zb - x, LEAST_IMPEDANCE * zb)
+                    h = port_par[k, L.Q_HEAD, j]
+                    x, mach = _head(w, j, ib, m_old, h, ends, P, S, X)
+                    lean = zb * max(1.0 - h * mach * (1.0 - 0.5 * mach), 0.02)
                     pb -= (lean - zb + 0.5 * x) * m_old
                     zb = lean
                 if ka == L.SIDE_END:
-                    x = port_par[k, L.Q_JET, j] * _head(w, j, ia, m_old, ends, P, S, X)
+                    x, mach = _head(w, j, ia, m_old, port_par[k, L.Q_JET, j], ends, P, S, X)
                     za += x
                     pa += 0.5 * x * m_old
             c = opening[k, j] * port_par[k, L.Q_CONDUCTANCE, j]

@@ -19,6 +19,7 @@ from pneu_sim.errors import InputError
 from pneu_sim.rig.schema import Rig
 
 COMMAND_TOPIC = "valve/command"
+APPLIED_TOPIC = "valve/applied"
 TAPS_TOPIC = "taps/pressures"
 VALVE_COMMAND = "pneu_msgs/msg/ValveCommand"
 TAP_PRESSURES = "pneu_msgs/msg/TapPressures"

@@ -105,6 +105,8 @@ class Control:
             "watchdog": {"tripped": self._device.bitten, "trips": self._device.watchdog_trips},
             "requests": self._device.requests,
             "refused": self._device.refused,
+            "safe": [dataclasses.asdict(one) for one in self._device.rests],
+            "stalls": [dataclasses.asdict(one) for one in self._device.stalls],
         }
 
 

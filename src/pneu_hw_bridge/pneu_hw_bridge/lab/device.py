@@ -22,6 +22,15 @@ from pneu_sim.errors import InputError
 POLL_S = 0.002
 """How often the device looks at its watchdog and at faults that end."""
 
+GLANCE_S = 0.0005
+"""How often a reading that the plant has not got to yet is asked for."""
+
+LONGEST_WAIT_S = 1.0
+"""After how long without a reading the device says that it is busy."""
+
+STALL_S = 0.02
+"""A look that comes so much too late is noted: the machine, not the bridge, was slow."""
+
 _TABLES = {3: "holding", 6: "holding", 16: "holding", 22: "holding", 23: "holding", 4: "input"}
 _RANGES = {
     "int16": (-(2**15), 2**15 - 1),
@@ -46,12 +55,42 @@ class Change:
     cause: str
 
 
+@dataclass
+class Rest:
+    """A time during which all valves had their safe voltage.
+
+    Attributes:
+        begun_s: When it began, by the machine's steady clock.
+        cause: ``write``, ``watchdog`` or ``start``.
+        ended_s: When it ended; None while it lasts.
+    """
+
+    begun_s: float
+    cause: str
+    ended_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Stall:
+    """A time in which this process did not get to run.
+
+    Attributes:
+        begun_s: When it began, by the machine's steady clock.
+        seconds: How long it lasted.
+    """
+
+    begun_s: float
+    seconds: float
+
+
 class LabDevice:
     """Registers, watchdog, faults and the Modbus server.
 
     Attributes:
         faults: Faults on demand.
         history: The newest changes of voltage.
+        rests: The newest times at the safe voltages.
+        stalls: The newest times in which this process did not get to run.
         requests: Requests that were carried out.
         refused: Requests that were refused.
         watchdog_trips: Times the watchdog went off.
@@ -96,6 +135,8 @@ class LabDevice:
         self._closed = False
         self.faults = Faults(list(registers.taps), self._fault_changed)
         self.history: deque[Change] = deque(maxlen=500)
+        self.rests: deque[Rest] = deque(maxlen=100)
+        self.stalls: deque[Stall] = deque(maxlen=100)
         self.requests = self.refused = self.watchdog_trips = 0
         self._note("start")
 
@@ -162,8 +203,12 @@ class LabDevice:
 
     async def _watch(self) -> None:
         """Looks after the watchdog, and ends faults whose time is over."""
+        due_s = time.monotonic()
         while True:
             now_s = time.monotonic()
+            if now_s - due_s > STALL_S:
+                self.stalls.append(Stall(due_s, now_s - due_s))
+            due_s = now_s + POLL_S
             self.faults.present(now_s)
             self._plant.supply(self.faults.get("supply", now_s) is not None)
             if not self._bitten and now_s - self._fed_s > self._watchdog_s:
@@ -174,7 +219,13 @@ class LabDevice:
             await asyncio.sleep(POLL_S)
 
     def _note(self, cause: str) -> None:
-        self.history.append(Change(time.monotonic(), self._plant.volts(), cause))
+        change = Change(time.monotonic(), self._plant.volts(), cause)
+        self.history.append(change)
+        rests = bool(self.rests) and self.rests[-1].ended_s is None
+        if change.volts == self._safe and not rests:
+            self.rests.append(Rest(change.steady_s, cause))
+        elif change.volts != self._safe and rests:
+            self.rests[-1].ended_s = change.steady_s
 
     # Registers
 
@@ -214,7 +265,15 @@ class LabDevice:
         written: list[int] | list[bool] | None,
     ) -> ExcCodes | None:
         """Carries a request out, and is late with the answer where it shall be."""
-        answer = self._answer(function, first, address, count, registers, written)
+        asked_s = time.monotonic()
+        values = self._plant.readings(asked_s) if written is None else {}
+        while values is None and time.monotonic() - asked_s < LONGEST_WAIT_S:
+            await asyncio.sleep(GLANCE_S)
+            values = self._plant.readings(asked_s)
+        if values is None:
+            self.refused += 1
+            return ExcCodes.DEVICE_BUSY
+        answer = self._answer(function, first, address, count, registers, written, values)
         slow = self.faults.get("slow", time.monotonic())
         if slow is not None:
             await asyncio.sleep(slow.value)
@@ -228,6 +287,7 @@ class LabDevice:
         count: int,
         registers: list[int],
         written: list[int] | list[bool] | None,
+        values: dict[str, float],
     ) -> ExcCodes | None:
         """Brings registers up to date before they are read; carries out what is written."""
         now_s = time.monotonic()
@@ -243,7 +303,7 @@ class LabDevice:
             return ExcCodes.ILLEGAL_FUNCTION
         self.requests += 1
         end = address + count
-        shown = self._shown(now_s) if written is None else {}
+        shown = self._shown(now_s, values) if written is None else {}
         volts = self._plant.volts()
         for name, channel in self._registers.channels.items():
             at = channel.address - first
@@ -289,9 +349,8 @@ class LabDevice:
                 self._note("write")
         return None
 
-    def _shown(self, now_s: float) -> dict[str, float]:
+    def _shown(self, now_s: float, values: dict[str, float]) -> dict[str, float]:
         """Readings as the sensors show them, faults included."""
-        values = self._plant.readings()
         frozen = self.faults.get("frozen", now_s)
         if frozen is not None:
             if not frozen.held:

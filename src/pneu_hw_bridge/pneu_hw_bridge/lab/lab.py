@@ -16,6 +16,7 @@ from pneu_hw_bridge.lab.control import Control
 from pneu_hw_bridge.lab.device import LabDevice
 from pneu_hw_bridge.lab.plant import Plant
 from pneu_hw_bridge.lab.sealed import open_sealed
+from pneu_hw_bridge.priority import precedence
 from pneu_hw_bridge.registers.load import load_register_map
 from pneu_sim.errors import InputError
 from pneu_sim.rig.load import load_rig
@@ -93,7 +94,9 @@ def run_lab(options: LabOptions) -> None:
     # pymodbus logs every fault that is asked for here.
     logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
     device = LabDevice(plant, registers, watchdog_s, options.seed)
-    asyncio.run(_serve(options, plant, device))
+    # A device's own clockwork is not held up by other work of the machine that emulates it.
+    with precedence():
+        asyncio.run(_serve(options, plant, device))
 
 
 def _check_address(host: str, expose: bool) -> None:

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rig simulated in real time, in a thread: voltages in, noisy and late readings out.
 
-Whether the machine can keep up is measured before the start, and refused where it cannot. Where it
-falls behind later it catches up; time that cannot be caught up is skipped, counted and reported.
+Simulated time is the steady clock's, whatever the machine is busy with: a voltage acts from the
+moment at which it was set, and a reading is that of the moment asked for. Where the thread is late,
+the reading is waited for, as on a slow device; it never shows a wrong moment. Whether the machine
+can keep up is measured before the start, and refused where it cannot. Time that cannot be caught up
+is skipped, counted and reported.
 """
 
 import math
@@ -26,11 +29,14 @@ Floats = NDArray[np.float64]
 LEAST_FACTOR = 1.3
 """Least speed, times real time, at which a plant is started."""
 
-MOST_CATCH_UP_S = 0.25
+MOST_CATCH_UP_S = 2.0
 """Lag that is still caught up; beyond that time is skipped."""
 
-BLOCK_SAMPLES = 10
-"""Most samples simulated under one set of voltages while catching up."""
+BLOCK_SAMPLES = 20
+"""Most samples simulated at once while catching up."""
+
+KEPT_S = 1.0
+"""How long pressures are kept for readings beyond their latency."""
 
 
 @dataclass(frozen=True)
@@ -101,23 +107,27 @@ class Plant:
         self.rig = rig
         self._simulator = Simulator(rig, dx_m=dx_m)
         self._sample_s = sample_s
-        self._late = round(latency_s / sample_s)
+        self._latency_s = latency_s
         self._rng = np.random.default_rng(seed)
         taps = rig.taps.values()
         self._noise = np.array([t.noise_pa if noise_pa is None else noise_pa for t in taps])
         self._quantum = np.array([t.quantum_pa if quantum_pa is None else quantum_pa for t in taps])
         self._volts = dict(safe_v)
-        self._safe_v = dict(safe_v)
+        self._acting = dict(safe_v)
+        self._changes: deque[tuple[float, dict[str, float]]] = deque()
+        self._lock = threading.Lock()
         self._supplies = {name: rig.reservoirs[name].pressure_pa for name in sources(rig)}
         self._supply_lost = False
         self._supply_applied = False
-        self._newest: deque[Floats] = deque(maxlen=self._late + 1)
+        kept = math.ceil((latency_s + KEPT_S) / sample_s) + BLOCK_SAMPLES
+        self._pressures: deque[Floats] = deque(maxlen=kept)
+        self._begun_s = math.nan
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         self._lag_s = self._worst_lag_s = self._skipped_s = 0.0
         self._busy_s = self._done_s = 0.0
         self.failure = ""
-        self._advance(1)
+        self._start_over()
 
     def measure(self, duration_s: float = 0.3) -> float:
         """Returns how many times faster than real time the plant runs, then starts it from rest.
@@ -125,15 +135,19 @@ class Plant:
         Args:
             duration_s: Simulated time to measure over, s.
         """
-        self._advance(1)  # compiles what is not compiled yet
+        self._advance(1, self._acting)  # compiles what is not compiled yet
         self._busy_s = self._done_s = 0.0
         for _ in range(max(1, round(duration_s / self._sample_s))):
-            self._advance(1)
+            self._advance(1, self._acting)
         speed = self._done_s / self._busy_s
-        self._simulator.reset()
-        self._newest.clear()
-        self._advance(1)
+        self._start_over()
         return speed
+
+    def _start_over(self) -> None:
+        self._simulator.reset()
+        self._pressures.clear()
+        self._samples = 0
+        self._advance(1, self._acting)
 
     def start(self, allow_slow: bool = False) -> float:
         """Begins to run in real time.
@@ -153,6 +167,7 @@ class Plant:
                 f"rig {self.rig.name!r} runs at {speed:.2f} times real time here, needed are"
                 f" {LEAST_FACTOR:g}; choose a longer cell (--dx) or a coarser rig"
             )
+        self._begun_s = time.monotonic() - self._samples * self._sample_s
         self._thread = threading.Thread(target=self._run, name="plant", daemon=True)
         self._thread.start()
         return speed
@@ -164,12 +179,14 @@ class Plant:
             self._thread.join(2.0)
 
     def apply(self, volts: Mapping[str, float]) -> None:
-        """Sets voltages from the next sample on.
+        """Sets voltages from this moment on.
 
         Args:
             volts: Per command its voltage.
         """
-        self._volts = {**self._volts, **volts}
+        with self._lock:
+            self._volts = {**self._volts, **volts}
+            self._changes.append((time.monotonic(), self._volts))
 
     def volts(self) -> dict[str, float]:
         """Returns the voltages that the valves have now."""
@@ -183,15 +200,32 @@ class Plant:
         """
         self._supply_lost = lost
 
-    def readings(self) -> dict[str, float]:
-        """Returns the newest visible readings, Pa."""
-        values = self._newest[0]
-        return dict(zip(self.rig.taps, values.tolist(), strict=True))
+    def readings(self, at_s: float | None = None) -> dict[str, float] | None:
+        """Returns what the sensors show at a moment, Pa; None where the plant is not yet there.
+
+        Args:
+            at_s: Steady time, at most `KEPT_S` ago; None is the newest that there is.
+        """
+        with self._lock:
+            # From the newest sample back. The converter works when it is asked, not at samples.
+            back = 0.0
+            if at_s is not None and math.isfinite(self._begun_s):
+                since_s = at_s - self._latency_s - self._begun_s
+                back = self._samples - since_s / self._sample_s
+            if back < 0.0:
+                return None
+            right = min(int(back), len(self._pressures) - 1)
+            left = min(right + 1, len(self._pressures) - 1)
+            share = back - int(back)
+            late, early = self._pressures[-1 - right], self._pressures[-1 - left]
+        clean = (1.0 - share) * late + share * early
+        noisy = sensors.corrupt(clean[None], self._noise, self._quantum, self._rng)[0]
+        return dict(zip(self.rig.taps, noisy.tolist(), strict=True))
 
     def status(self) -> PlantStatus:
         """Returns how the plant is doing."""
         return PlantStatus(
-            time_s=self._simulator.time_s,
+            time_s=self._samples * self._sample_s,
             speed=self._done_s / self._busy_s if self._busy_s > 0.0 else math.nan,
             lag_s=self._lag_s,
             worst_lag_s=self._worst_lag_s,
@@ -200,27 +234,44 @@ class Plant:
         )
 
     def _run(self) -> None:
-        begun_s = time.monotonic() - self._simulator.time_s
         while not self._stop.is_set():
-            lag_s = time.monotonic() - begun_s - self._simulator.time_s
-            self._lag_s = max(lag_s, 0.0)
-            self._worst_lag_s = max(self._worst_lag_s, self._lag_s)
-            if lag_s > MOST_CATCH_UP_S:
-                begun_s += lag_s
-                self._skipped_s += lag_s
-                lag_s = self._sample_s
-            due = int(lag_s / self._sample_s + 1e-6)
-            if due < 1:
+            with self._lock:
+                now_s = time.monotonic()
+                lag_s = now_s - self._begun_s - self._samples * self._sample_s
+                self._lag_s = max(lag_s, 0.0)
+                self._worst_lag_s = max(self._worst_lag_s, self._lag_s)
+                if lag_s > MOST_CATCH_UP_S:
+                    self._begun_s += lag_s - self._sample_s
+                    self._skipped_s += lag_s
+                    lag_s = self._sample_s
+                due = min(int(lag_s / self._sample_s + 1e-6), BLOCK_SAMPLES)
+                held = self._held(due) if due else {}
+            if not due:
                 time.sleep(self._sample_s - max(lag_s, 0.0))
                 continue
             try:
-                self._advance(min(due, BLOCK_SAMPLES))
+                self._advance(due, held)
             except InputError as error:  # became unstable
                 self.failure = str(error)
                 return
 
-    def _advance(self, samples: int) -> None:
-        """Simulates some samples under the present voltages."""
+    def _held(self, samples: int) -> dict[str, Floats]:
+        """The voltages of the next samples; where one changes during a sample, their mean."""
+        h = self._sample_s
+        begin_s = self._begun_s + self._samples * h
+        series = {name: np.full(samples, volts) for name, volts in self._acting.items()}
+        while self._changes and self._changes[0][0] < begin_s + samples * h:
+            at_s, volts = self._changes.popleft()
+            at = max((at_s - begin_s) / h, 0.0)
+            k = int(at)
+            for name, values in series.items():
+                values[k] += (k + 1 - at) * (volts[name] - self._acting[name])
+                values[k + 1 :] = volts[name]
+            self._acting = volts
+        return series
+
+    def _advance(self, samples: int, held: Mapping[str, float | Floats]) -> None:
+        """Simulates some samples under given voltages."""
         begun_s = time.perf_counter()
         if self._supply_lost != self._supply_applied:
             self._supply_applied = self._supply_lost
@@ -228,9 +279,10 @@ class Plant:
                 room = self.rig.ambient.pressure_pa
                 self._simulator.set_reservoir(name, room if self._supply_lost else pressure_pa)
         duration_s = samples * self._sample_s
-        taken = self._simulator.run(duration_s, self._volts, self._sample_s)
-        clean = np.stack(list(taken.taps.values()), axis=-1)[1:]
-        noisy = sensors.corrupt(clean, self._noise, self._quantum, self._rng)
-        self._newest.extend(noisy)
+        taken = self._simulator.run(duration_s, held, self._sample_s)
+        pressures = np.stack(list(taken.taps.values()), axis=-1)[1:]
+        with self._lock:
+            self._pressures.extend(pressures)
+            self._samples += samples
         self._done_s += duration_s
         self._busy_s += time.perf_counter() - begun_s

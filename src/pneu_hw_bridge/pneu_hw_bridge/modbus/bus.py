@@ -52,6 +52,14 @@ class Owner(Protocol):
             stamp_ns: Time of acquisition by the clock given to the bus.
         """
 
+    def written(self, values: Mapping[str, float], stamp_ns: int) -> None:
+        """Takes note of voltages that the device has confirmed.
+
+        Args:
+            values: Volts per output.
+            stamp_ns: When they took effect, by the clock given to the bus.
+        """
+
     def bus(self, fault: str) -> None:
         """Takes note that the bus changed.
 
@@ -230,7 +238,8 @@ class ModbusBus:
                 if now_s >= tick_s:
                     if now_s > tick_s + self._period_s:
                         self.statistics.late_cycles += 1
-                        tick_s = now_s
+                        # Ticks keep their phase, so that readings stand on one even grid of time.
+                        tick_s += self._period_s * math.floor((now_s - tick_s) / self._period_s)
                     tick_s += self._period_s
                     await self._read(client)
                     self.statistics.cycles += 1
@@ -252,6 +261,8 @@ class ModbusBus:
         self._written, self._written_s = values, now_s
 
     async def _send(self, client: Client, values: Mapping[str, float]) -> None:
+        """Writes voltages, and tells the owner with the middle of the exchange as their time."""
+        begun_s, begun_ns = time.monotonic(), self._clock_ns()
         for batch in self._writes:
             try:
                 raw = batch.encode(values)
@@ -260,6 +271,8 @@ class ModbusBus:
                 self.statistics.unwritable += 1
                 raw = batch.encode(self._safe())
             await client.write(batch.table, batch.address, raw)
+        half_s = 0.5 * (time.monotonic() - begun_s)
+        self._owner.written(values, begun_ns + round(1e9 * half_s))
 
     async def _read(self, client: Client) -> None:
         """Reads all inputs and hands them over with the middle of the exchange as their time."""

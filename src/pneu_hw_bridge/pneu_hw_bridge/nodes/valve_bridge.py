@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node between the topics of the graph and real valves and sensors on Modbus.
 
-Topics: takes ``valve/command``, gives ``taps/<tap>/pressure``, ``taps/pressures`` and the state of
-the emergency stop, ``e_stop``. Services: ``~/e_stop`` and ``~/reset_e_stop``. Life cycle: configure
+Topics: takes ``valve/command``; gives ``taps/<tap>/pressure``, ``taps/pressures``,
+``valve/applied`` (what the device has confirmed, stamped when it took effect) and the state of the
+emergency stop, ``e_stop``. Services: ``~/e_stop`` and ``~/reset_e_stop``. Life cycle: configure
 opens the bus and reads, with the valves vented; activate lets commands through; deactivate, an
 error, and the end of the process vent, by writing to the bus and reading it back.
 """
 
 import sys
+import time
 from typing import Any
 
 import rclpy
@@ -21,15 +23,27 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from pneu_hw_bridge.link import Link
+from pneu_hw_bridge.link import Link, Sample
 from pneu_hw_bridge.modbus.bus import ModbusBus
 from pneu_hw_bridge.nodes.readings import ReadingsPublisher
 from pneu_hw_bridge.nodes.settings import declare_parameters, read_parameters
+from pneu_hw_bridge.priority import precedence
 from pneu_hw_bridge.registers.load import load_register_map
+from pneu_hw_bridge.safety.lateness import Lateness
 from pneu_hw_bridge.safety.limits import limits_of
 from pneu_hw_bridge.safety.supervisor import Latches, State, Supervisor
+from pneu_sim import topics
 from pneu_sim.errors import InputError
-from pneu_sim.nodes.common import COMMAND_QOS, EXIT_BAD_INPUT, Diagnostics, status, steady_clock
+from pneu_sim.nodes.common import (
+    COMMAND_QOS,
+    EXIT_BAD_INPUT,
+    READINGS_QOS,
+    Diagnostics,
+    status,
+    steady_clock,
+    to_stamp,
+)
+from pneu_sim.nodes.lifetime import initialised
 
 COMMAND_TOPIC = "valve/command"
 
@@ -65,11 +79,13 @@ class ValveBridge(LifecycleNode):
             )
         self.add_on_set_parameters_callback(self._check_parameters)
         self._latches = Latches()
+        self._lateness = Lateness()
         self._bus: ModbusBus | None = None
         self._link: Link | None = None
         self._readings: ReadingsPublisher | None = None
         self._entities: list[tuple[Any, Any]] = []
         self._e_stop = self.create_publisher(Bool, "e_stop", E_STOP_QOS)
+        self._applied = self.create_publisher(ValveCommand, topics.APPLIED_TOPIC, READINGS_QOS)
         self.create_service(Trigger, "~/e_stop", self._on_e_stop)
         self.create_service(Trigger, "~/reset_e_stop", self._on_reset)
         self._diagnostics = Diagnostics(self, self._report)
@@ -83,7 +99,7 @@ class ValveBridge(LifecycleNode):
         """
         if not self.get_parameter("autostart").value:
             return
-        if self.trigger_configure() is not TransitionCallbackReturn.SUCCESS:
+        if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
             raise InputError("autostart: the node could not be configured, see its log")
         self.trigger_activate()
 
@@ -233,7 +249,7 @@ class ValveBridge(LifecycleNode):
 
     # Graph
 
-    def _on_command(self, message: ValveCommand) -> None:
+    def _on_command(self, message: ValveCommand, info: dict[str, Any]) -> None:
         link, bus = self._link, self._bus
         if link is None or bus is None:
             return
@@ -242,7 +258,10 @@ class ValveBridge(LifecycleNode):
             link.malformed()
             refused = f"{len(names)} names and {len(voltages)} voltages, needed are pairs"
         else:
-            refused = link.command(dict(zip(names, voltages, strict=True)))
+            received_s = time.monotonic()
+            sent_ns = info["source_timestamp"]  # 0 where the middleware does not tell
+            late_s = self._lateness.of(1e-9 * sent_ns, received_s) if sent_ns > 0 else 0.0
+            refused = link.command(dict(zip(names, voltages, strict=True)), received_s - late_s)
         if not refused:
             bus.poke()
         elif refused != "not active":
@@ -254,8 +273,16 @@ class ValveBridge(LifecycleNode):
         link, readings = self._link, self._readings
         if link is None or readings is None:
             return
+        for sample in link.take_applied():
+            self._say_applied(sample)
         for sample in link.take():
             readings.publish(sample)
+
+    def _say_applied(self, sample: Sample) -> None:
+        """Publishes what the device has confirmed, with the time at which it took effect."""
+        message = ValveCommand(name=list(sample.values), voltage_v=list(sample.values.values()))
+        message.header.stamp = to_stamp(sample.stamp_ns)
+        self._applied.publish(message)
 
     def _look_around(self) -> None:
         """Counts publishers, and reports changes of state: here, so that flutter floods no log."""
@@ -360,7 +387,7 @@ def main(args: list[str] | None = None) -> None:
     """
     node: ValveBridge | None = None
     try:
-        with rclpy.init(args=args):
+        with precedence(), initialised(args):
             try:
                 node = ValveBridge()
                 node.start_if_asked()

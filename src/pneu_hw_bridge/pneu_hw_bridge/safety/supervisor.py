@@ -194,7 +194,7 @@ class Supervisor:
 
         Args:
             voltages: Volts per output; NaN is no command for that one.
-            now_s: When it was received.
+            now_s: When it was sent; the watchdog counts from then on.
 
         Returns:
             Why it was refused; empty where it was taken.

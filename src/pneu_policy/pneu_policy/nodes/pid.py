@@ -106,6 +106,7 @@ class PidNode(LifecycleNode):
         self._pid = Pid(Gains(**values))
         self._state = "inactive"
         self._commands = self._sensor_losses = self._target_losses = self._jumps = 0
+        self._reported_ns: int | None = None
         self._forget()
         self.add_on_set_parameters_callback(self._check_gains)
         self.add_post_set_parameters_callback(self._take_gains)
@@ -307,6 +308,10 @@ class PidNode(LifecycleNode):
             "jumps of the clock": self._jumps,
         }
         text = self._state if level == DiagnosticStatus.OK else f"{self._state}: safe voltage"
+        # Reports are timed by the steady clock, control by this one: then no command is sent.
+        before_ns, self._reported_ns = self._reported_ns, self._now_ns()
+        if self._reported_ns == before_ns and self._state != "inactive":
+            level, text = DiagnosticStatus.WARN, "the clock stands still: no commands"
         return [common.status(level, f"{self.get_name()}: control", text, values, self._tap)]
 
     # ---- parameters ----------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import Trigger
@@ -22,6 +23,7 @@ from pneu_runtime.bag.qos import adapt_to_recorded
 from pneu_runtime.bag.reader import BagMessage, BagReader
 from pneu_runtime.nodes.type_support import interface_class
 from pneu_sim.errors import InputError
+from pneu_sim.nodes.lifetime import initialised
 
 CLOCK = "/clock"
 ACKNOWLEDGE_S = 2.0
@@ -131,7 +133,7 @@ class Player(Node):
             if not self._play_options.loop:
                 break
         for publisher in self._play_publishers_by_topic.values():
-            publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=ACKNOWLEDGE_S))
+            publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_S))
         return True
 
     def _play_once(self, first: int, last: int) -> bool:
@@ -230,7 +232,7 @@ def play_bag(path: Path, options: PlayOptions, ros_arguments: list[str]) -> int:
 
     bag = BagReader(path)
     outcome: list[bool | BaseException] = []
-    with rclpy.init(args=ros_arguments):
+    with initialised(ros_arguments):
         looking = rclpy.create_node("_player_looking", use_global_arguments=False)
         settle(looking)
         looking.destroy_node()
@@ -242,7 +244,8 @@ def play_bag(path: Path, options: PlayOptions, ros_arguments: list[str]) -> int:
             try:
                 outcome.append(node.play())
             except BaseException as error:  # handed to the main thread, which reports it
-                outcome.append(error)
+                # A shutdown that overtakes a publication makes it fail: an ordinary end.
+                outcome.append(error if rclpy.ok() else False)
             executor.wake()
 
         thread = threading.Thread(target=run, name="player", daemon=True)

@@ -34,6 +34,7 @@ from pneu_runtime.nodes.parameter_collector import ParameterCollector
 from pneu_runtime.nodes.provenance import provenance
 from pneu_runtime.nodes.type_support import definition_text, interface_class, type_hash
 from pneu_sim.errors import InputError
+from pneu_sim.nodes.lifetime import initialised
 
 HISTORY_DEPTH = 1000
 """Messages a subscription holds while the executor is busy."""
@@ -273,9 +274,12 @@ def main(args: list[str] | None = None) -> None:
     node = None
     complete = True
     try:
-        with rclpy.init(args=args):
+        with initialised(args):
             node = Recorder()
-            rclpy.spin(node)
+            try:
+                rclpy.spin(node)
+            finally:
+                node.destroy_node()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass  # the usual end of a recording
     except InputError as error:

@@ -5,8 +5,14 @@ Where real rclpy can be imported it is used; the embedded one stands behind it.
 """
 
 import runpy
+import signal
 import sys
 from pathlib import Path
+
+if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    # An interrupt while modules are imported ends the process at once. As an exception it can come
+    # up inside the machinery of imports, which drops it, and the node would start nevertheless.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 from pneu_runtime import hook
 from pneu_runtime.tools import executables
@@ -27,6 +33,8 @@ def run_executable(package: str, name: str, arguments: list[str]) -> None:
     hook.install()
     main = executables.load(package, name)
     sys.argv = [name, *arguments]
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     main(None)
 
 

@@ -31,7 +31,9 @@ def tool_node(look_around: bool = True) -> Iterator[Any]:
     import rclpy
     from rclpy.executors import ExternalShutdownException
 
-    with contextlib.suppress(ExternalShutdownException), rclpy.init(args=[]):
+    from pneu_sim.nodes.lifetime import initialised
+
+    with contextlib.suppress(ExternalShutdownException), initialised([]):
         node = rclpy.create_node(
             f"_ros2cli_{os.getpid()}",
             use_global_arguments=False,

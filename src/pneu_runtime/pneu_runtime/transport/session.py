@@ -384,7 +384,9 @@ class Session:
         """Returns a further source that becomes ready when the graph has changed."""
         source = GraphSource()
         with self._lock:
-            self._graph_sources.append(source)
+            # those that their owners have closed since go at this occasion
+            open_ones = [one for one in self._graph_sources if one.wait_entity]
+            self._graph_sources = [*open_ones, source]
         return source
 
     def graph_version(self) -> int:

@@ -22,6 +22,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from pneu_sim.errors import InputError
+from pneu_sim.nodes.lifetime import initialised
 
 COMMAND_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -213,7 +214,7 @@ def run_node(make: Callable[[], Node], args: list[str] | None) -> None:
     """
     node: Node | None = None
     try:
-        with rclpy.init(args=args):
+        with initialised(args):
             try:
                 node = make()
                 done = getattr(node, "done", None)

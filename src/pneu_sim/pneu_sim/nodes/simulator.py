@@ -11,7 +11,7 @@ import math
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from pneu_msgs.msg import LineState, TapPressures
+from pneu_msgs.msg import LineState, TapPressures, ValveCommand
 from pneu_msgs.srv import ResetSimulator, StepSimulator
 from rclpy.node import Node
 from rclpy.task import Future
@@ -140,6 +140,9 @@ class SimulatorNode(Node):
         self._set_publisher = self.create_publisher(
             TapPressures, topics.TAPS_TOPIC, common.READINGS_QOS
         )
+        self._applied = self.create_publisher(
+            ValveCommand, topics.APPLIED_TOPIC, common.READINGS_QOS
+        )
         self._line_publishers = {
             name: self.create_publisher(LineState, f"lines/{name}/state", common.READINGS_QOS)
             for name in rig.pipes
@@ -254,7 +257,12 @@ class SimulatorNode(Node):
         elif report.stale:
             level = DiagnosticStatus.WARN
             text = f"no new command for {', '.join(report.stale)}: safe state"
-        crowded = [t.name for t in self._command_topics if self.count_publishers(t.name) > 1]
+        crowded = [
+            topic.name
+            for topic in self._command_topics
+            # By its final name: counting expands a name, but does not remap it.
+            if self.count_publishers(self.resolve_topic_name(topic.name)) > 1
+        ]
         if crowded:
             level = DiagnosticStatus.WARN
             text = f"several publishers on {', '.join(crowded)}: the newest command wins"
@@ -290,6 +298,10 @@ class SimulatorNode(Node):
         together.header.stamp = stamp
         together.header.frame_id = self._rig.name
         self._set_publisher.publish(together)
+        applied = ValveCommand(name=list(sample.volts), voltage_v=list(sample.volts.values()))
+        applied.header.stamp = common.to_stamp(sample.since_ns)
+        applied.header.frame_id = self._rig.name
+        self._applied.publish(applied)
         if self._line_rate_hz > 0.0 and sample.time_s >= self._next_line_s - 1e-9:
             self._next_line_s = sample.time_s + 1.0 / self._line_rate_hz
             self._publish_lines(stamp)

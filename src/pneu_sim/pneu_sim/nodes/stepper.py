@@ -53,11 +53,15 @@ class Sample:
         time_s: Simulated time since the last reset, s.
         stamp_ns: The same on the clock of the stamps, ns.
         taps: Noisy readings per tap, Pa; None right after a reset.
+        volts: Voltages during the period that ends here.
+        since_ns: Stamp of the beginning of that period, ns.
     """
 
     time_s: float
     stamp_ns: int
     taps: dict[str, float] | None
+    volts: dict[str, float] = field(default_factory=dict)
+    since_ns: int = 0
 
 
 @dataclass(frozen=True)
@@ -474,10 +478,9 @@ class Stepper:
 
     def _one_period(self) -> None:
         """Advances by one period, waits until it is due, publishes what the sensors say."""
+        since_ns, volts = self.stamp_ns, self._inputs.now(self.time_s)
         try:
-            readings = self._simulator.run(
-                self._period_s, self._inputs.now(self.time_s), self._period_s
-            )
+            readings = self._simulator.run(self._period_s, volts, self._period_s)
         except InputError as error:
             self.failure = str(error)
             return
@@ -489,4 +492,4 @@ class Stepper:
         self.time_s = time_s
         if self._running() and not self._ended.is_set():
             taps = dict(zip(readings.taps, noisy.tolist(), strict=True))
-            self._publish(Sample(time_s, self.stamp_ns, taps))
+            self._publish(Sample(time_s, self.stamp_ns, taps, volts, since_ns))

@@ -96,7 +96,8 @@ def read_bag(
     for name, channel in {**commands, **pressures}.items():
         if channel.topic is None:
             raise InputError(f"{path}: channel '{name}' has no topic, which a bag needs")
-    wanted = {c.topic for c in (*commands.values(), *pressures.values()) if c.topic}
+    channels_of_bag = (*commands.values(), *pressures.values())
+    wanted = {t for c in channels_of_bag for t in (c.topic, c.applied) if t}
     topics, findings = _collect(path, wanted)
     decoded: dict[tuple[str, str], list[Any]] = {}
     streams = []
@@ -106,7 +107,12 @@ def read_bag(
     ]
     for role, channels in roles:
         for name, channel in channels.items():
-            assert channel.topic is not None
+            applied = channel.applied is not None and any(
+                same_topic(full, channel.applied) and any(k.count for k in kinds.values())
+                for full, kinds in topics.items()
+            )
+            if applied:
+                channel = channel.model_copy(update={"topic": channel.applied})
             topic = _find_topic(path, name, channel, topics)
             where = f"{path}: channel '{name}': topic '{topic.name}' ({topic.msgtype})"
             store = _typestore(where, topic, name, findings)
@@ -133,6 +139,7 @@ def read_bag(
                     header_ns=None if stamp is None else _stamps_ns(messages, stamp),
                     values=raw * channel.scale + channel.offset,
                     stamp_ns=log_ns,
+                    applied=applied,
                 )
             )
     return streams, findings

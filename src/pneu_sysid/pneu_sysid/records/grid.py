@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Channels put on one uniform time grid.
 
-A grid point with a sample within 5 % of a period takes that sample unaltered, so that
-noise keeps its statistics; elsewhere pressures are interpolated and commands held.
+A grid point with a sample within 5 % of a period takes that sample unaltered, and one near a
+sample among even ones takes that sample moved by the slope there, so that noise keeps its
+statistics. Elsewhere pressures are interpolated. Commands are held.
 """
 
 from dataclasses import dataclass
@@ -16,6 +17,8 @@ from pneu_sysid.records.recording import Finding
 from pneu_sysid.records.stream import Stream, median_period_ns
 
 SNAP = 0.05
+NEAR = 1.75
+"""Periods up to which two samples are neighbours, none missing between them."""
 _MAX_POINTS = 50_000_000
 
 
@@ -144,25 +147,39 @@ def interpolate(stream: Stream, grid: Grid) -> tuple[NDArray[np.float64], list[F
     inside = (at >= times[0]) & (at <= times[-1])
     out[~inside | (span > (GAP_PERIODS + SNAP) * own)] = np.nan
     nearest = np.where(at - times[left] <= times[right] - at, left, right)
+    # Between its two neighbours, a sample may be moved by a part of a period along their slope.
+    before, after = np.maximum(nearest - 1, 0), np.minimum(nearest + 1, len(times) - 1)
+    near = np.maximum(times[after] - times[nearest], times[nearest] - times[before]) < NEAR * own
+    near &= (nearest > before) & (nearest < after) & (own <= NEAR * grid.period_s) & inside
+    slope = (values[after] - values[before]) / np.where(near, times[after] - times[before], 1.0)
+    moved = values[nearest] + slope * (at - times[nearest])
+    out[near] = moved[near]
     stands = np.abs(times[nearest] - at) <= SNAP * grid.period_s
     out[stands] = values[nearest[stands]]
     made = int((~stands & np.isfinite(out)).sum())
     if not made:
         return out, []
-    note = (
-        f"of {len(at)} grid points were interpolated between samples, which lowers the noise there"
-    )
+    note = f"of {len(at)} grid points were interpolated from the samples beside them"
     return out, [Finding(stream.name, "interpolated", made, note)]
 
 
 def hold(stream: Stream, grid: Grid) -> NDArray[np.float64]:
     """Return a command on the grid, each value held until the next sample.
 
+    Where stamps tell when the values took effect, a grid point gets the mean until the next one, so
+    that a change between them is neither early nor late.
+
     Args:
         stream: The command.
         grid: The grid.
     """
     times = seconds_after(stream, grid.origin_ns)
+    if stream.applied:
+        edges = np.append(grid.offsets_s, grid.start_s + grid.period_s * grid.count)
+        since = np.concatenate(([0.0], np.cumsum(stream.values[:-1] * np.diff(times))))
+        index = np.maximum(np.searchsorted(times, edges, side="right") - 1, 0)
+        integral = since[index] + stream.values[index] * (edges - times[index])
+        return np.asarray(np.diff(integral) / grid.period_s)
     # A stamp a hair after its grid point belongs to it, not to the next.
     index = np.searchsorted(times, grid.offsets_s + SNAP * grid.period_s, side="right") - 1
     return stream.values[np.maximum(index, 0)]

@@ -24,6 +24,7 @@ class Stream:
         header_ns: Stamp inside each message in ns, shape (n,), or None.
         values: Values in SI units, shape (n,).
         stamp_ns: The clock in use in ns, shape (n,): one of the two above.
+        applied: Whether each value is known to have taken effect at its stamp.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Stream:
     header_ns: NDArray[np.int64] | None
     values: NDArray[np.float64]
     stamp_ns: NDArray[np.int64]
+    applied: bool = False
 
     def __len__(self) -> int:
         """Return the number of samples."""

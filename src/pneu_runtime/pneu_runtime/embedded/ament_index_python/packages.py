@@ -4,7 +4,7 @@
 import os
 from pathlib import Path
 
-from ament_index_python.search_paths import get_search_paths, source_packages
+from ament_index_python.search_paths import get_search_paths, source_packages, wheel_packages
 
 
 class PackageNotFoundError(KeyError):
@@ -22,7 +22,7 @@ def get_packages_with_prefixes() -> dict[str, str]:
         if index.is_dir():
             for entry in sorted(index.iterdir()):
                 found.setdefault(entry.name, prefix)
-    for name, folder in source_packages().items():
+    for name, folder in (*source_packages().items(), *wheel_packages().items()):
         found.setdefault(name, folder)
     return found
 

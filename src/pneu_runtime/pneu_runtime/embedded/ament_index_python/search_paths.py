@@ -2,6 +2,7 @@
 """The places that are searched for packages."""
 
 import functools
+import importlib.metadata
 import os
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -40,6 +41,22 @@ def _own_tree() -> str:
     if len(parents) > 5 and parents[4].name == "src" and (parents[3] / "package.xml").exists():
         return str(parents[5])
     return ""
+
+
+@functools.cache
+def wheel_packages() -> dict[str, str]:
+    """Returns the prefixes of the packages that came with a wheel, by package name."""
+    try:
+        files = importlib.metadata.files("pneu") or []
+    except importlib.metadata.PackageNotFoundError:
+        return {}
+    found: dict[str, str] = {}
+    for file in files:
+        if file.parts[-3:-2] == ("share",) and file.name == "package.xml":
+            folder = Path(str(file.locate())).resolve().parent
+            if (folder / "package.xml").is_file():
+                found[folder.name] = str(folder.parents[1])
+    return found
 
 
 @functools.cache

@@ -288,7 +288,11 @@ class Clock:
 
 
 class ROSClock(Clock):
-    """ROS time: the system's time, or where it is active the time that was last set."""
+    """ROS time: the system's time, or where it is active the time that was last set.
+
+    Args:
+        clock_type: ROS_TIME, which is also meant where it is left out.
+    """
 
     def __new__(cls) -> "ROSClock":
         """Make a clock of type ROS_TIME."""

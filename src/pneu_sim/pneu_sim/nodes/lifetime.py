@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From init to shutdown of a process with nodes, in the way that ROS 2 Jazzy has it.
+
+There `rclpy.init` returns nothing, and a wait or a publication that a shutdown overtakes ends in
+the middleware's own error.
+"""
+
+import contextlib
+from collections.abc import Iterator
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+
+
+@contextlib.contextmanager
+def initialised(args: list[str] | None) -> Iterator[None]:
+    """Initialises the default context for the length of a ``with``, and shuts it down.
+
+    Args:
+        args: Command line; None is the process's own.
+
+    Raises:
+        ExternalShutdownException: The context was shut down by a signal in the middle of something.
+    """
+    rclpy.init(args=args)
+    try:
+        yield
+    except RuntimeError as error:
+        # rcl: "the given context is not valid", "publisher's context is invalid"
+        if rclpy.ok() or "context is" not in str(error):
+            raise
+        raise ExternalShutdownException from error
+    finally:
+        rclpy.try_shutdown()
