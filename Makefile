@@ -2,7 +2,8 @@
 # The tasks of this repository. Each builds what it needs in .venv from python3 and make alone.
 #
 # Numba keeps compiled kernels in __pycache__ beside their source, which here is always writable, so
-# NUMBA_CACHE_DIR is left unset; set it yourself where the checkout is read-only. Numba re-compiles
+# NUMBA_CACHE_DIR is left unset; set it yourself where the checkout is read-only. Only `make bench`,
+# whose peers hold back Numba's version, has a cache of its own. Numba re-compiles
 # a kernel when its own file changes, not when a file it calls into does: `make clean-kernels`.
 
 PYTHON ?= python3
@@ -20,6 +21,7 @@ help:  ## list the targets
 
 demo: $(VENV)/.ready-run  ## the whole story on a bag that comes with the repository
 	@$(RUN) examples/demo.py
+	@$(RUN) examples/live.py
 
 test: lint  ## lint, type check and every test
 	@$(RUN) -m pytest
@@ -34,7 +36,7 @@ format: $(VENV)/.ready-dev  ## let ruff put the sources in order
 	@$(RUN) -m ruff format .
 
 bench: $(BENCH_VENV)/.ready-bench  ## speed and accuracy beside other solvers
-	@$(BENCH_VENV)/bin/python -m benchmarks
+	@NUMBA_CACHE_DIR=$(abspath $(BENCH_VENV))/numba $(BENCH_VENV)/bin/python -m benchmarks
 
 bags: folder-is-named $(VENV)/.ready-run  ## slow: fit and diagnose every bag of a folder, BAGS=folder
 	@$(RUN) -m studies.bags "$(BAGS)"

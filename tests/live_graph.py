@@ -78,7 +78,8 @@ class Graph:
         return len(self.got["/diagnostics"])
 
     def wait_until_told(self, part, text, since=0, seconds=6.0):
-        """Waits until the diagnostics of a part contain a text; returns that status."""
+        """Waits until the diagnostics of a part contain a text, or one of several; the status."""
+        texts = (text,) if isinstance(text, str) else text
         found = []
 
         def told():
@@ -86,7 +87,7 @@ class Graph:
                 status
                 for message in self.got["/diagnostics"][since:]
                 for status in message.status
-                if status.name.endswith(part) and text in status.message
+                if status.name.endswith(part) and any(one in status.message for one in texts)
             ]
             return found
 

@@ -17,6 +17,7 @@ import warnings
 from pathlib import Path
 
 import pytest
+from std_srvs.srv import Trigger
 from tests.live_graph import wait_and_see, wait_for
 
 from pneu_hw_bridge.lab.asking import ask
@@ -310,6 +311,14 @@ class HardwareRig:
         while wait_and_see(lambda: not follows(), 0.3):
             assert time.monotonic() < end, "the valves are not followed for long"
             wait_for(follows, seconds)
+
+    def recovers(self):
+        """Releases a trip, which stays by design, and waits until the valves are followed."""
+        status = self.graph.wait_until_told("bridge: safety", "", self.graph.mark())
+        if "tripped" in status.message:
+            answer = self.graph.call(Trigger, "/lab/valve_bridge/reset_e_stop", Trigger.Request())
+            assert answer.success, answer.message
+        self.follows()
 
     def watch(self, *others):
         """A watch for which the bridge, the lab, and other processes of the graph have to run."""

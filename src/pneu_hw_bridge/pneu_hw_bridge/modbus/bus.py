@@ -135,6 +135,7 @@ class ModbusBus:
         self._vent_deadline_s = 0.0
         self._written: dict[str, float] = {}
         self._written_s = -math.inf
+        self._confirmed_ns: int | None = None
 
     def start(self) -> None:
         """Begins to connect and to work, in a thread of its own."""
@@ -272,7 +273,13 @@ class ModbusBus:
                 raw = batch.encode(self._safe())
             await client.write(batch.table, batch.address, raw)
         half_s = 0.5 * (time.monotonic() - begun_s)
-        self._owner.written(values, begun_ns + round(1e9 * half_s))
+        stamp_ns = begun_ns + round(1e9 * half_s)
+        watchdog_s, before_ns = self._registers.device.watchdog_s, self._confirmed_ns
+        if watchdog_s and before_ns is not None and stamp_ns - before_ns > 1e9 * watchdog_s:
+            # Left alone for so long, the device had the safe voltages until now.
+            self._owner.written(self._safe(), before_ns + round(1e9 * watchdog_s))
+        self._confirmed_ns = stamp_ns
+        self._owner.written(values, stamp_ns)
 
     async def _read(self, client: Client) -> None:
         """Reads all inputs and hands them over with the middle of the exchange as their time."""
