@@ -24,7 +24,7 @@ demo: $(VENV)/.ready-run  ## the whole story on a bag that comes with the reposi
 	@$(RUN) examples/live.py
 
 test: lint  ## lint, type check and every test
-	@$(RUN) -m pytest
+	@$(RUN) -m pytest --numprocesses=2 --dist=loadfile
 
 lint: $(VENV)/.ready-dev  ## ruff (rules and format) and mypy
 	@$(RUN) -m ruff check --quiet .

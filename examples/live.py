@@ -146,20 +146,21 @@ def run(console: Console, *words: str) -> None:
         raise SystemExit(status)
 
 
-def check(model: str) -> None:
-    """Ends the story where the healthy recording is not one of a rig in real time.
+def check(console: Console, model: str) -> None:
+    """Says so where the healthy recording is not one of a rig in real time.
 
     Args:
+        console: Where to say it.
         model: The calibrated rig file.
     """
     calibration = load_rig(model).calibration
     assert calibration is not None
     worst_pa = max(calibration.rmse_pa.values())
     if worst_pa > MOST_HEALTHY_PA:
-        raise SystemExit(
-            f"The model leaves {worst_pa:.0f} Pa of a healthy lab, more than {MOST_HEALTHY_PA:.0f}"
-            " Pa: this machine was too busy to run lab, bridge and controller in real time. Try"
-            " again while it is less busy."
+        console.print(
+            f"[yellow]The model leaves {worst_pa:.0f} Pa of a healthy lab, more than"
+            f" {MOST_HEALTHY_PA:.0f} Pa: the machine was too busy to run lab, bridge and controller"
+            " in real time. What is learned below may be wrong.[/yellow]"
         )
 
 
@@ -224,8 +225,9 @@ def main() -> int:
     console.rule()
     console.print("[bold]A healthy lab, to calibrate the model's delay over the bus.[/bold]")
     healthy = record("healthy", [], console)
-    run(console, "fit", str(healthy), "--rig", RIG, "-o", model)
-    check(model)
+    # Robust, since what a busy machine held up is stamped less exactly than the rest.
+    run(console, "fit", str(healthy), "--rig", RIG, "-o", model, "--robust")
+    check(console, model)
     console.rule()
     console.print("[bold]A lab with a fault that nobody is told, and a controller on it.[/bold]")
     bag = record("faulty", ["--sealed", str(OUT / "hidden.sealed")], console)
