@@ -48,10 +48,8 @@ def test_healthy_bag_is_predicted_and_nothing_is_missing(rig: Rig) -> None:
     plate = load_rig(ROOT / "rigs" / "rig_a_thin_plate.yaml")
     result = compare(recording, [("pde", rig, None), ("plate", plate, None)], refine=False)
     pde, lumped = (model.taps for model in result.models)
-    for tap in ("supply", "middle", "exhaust"):
-        assert pde[tap].times_noise < 3.2
-    assert pde["end"].times_noise < 3.5
-    assert pde["valve_out"].times_noise < 4.5
+    for tap in rig.taps:
+        assert pde[tap].times_noise < 3.0
     for tap in ("valve_out", "middle", "end"):
         assert lumped[tap].rmse_pa > 4.0 * pde[tap].rmse_pa
     assert diagnose(rig, recording, refine=False).verdict == "nothing_missing"
@@ -94,7 +92,11 @@ def test_two_effects_at_once_are_both_found(exact: Rig) -> None:
     strengths = {e.effect: e.parameters for e in learned.rig.effects}
     assert strengths["leak"]["area_m2"] == pytest.approx(2e-8, rel=0.2)
     assert strengths["valve_delay"]["delay_s"] == pytest.approx(3e-3, rel=0.2)
-    assert learned.steps[-1].held_out_times_noise < 1.3
+    # What is left is what a healthy recording on that finer grid leaves too.
+    healthy = synthetic(exact, SECONDS, 7, "healthy")
+    after = compare(recording, [("after", learned.rig, None)], refine=False).models[0]
+    alone = compare(healthy, [("healthy", exact, None)], refine=False).models[0]
+    assert after.times_noise <= 1.2 * alone.times_noise
 
 
 def test_what_no_catalogue_holds_is_called_unknown(exact: Rig) -> None:

@@ -60,9 +60,11 @@ def test_effect_of_the_readme_acts_and_vanishes_at_zero(rig, tmp_path):
 def test_commands_of_the_readme_exist_and_none_is_left_out():
     known = typer.main.get_command(build_app()).commands
     told = dict(re.findall(r"^\| `pneu (\w+)([^`]*)`", README, flags=re.MULTILINE))
-    assert set(told) == set(known)
+    row = re.search(r"^\| `pneu run`(.*)\| as their `ros2` namesakes", README, flags=re.MULTILINE)
+    namesakes = {"run", *re.findall(r"`(\w+)`", row[1])}
+    assert set(told) | namesakes == set(known)
     for name, words in told.items():
-        options = {option for p in known[name].params for option in p.opts}
+        options = {option for p in known[name].params for option in getattr(p, "opts", [])}
         assert set(re.findall(r"(?<!\w)--?[a-z]+", words)) <= options, name
 
 

@@ -44,7 +44,7 @@ def test_leak_of_a_closed_chamber(name: str, known_s: float | None, within: floa
     other = {label.partition("@")[0] for label in chamber.found.alike(0)}
     assert other == LEAKS - {chamber.found.finalists[0].site.effect.name}
     for model in chamber.compared.models:
-        assert model.times_noise is not None and model.times_noise > 5.0
+        assert model.times_noise is not None and model.times_noise > 3.0
     assert chamber.after.held_out_times_noise < 0.65 * chamber.before.held_out_times_noise
 
     time_s, gauge = readings(name, 10.0, 10.0 + float(chamber.recording.time_s[-1]))

@@ -143,6 +143,7 @@ def rollouts(
     nudge_s: float = 0.002,
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
+    strict: bool = True,
 ) -> Rollouts:
     """Rolls every model out from every start, in one batch.
 
@@ -163,12 +164,13 @@ def rollouts(
         nudge_s: Time constant of the pull to the taps.
         workers: Threads; None is one per core.
         progress: Called with the fraction done.
+        strict: Whether an unstable roll-out is an error; else its predictions are not finite.
 
     Returns:
         The predictions.
 
     Raises:
-        InputError: A prediction is not finite.
+        InputError: A prediction is not finite, and ``strict``.
     """
     plan = models[0].plan
     n_models, n_starts = len(models), len(starts)
@@ -204,6 +206,7 @@ def rollouts(
             memory,
             warm_up,
             1.0 / nudge_s,
+            strict,
         )
         for j, (m, s) in enumerate(tile):
             taps[m, s] = out[0][:, :, j]
@@ -240,6 +243,7 @@ def _run_tile(
     memory: bool,
     warm_up: int,
     nudge_rate: float,
+    strict: bool,
 ) -> tuple[Floats, Floats, Floats]:
     """Runs one tile of roll-outs; see `rollouts`."""
     tile = pack(models, compliant, memory)
@@ -268,6 +272,7 @@ def _run_tile(
         nudge,
         nudge_rate,
         (field.weight, field.chamber_weight),
+        strict,
     )
 
 

@@ -172,6 +172,7 @@ def advance(
     nudge_p: Floats | None = None,
     nudge_rate: float = 0.0,
     nudge_field: tuple[Floats, Floats] | None = None,
+    strict: bool = True,
 ) -> tuple[Floats, Floats, Floats]:
     """Advances a batch in place.
 
@@ -185,13 +186,14 @@ def advance(
             n - 1 samples.
         nudge_rate: Rate of that pull, 1/s.
         nudge_field: (slots, n_taps) and (n_chambers, n_taps) weights that spread the taps' errors.
+        strict: Whether an unstable lane is an error; else its predictions are not finite.
 
     Returns:
         (samples, n_taps, lanes) tap pressures, (samples, n_ports, lanes) port flows and
         (samples, n_chambers, lanes) chamber pressures.
 
     Raises:
-        InputError: A prediction is not finite.
+        InputError: A prediction is not finite, and ``strict``.
     """
     first, plan, w = tile.models[0], tile.plan, tile.lanes
     tap_out = np.zeros((samples, len(plan.taps), w))
@@ -241,7 +243,7 @@ def advance(
         flow_out,
         chamber_out,
     )
-    if not np.isfinite(tap_out).all():
+    if strict and not np.isfinite(tap_out).all():
         raise InputError(
             f"the simulation became unstable at a time step of {dt_s:.3g} s; raise"
             " grid.wave_speed_m_s or lower grid.cfl"

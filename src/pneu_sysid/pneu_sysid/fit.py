@@ -21,6 +21,8 @@ STAGES_S = (0.1, 0.25)
 """Short roll-outs come first: over them the response is closer to linear in the parameters."""
 COARSEN = 2.0
 """The short stages run on cells this much longer."""
+UNSTABLE = 1e4
+"""Residual, in noise deviations, that a simulation counts with once it is unstable."""
 CONDITION_LIMIT = 1e6
 
 
@@ -79,8 +81,10 @@ def residual_function(
     target = problem.target()[chosen]
 
     def residuals(points: Sequence[Floats]) -> Floats:
-        y = problem.simulate([rig_of(x) for x in points], starts=starts).readings
-        r = np.nan_to_num((target - y) / problem.noise_pa, nan=0.0)
+        y = problem.simulate([rig_of(x) for x in points], starts=starts, strict=False).readings
+        r = np.where(np.isfinite(target), (target - y) / problem.noise_pa, 0.0)
+        # a trial that no longer can be simulated is only a bad one
+        r[~(np.abs(r) < UNSTABLE)] = UNSTABLE
         return r.reshape(len(points), len(starts), -1)
 
     return residuals

@@ -78,6 +78,7 @@ class Problem:
         rigs: Sequence[Rig],
         starts: Sequence[int] | None = None,
         progress: Callable[[float], None] | None = None,
+        strict: bool = True,
     ) -> Rollouts:
         """Rolls rigs out along the recording, in one batch.
 
@@ -85,13 +86,14 @@ class Problem:
             rigs: Rigs of one structure and one ``model``.
             starts: Roll-outs to run; None is all.
             progress: Called with the fraction done.
+            strict: Whether an unstable simulation is an error; else its predictions are not finite.
 
         Returns:
             Predictions without the warm-up: (n_rigs, n_starts, horizon, ...).
         """
         plan, initial = self._plan(rigs[0])
         if rigs[0].model == "pde":
-            run = partial(rollouts, self._models(rigs, plan))
+            run = partial(rollouts, self._models(rigs, plan), strict=strict)
         else:
             run = partial(lumped.rollouts, [lumped.build(rig, plan) for rig in rigs])
         out = run(

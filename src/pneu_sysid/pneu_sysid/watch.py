@@ -248,9 +248,14 @@ class Verdict:
             self._recent.append(window.times_expected)
 
     @property
+    def times_expected(self) -> float:
+        """Median over the last windows of the error, in multiples of the expected one."""
+        return float(np.median(self._recent)) if self._recent else math.nan
+
+    @property
     def level(self) -> int:
         """0 as expected, 1 warning, 2 error; -1 before there are enough windows."""
         if len(self._recent) < (self._recent.maxlen or 1):
             return -1
-        lasting = float(np.median(self._recent))
+        lasting = self.times_expected
         return 2 if lasting > self.error_times else 1 if lasting > self.warn_times else 0

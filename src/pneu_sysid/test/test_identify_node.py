@@ -123,9 +123,8 @@ def test_the_watch_tells_a_changed_rig_from_the_one_it_knows(graph, tmp_path, le
     newest = residuals[-1]
     assert list(newest.name) == list(plant.taps) and newest.window_s == 0.5
     assert newest.noise_floor_pa[0] == pytest.approx(250.0)
-    status = graph.status("model lab")
-    if leak_m2:
-        assert status.level == DiagnosticStatus.ERROR, status.message
-        assert "does not describe the rig" in status.message
-    else:
-        assert status.level == DiagnosticStatus.OK, status.message
+    # A stall of the machine spoils a window or two: what counts is where the verdict settles.
+    level = DiagnosticStatus.ERROR if leak_m2 else DiagnosticStatus.OK
+    wait_for(lambda: graph.status("model lab").level == level, 10.0)
+    message = graph.status("model lab").message
+    assert ("does not describe the rig" if leak_m2 else "as expected") in message

@@ -254,7 +254,7 @@ class Watcher:
         if window is None or level < 0:
             text = "too few samples of taps and commands to judge the model yet"
             return common.status(DiagnosticStatus.STALE, name, text, {}, self._rig.name)
-        times = window.times_expected
+        times = self._verdict.times_expected
         text = f"as expected: {times:.2g} times the error known from its calibration"
         if level > 0:
             what = "worse than expected" if level == 1 else "the model does not describe the rig"
