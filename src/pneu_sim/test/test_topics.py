@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 
 import pytest
+
 from pneu_runtime.hook import install
 
 install()
