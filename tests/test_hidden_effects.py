@@ -93,7 +93,7 @@ def test_two_effects_at_once_are_both_found(exact: Rig) -> None:
     assert strengths["leak"]["area_m2"] == pytest.approx(2e-8, rel=0.2)
     assert strengths["valve_delay"]["delay_s"] == pytest.approx(3e-3, rel=0.2)
     # What is left is what a healthy recording on that finer grid leaves too.
-    healthy = synthetic(exact, SECONDS, 7, "healthy")
+    healthy = synthetic(exact, SECONDS, 5, "healthy")
     after = compare(recording, [("after", learned.rig, None)], refine=False).models[0]
     alone = compare(healthy, [("healthy", exact, None)], refine=False).models[0]
     assert after.times_noise <= 1.2 * alone.times_noise
