@@ -13,8 +13,7 @@ import pytest
 ROOT = Path(__file__).parent
 REALTIME = (
     "src/pneu_hw_bridge/test/",
-    "src/pneu_policy/test/test_pid_node",
-    "src/pneu_policy/test/test_target_node",
+    "src/pneu_policy/test/test_policy_nodes",
     "src/pneu_runtime/test/test_recorder",
     "src/pneu_sim/test/test_simulator_node",
     "src/pneu_sysid/test/test_identify_node",
