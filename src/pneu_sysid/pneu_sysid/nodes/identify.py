@@ -227,12 +227,18 @@ class Watcher:
                 lambda message, topic=topic: self._on_taps(topic, message),
                 qos_profile_sensor_data,
             )
+        # What took effect, and when, tells more than what was asked for.
+        applied = {
+            command.channel.topic: command.channel.applied
+            for command in rig.commands.values()
+            if command.channel is not None
+        }
         for topic in topics.command_topics(rig):
             node.create_subscription(
                 topics.message_class(topic.type),
-                topic.name,
+                applied.get(topic.name) or topic.name,
                 lambda message, topic=topic: self._on_command(topic, message),
-                common.COMMAND_QOS,
+                10,
             )
 
     def start(self) -> None:
