@@ -34,6 +34,7 @@ class Target:
         period_s: Typical time from one extreme or level to the next, s.
         seed: Seed of all randomness.
         turn_s: How long each kind lasts where they take turns, s.
+        jitter: Share of the period by which the corners of a jagged target are moved at random.
     """
 
     kind: Kind
@@ -42,6 +43,7 @@ class Target:
     period_s: float = 0.5
     seed: int = 0
     turn_s: float = 4.0
+    jitter: float = 0.0
     _sines: tuple[Floats, Floats, Floats] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -57,6 +59,8 @@ class Target:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise InputError(f"{name}: found {value:g}, it must be positive")
+        if not 0.0 <= self.jitter <= 0.9:
+            raise InputError(f"jitter: found {self.jitter:g}, allowed are 0 to 0.9")
         if self.seed < 0:
             raise InputError(f"seed: found {self.seed}, it must not be negative")
         rng = np.random.default_rng([self.seed, 0])
@@ -96,12 +100,26 @@ class Target:
     def _levels(self, index: NDArray[np.int64]) -> Floats:
         """One random number in [0, 1] per index, whichever is asked for first."""
         numbers, inverse = np.unique(index, return_inverse=True)
-        drawn = [np.random.default_rng([self.seed, 1, int(n)]).uniform() for n in numbers]
+        drawn = [np.random.default_rng([self.seed, 1, max(int(n), 0)]).uniform() for n in numbers]
         return np.asarray(drawn)[inverse].reshape(index.shape)
 
+    def _corners(self, index: NDArray[np.int64]) -> Floats:
+        """Times of the corners in periods: their numbers, moved by up to half the jitter."""
+        if self.jitter == 0.0:
+            return index.astype(np.float64)
+        numbers, inverse = np.unique(index, return_inverse=True)
+        moved = [np.random.default_rng([self.seed, 2, int(n) + 1]).uniform() for n in numbers]
+        return np.asarray((numbers + self.jitter * (np.asarray(moved) - 0.5))[inverse])
+
     def _jagged(self, t: Floats) -> Floats:
-        index = (t // self.period_s).astype(np.int64)
-        part = t / self.period_s - index
+        x = t.ravel() / self.period_s
+        index = np.floor(x).astype(np.int64)
+        # A corner is moved by less than half a period: it is this line, the one before or after.
+        index -= x < self._corners(index)
+        index += x >= self._corners(index + 1)
+        begin = self._corners(index)
+        part = ((x - begin) / (self._corners(index + 1) - begin)).reshape(t.shape)
+        index = index.reshape(t.shape)
         left, right = self._levels(index), self._levels(index + 1)
         return left + (right - left) * part
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pneu_sim.rig import build as B
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 KNOTS_PER_SAMPLE = 4
 """Openings are computed this many times per sample interval, and linear between."""
@@ -125,6 +126,51 @@ def _port_openings(
         f = min(max((null + s - lo) * scale, 0.0), float(top))
         i = min(int(f), top - 1)
         out[k] = table[i] + (f - i) * (table[i + 1] - table[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def batch_openings(
+    commands: Floats,
+    dt: float,
+    knots: int,
+    past: int,
+    spool: Floats,
+    memory: Floats,
+    port_valve: Ints,
+    curve_v: Floats,
+    curve: Floats,
+    out: Floats,
+) -> None:
+    """Openings of the ports of many rigs side by side, as `openings` gives those of one.
+
+    Args:
+        commands: (lanes, valves, past + T) volts, held between samples.
+        dt: Sample interval, s.
+        knots: Knots per sample interval.
+        past: How many of the commands lie before the first opening.
+        spool: (lanes, valves, 9) valve parameters, see ``pneu_sim.rig.build``.
+        memory: (lanes, valves, 4) where the spools stand, changed in place; see `spool_positions`.
+        port_valve: (ports,) valve of each port; -1 for an orifice, which is open.
+        curve_v: (lanes, ports, 2) voltage range of the opening curve.
+        curve: (lanes, ports, points) opening curve.
+        out: ((T - 1) * knots + 1, ports, lanes) openings.
+    """
+    count = out.shape[0]
+    positions = np.empty((spool.shape[1], count))
+    column = np.empty(count)
+    for j in range(spool.shape[0]):
+        for v in range(spool.shape[1]):
+            spool_positions(
+                commands[j, v], dt, knots, spool[j, v], past, memory[j, v], positions[v]
+            )
+        for q in range(port_valve.size):
+            v = port_valve[q]
+            if v < 0:
+                out[:, q, j] = 1.0
+                continue
+            lo, hi = curve_v[j, q]
+            _port_openings(positions[v], spool[j, v], lo, hi, curve[j, q], column)
+            out[:, q, j] = column
 
 
 @dataclass

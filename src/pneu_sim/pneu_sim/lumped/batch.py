@@ -62,11 +62,11 @@ def rollouts(
     volts = commands or {"": np.zeros(taps_pa.shape[0])}
     begin = np.asarray(starts, dtype=np.int64)
     nudged = min(warm_up, samples - 1)
-    fastest = max(_fastest(model) for model in models)
+    rate = max(fastest(model) for model in models)
     if nudged:
-        fastest = max(fastest, 1.0 / nudge_s)
+        rate = max(rate, 1.0 / nudge_s)
     # In powers of two, so that the step is the same for parameters that differ a little.
-    n_sub = max(KNOTS_PER_SAMPLE, 2 ** math.ceil(math.log2(max(dt_s * fastest / STEP, 1.0))))
+    n_sub = max(KNOTS_PER_SAMPLE, 2 ** math.ceil(math.log2(max(dt_s * rate / STEP, 1.0))))
     goals = np.ascontiguousarray(taps_pa, dtype=float)
     taps = np.empty((n_models, n_starts, samples, len(plan.taps)))
     flows = np.empty((n_models, n_starts, samples, plan.ports.shape[0]))
@@ -105,8 +105,12 @@ def rollouts(
     return Rollouts(readings, flows, chambers)
 
 
-def _fastest(model: LumpedModel) -> float:
-    """Fastest rate at which any volume may settle, 1/s: all its ports wide open and linear."""
+def fastest(model: LumpedModel) -> float:
+    """Returns the fastest rate at which any volume may settle, 1/s: all ports open and linear.
+
+    Args:
+        model: The model.
+    """
     gas = model.base.gas
     warm = gas.gamma * max(model.base.ambient[1], *model.source[:, 1], 0.0)
     rates = np.zeros(len(model.volume))

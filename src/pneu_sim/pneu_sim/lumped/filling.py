@@ -220,6 +220,189 @@ def _rates(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _step(
+    y: Floats,
+    y0: Floats,
+    y1: Floats,
+    h: float,
+    ring: Floats,
+    head: int,
+    opening: Floats,
+    begin: float,
+    width: float,
+    now: Floats,
+    goal: Floats,
+    nudge_rate: float,
+    goal_left: Floats,
+    goal_right: Floats,
+    goal_begin: float,
+    goal_width: float,
+    gamma: float,
+    r_gas: float,
+    exponent: float,
+    sound: float,
+    side: Ints,
+    area: Floats,
+    linear: Floats,
+    source: Floats,
+    volume: Floats,
+    tap: Ints,
+    tap_delay: Floats,
+    side_delay: Floats,
+    drag: Floats,
+    room: Floats,
+    base: Floats,
+    flow: Floats,
+    rate: Floats,
+) -> int:
+    """One Runge-Kutta step of all shares in place; returns the ring's new head.
+
+    ``opening`` is read from knot ``begin`` to ``begin + width``; the goals that the volumes are
+    drawn to lie between the two given, from ``goal_begin`` to ``goal_begin + goal_width``.
+    """
+    y0[:] = y
+    y1[:] = y
+    for stage in range(4):
+        part = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+        x = begin + part * width
+        i = min(int(x), opening.shape[0] - 2)
+        for q in range(now.size):
+            now[q] = opening[i, q] + (x - i) * (opening[i + 1, q] - opening[i, q])
+        if nudge_rate > 0.0:
+            f = goal_begin + part * goal_width
+            for t in range(tap.size):
+                goal[t] = (1.0 - f) * goal_left[t] + f * goal_right[t]
+        _rates(
+            y, y0, part * h, h, ring, head, now, goal, nudge_rate, gamma, r_gas, exponent,
+            sound, side, area, linear, source, volume, tap, tap_delay, side_delay,
+            drag, room, base, flow, rate,
+        )  # fmt: skip
+        weight = h / 6.0 if stage in (0, 3) else h / 3.0
+        ahead = h if stage == 2 else 0.5 * h
+        for i in range(y.size):
+            y1[i] += weight * rate[i]
+            y[i] = y0[i] + ahead * rate[i]
+    y[:] = y1
+    head = (head + 1) % ring.shape[0]
+    ring[head] = y[: side.size]
+    return head
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def longest_delay(side: Ints, tap: Ints, tap_delay: Floats, side_delay: Floats) -> float:
+    """Longest travel time that a model asks for, s.
+
+    Args:
+        side: (2 n_ports,) place of each side.
+        tap: (n_taps,) place of each tap.
+        tap_delay: (n_taps, 2 n_ports) travel times, s.
+        side_delay: (2 n_ports, 2 n_ports) travel times, s.
+    """
+    longest = 0.0
+    for k in range(side.size):
+        for i in range(side.size):
+            longest = max(longest, side_delay[i, k])
+        for i in range(tap.size):
+            longest = max(longest, tap_delay[i, k])
+    return longest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def begin_volumes(
+    base: Floats, volume: Floats, n_sides: int, r_gas: float, room: Floats, y: Floats
+) -> None:
+    """Shares of volumes that stand at rest at the room's temperature.
+
+    Args:
+        base: (n_volumes,) initial pressures, Pa.
+        volume: (n_volumes, 4) volume, growth per pascal, rest pressure, leak area.
+        n_sides: Sides of ports.
+        r_gas: Specific gas constant, J/(kg K).
+        room: (2,) pressure and temperature of the room.
+        y: (n_sides + 2 n_volumes,) the shares, written.
+    """
+    y[:] = 0.0
+    for v in range(base.size):
+        size = volume[v, 0] + volume[v, 1] * (base[v] - volume[v, 2])
+        y[n_sides + base.size + v] = base[v] * size / (r_gas * room[1])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def advance_volumes(
+    n_sub: int,
+    h: float,
+    gamma: float,
+    r_gas: float,
+    exponent: Floats,
+    side: Ints,
+    area: Floats,
+    linear: Floats,
+    source: Floats,
+    volume: Floats,
+    tap: Ints,
+    tap_delay: Floats,
+    side_delay: Floats,
+    drag: Floats,
+    room: Floats,
+    base: Floats,
+    opening: Floats,
+    y: Floats,
+    ring: Floats,
+    head: Ints,
+    tap_out: Floats,
+) -> None:
+    """Advances models side by side over the knots of their openings and tells their taps.
+
+    Args:
+        n_sub: Steps in all.
+        h: Step, s.
+        gamma: Ratio of specific heats.
+        r_gas: Specific gas constant, J/(kg K).
+        exponent: (lanes,) polytropic exponents; in what follows lanes come first likewise.
+        side: (2 n_ports,) place of each side, alike for all lanes.
+        area: (lanes, n_ports) effective areas fully open, m^2.
+        linear: (lanes, n_ports) pressure ratios above which flow is linear.
+        source: (lanes, n_sources, 2) pressure, Pa, and temperature, K.
+        volume: (lanes, n_volumes, 4) volume, growth per pascal, rest pressure, leak area.
+        tap: (n_taps,) place of each tap, alike for all lanes.
+        tap_delay: (lanes, n_taps, 2 n_ports) travel times, s.
+        side_delay: (lanes, 2 n_ports, 2 n_ports) travel times, s.
+        drag: (lanes, 2 n_ports, 2) laminar and turbulent resistance times length.
+        room: (lanes, 2) pressure and temperature of the room.
+        base: (lanes, n_volumes) initial pressures, Pa.
+        opening: (knots, n_ports, lanes) openings, evenly spaced from now to the end.
+        y: (lanes, 2 n_ports + 2 n_volumes) shares, changed in place.
+        ring: (lanes, steps, 2 n_ports) past shares, changed in place.
+        head: (lanes,) newest row of those, changed in place.
+        tap_out: (lanes, n_taps) pressures at the end.
+    """
+    n_y = y.shape[1]
+    y0, y1, rate = np.zeros(n_y), np.zeros(n_y), np.zeros(n_y)
+    now = np.zeros(area.shape[1])
+    flow = np.zeros(area.shape[1])
+    goal = np.full(tap.size, np.nan)
+    width = (opening.shape[0] - 1) / n_sub
+    for j in range(area.shape[0]):
+        sound = math.sqrt(gamma * r_gas * room[j, 1])
+        opened = np.ascontiguousarray(opening[:, :, j])
+        for s in range(n_sub):
+            head[j] = _step(
+                y[j], y0, y1, h, ring[j], head[j], opened, s * width, width, now, goal, 0.0,
+                goal, goal, 0.0, 0.0, gamma, r_gas, exponent[j], sound, side, area[j], linear[j],
+                source[j], volume[j], tap, tap_delay[j], side_delay[j], drag[j], room[j], base[j],
+                flow, rate,
+            )  # fmt: skip
+        y0[:] = y[j]
+        for t in range(tap.size):
+            if tap[t] < 0:
+                tap_out[j, t] = source[j, -1 - tap[t], 0]
+            else:
+                tap_out[j, t] = _pressure(
+                    tap[t], tap_delay[j, t], side, base[j], y[j], y0, 0.0, h, ring[j], head[j]
+                )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def fill(
     n_out: int,
     n_sub: int,
@@ -285,12 +468,7 @@ def fill(
     n_ports = area.size
     n_y = n_sides + 2 * n_volumes
     sound = math.sqrt(gamma * r_gas * room[1])
-    longest = 0.0
-    for k in range(n_sides):
-        for i in range(n_sides):
-            longest = max(longest, side_delay[i, k])
-        for i in range(tap.size):
-            longest = max(longest, tap_delay[i, k])
+    longest = longest_delay(side, tap, tap_delay, side_delay)
     ring = np.zeros((int(longest / h) + 3, n_sides))
     y = np.zeros(n_y)
     y0 = np.zeros(n_y)
@@ -302,55 +480,37 @@ def fill(
     for j in range(starts.size):
         ring[:] = 0.0
         head = 0
-        y[:] = 0.0
-        for v in range(n_volumes):
-            size = volume[v, 0] + volume[v, 1] * (base[j, v] - volume[v, 2])
-            y[n_sides + n_volumes + v] = base[j, v] * size / (r_gas * room[1])
+        begin_volumes(base[j], volume, n_sides, r_gas, room, y)
         for k in range(n_out):
+            i = min((starts[j] + k) * knots, opening.shape[0] - 1)
+            _rates(
+                y, y, 0.0, h, ring, head, opening[i], goal, 0.0, gamma, r_gas, exponent,
+                sound, side, area, linear, source, volume, tap, tap_delay, side_delay,
+                drag, room, base[j], flow, rate,
+            )  # fmt: skip
+            for t in range(tap.size):
+                if tap[t] < 0:
+                    tap_out[j, k, t] = source[-1 - tap[t], 0]
+                else:
+                    tap_out[j, k, t] = _pressure(
+                        tap[t], tap_delay[t], side, base[j], y, y, 0.0, h, ring, head
+                    )
+            for q in range(n_ports):
+                flow_out[j, k, q] = flow[q]
+            for c in range(chamber.size):
+                if chamber[c] < 0:
+                    chamber_out[j, k, c] = source[-1 - chamber[c], 0]
+                else:
+                    chamber_out[j, k, c] = _bulk(chamber[c], side, base[j], y)
+            if k == n_out - 1:
+                break
+            pull = nudge_rate if k < nudge_n else 0.0
+            g = min(starts[j] + k, goals.shape[0] - 1)
+            following = min(g + 1, goals.shape[0] - 1)
             for s in range(n_sub):
-                y0[:] = y
-                y1[:] = y
-                for stage in range(4):
-                    part = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-                    f = (s + part) / n_sub
-                    x = (starts[j] + k + f) * knots
-                    i = min(int(x), opening.shape[0] - 2)
-                    for q in range(n_ports):
-                        now[q] = opening[i, q] + (x - i) * (opening[i + 1, q] - opening[i, q])
-                    pull = nudge_rate if k < nudge_n else 0.0
-                    if pull > 0.0:
-                        g = starts[j] + k
-                        for t in range(tap.size):
-                            goal[t] = (1.0 - f) * goals[g, t] + f * goals[g + 1, t]
-                    _rates(
-                        y, y0, part * h, h, ring, head, now, goal, pull, gamma, r_gas, exponent,
-                        sound, side, area, linear, source, volume, tap, tap_delay, side_delay,
-                        drag, room, base[j], flow, rate,
-                    )  # fmt: skip
-                    if stage == 0 and s == 0:
-                        for t in range(tap.size):
-                            if tap[t] < 0:
-                                tap_out[j, k, t] = source[-1 - tap[t], 0]
-                            else:
-                                tap_out[j, k, t] = _pressure(
-                                    tap[t], tap_delay[t], side, base[j], y, y0, 0.0, h, ring, head
-                                )
-                        for q in range(n_ports):
-                            flow_out[j, k, q] = flow[q]
-                        for c in range(chamber.size):
-                            if chamber[c] < 0:
-                                chamber_out[j, k, c] = source[-1 - chamber[c], 0]
-                            else:
-                                chamber_out[j, k, c] = _bulk(chamber[c], side, base[j], y)
-                        if k == n_out - 1:
-                            break
-                    weight = h / 6.0 if stage in (0, 3) else h / 3.0
-                    ahead = h if stage == 2 else 0.5 * h
-                    for i in range(n_y):
-                        y1[i] += weight * rate[i]
-                        y[i] = y0[i] + ahead * rate[i]
-                if k == n_out - 1:
-                    break
-                y[:] = y1
-                head = (head + 1) % ring.shape[0]
-                ring[head] = y[:n_sides]
+                head = _step(
+                    y, y0, y1, h, ring, head, opening, (starts[j] + k + s / n_sub) * knots,
+                    knots / n_sub, now, goal, pull, goals[g], goals[following], s / n_sub,
+                    1.0 / n_sub, gamma, r_gas, exponent, sound, side, area, linear, source, volume,
+                    tap, tap_delay, side_delay, drag, room, base[j], flow, rate,
+                )  # fmt: skip

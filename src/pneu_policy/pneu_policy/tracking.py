@@ -1,0 +1,332 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The task that policies are trained on: a pressure at a tap shall follow a random target.
+
+Many rigs side by side as a gymnasium vector environment. The reward is that of thesis 7.1, its
+logarithm floored (thesis 9.2.1): -alpha |e| - beta log(max(|e|, floor)) + offset.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from pneu_policy.ensembles import draw_rigs
+from pneu_policy.observations import Observer, Recipe
+from pneu_policy.plants import PdePlant, make_plant
+from pneu_policy.targets import KINDS, Kind, Target
+from pneu_sim.errors import InputError
+from pneu_sim.rig.load import load_rig
+from pneu_sim.rig.schema import Rig
+
+Floats = NDArray[np.float64]
+
+LONGEST_S = 60.0
+"""Targets begin within this time of their own start, so that few episodes are alike."""
+
+
+@dataclass(frozen=True)
+class Reward:
+    """Reward of a control period (thesis 7.1).
+
+    Attributes:
+        alpha: Weight of the error's size, in the recipe's span.
+        beta: Weight of its logarithm.
+        floor: Least error under the logarithm, in the recipe's span.
+        offset: What is added, so that a good policy earns more than nothing.
+    """
+
+    alpha: float = 1.0
+    beta: float = 0.25
+    floor: float = 0.01
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raises InputError where the numbers make no reward."""
+        for name, value in vars(self).items():
+            if not math.isfinite(value) or (name != "offset" and value < 0.0):
+                raise InputError(f"reward.{name}: found {value}, it must be finite and positive")
+        if self.floor == 0.0:
+            raise InputError("reward.floor: found 0, the logarithm needs a positive one")
+
+    def of(self, error: Floats) -> Floats:
+        """Rewards of some errors.
+
+        Args:
+            error: Errors in the recipe's span.
+        """
+        size = np.abs(error)
+        log = np.log(np.maximum(size, self.floor))
+        return self.offset - self.alpha * size - self.beta * log
+
+
+@dataclass(frozen=True)
+class EnvSettings:
+    """What is trained on.
+
+    Attributes:
+        rig: Rig file; its ``model`` decides between the full and a lumped one.
+        recipe: What the policy sees.
+        num_envs: Rigs side by side.
+        horizon: Control periods of an episode.
+        kinds: Kinds of target; each episode draws one.
+        low_pa: Lowest target, Pa.
+        high_pa: Highest target, Pa.
+        target_period_s: Least and most typical time between a target's extremes, s.
+        jitter: Share of that by which corners of jagged targets are moved.
+        dx_m: Cell length that replaces the rig's, m; None is the rig's own.
+        physics_step_s: Time step that the control period must be a multiple of, s; None takes the
+            longest stable one that divides it.
+        spread: Rigs are drawn by this many standard errors of the calibration; 0 takes it as is.
+        delay_s: Least and most delay of commands, s; each episode draws one.
+        noise_pa: Noise of the readings, one sigma, Pa; None is that of the rig's sensors.
+        reward: The reward.
+        seed: Seed of the drawn rigs.
+    """
+
+    rig: str
+    recipe: Recipe
+    num_envs: int = 64
+    horizon: int = 200
+    kinds: tuple[Kind, ...] = ("smooth", "jagged")
+    low_pa: float = 150e3
+    high_pa: float = 550e3
+    target_period_s: tuple[float, float] = (0.3, 0.3)
+    jitter: float = 0.6
+    dx_m: float | None = None
+    physics_step_s: float | None = None
+    spread: float = 1.0
+    delay_s: tuple[float, float] = (0.002, 0.01)
+    noise_pa: float | None = None
+    reward: Reward = field(default_factory=Reward)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Raises InputError where a number is out of range."""
+        if not 1 <= self.num_envs <= 100_000:
+            raise InputError(f"num_envs: found {self.num_envs}, allowed are 1 to 100000")
+        if not 1 <= self.horizon <= 1_000_000:
+            raise InputError(f"horizon: found {self.horizon}, allowed are 1 to 1000000")
+        if not self.kinds or any(kind not in KINDS for kind in self.kinds):
+            raise InputError(f"kinds: found {list(self.kinds)}, allowed are {', '.join(KINDS)}")
+        for name in ("target_period_s", "delay_s"):
+            low, high = getattr(self, name)
+            if not (0.0 <= low <= high and math.isfinite(high)):
+                raise InputError(f"{name}: found {low:g} to {high:g}, the first is the smaller one")
+        if self.delay_s[1] > 0.2:
+            raise InputError(f"delay_s: found {self.delay_s[1]:g}, allowed is up to 0.2 s")
+        if self.noise_pa is not None and not 0.0 <= self.noise_pa < 1e6:
+            raise InputError(f"noise_pa: found {self.noise_pa}, it must not be negative")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns the settings as plain lists and numbers."""
+        data = {name: getattr(self, name) for name in (f.name for f in fields(self))}
+        data["recipe"] = self.recipe.to_dict()
+        data["reward"] = asdict(self.reward)
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in data.items()}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "EnvSettings":
+        """Reads settings back.
+
+        Args:
+            data: What `to_dict` gave, or a part of it.
+
+        Raises:
+            InputError: A field is unknown, missing or of the wrong kind.
+        """
+        known = [f.name for f in fields(cls)]
+        values = dict(data)
+        for name in values:
+            if name not in known:
+                raise InputError(f"env.{name}: found, known are {', '.join(known)}")
+        for name in ("rig", "recipe"):
+            if name not in values:
+                raise InputError(f"env.{name}: missing")
+        try:
+            if isinstance(values["recipe"], Mapping):
+                values["recipe"] = Recipe.from_dict(values["recipe"])
+            if isinstance(values.get("reward"), Mapping):
+                values["reward"] = Reward(**{k: float(v) for k, v in values["reward"].items()})
+            for name in ("kinds", "target_period_s", "delay_s"):
+                if name in values:
+                    values[name] = tuple(values[name])
+            for name in ("num_envs", "horizon", "seed"):
+                if name in values and int(values[name]) != values[name]:
+                    raise InputError(
+                        f"env.{name}: found {values[name]!r}, a whole number is needed"
+                    )
+            return cls(**values)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"env: {error}") from None
+
+
+class PressureTracking(gymnasium.vector.VectorEnv):
+    """Rigs side by side, each after a target of its own; all episodes end together.
+
+    Observations are those of the recipe as (num_envs, size) float32, actions lie within -1 and 1.
+    The ``info`` of a step holds ``error_pa``, ``pressure_pa``, ``target_pa`` and ``volts``, each
+    (num_envs,), at the end of the period.
+
+    Attributes:
+        settings: What it was made of.
+        rig: The rig as its file has it.
+        plant: The plant.
+    """
+
+    def __init__(self, settings: EnvSettings, rig: Rig | None = None) -> None:
+        """Builds the rigs.
+
+        Args:
+            settings: What is trained on.
+            rig: The rig itself, where it is at hand; None reads the file.
+
+        Raises:
+            InputError: The rig does not fit the recipe, or the control period the physics step.
+        """
+        s, r = settings, settings.recipe
+        self.settings = s
+        self.rig = load_rig(Path(s.rig)) if rig is None else rig
+        missing = [tap for tap in r.taps if tap not in self.rig.taps]
+        if missing:
+            raise InputError(
+                f"recipe.taps: found {missing[0]!r}, rig {self.rig.name!r} has"
+                f" {', '.join(self.rig.taps)}"
+            )
+        rigs = draw_rigs(self.rig, s.num_envs, s.seed, s.spread)
+        self.plant = make_plant(rigs, r.period_s, s.dx_m)
+        _check_step(s, self.plant)
+        if r.line:
+            self.plant.reset(s.low_pa)
+            self.plant.line(r.line)  # raises where there is no such line
+        self._seen = [self.plant.taps.index(tap) for tap in r.taps]
+        self._controlled = self.plant.taps.index(r.tap)
+        taps = [self.rig.taps[tap] for tap in r.taps]
+        self._noise = np.array([t.noise_pa if s.noise_pa is None else s.noise_pa for t in taps])
+        self._observer = Observer(r, s.num_envs)
+        self.num_envs = s.num_envs
+        self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (r.size,), np.float32)
+        self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, s.num_envs)
+        self.action_space = batch_space(self.single_action_space, s.num_envs)
+        self.metadata = {"autoreset_mode": AutoresetMode.DISABLED}
+        self._step = 0
+        self._targets = np.zeros((s.horizon + 1, s.num_envs, len(r.preview_s)))
+        self._rng = np.random.default_rng(s.seed)
+        self._started = False
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begins new episodes.
+
+        Args:
+            seed: Decides all that is drawn; None goes on from the last.
+            options: Not used.
+
+        Returns:
+            Observations and an empty ``info``.
+        """
+        s, r = self.settings, self.settings.recipe
+        if isinstance(seed, list):
+            raise InputError("seed: found a list, one seed decides all episodes")
+        if seed is not None:
+            self._rng = np.random.default_rng([s.seed, int(seed)])
+        rng, n = self._rng, s.num_envs
+        kinds = rng.integers(len(s.kinds), size=n)
+        periods = rng.uniform(*s.target_period_s, n)
+        seeds = rng.integers(2**31, size=n)
+        begins = rng.uniform(0.0, LONGEST_S, n)
+        times = np.arange(s.horizon + 1)[:, None] * r.period_s + np.array(r.preview_s)
+        for j in range(n):
+            target = Target(
+                s.kinds[int(kinds[j])], s.low_pa, s.high_pa, float(periods[j]), int(seeds[j]),
+                jitter=s.jitter,
+            )  # fmt: skip
+            self._targets[:, j] = target.at(begins[j] + times)
+        self.plant.set_delay(rng.uniform(*s.delay_s, n))
+        self.plant.reset(rng.uniform(s.low_pa, s.high_pa, n))
+        self._observer.reset()
+        self._step = 0
+        self._started = True
+        return self._observe(), {}
+
+    def step(
+        self, actions: NDArray[Any]
+    ) -> tuple[NDArray[np.float32], Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Advances all rigs by a control period.
+
+        Args:
+            actions: (num_envs, 1), cut off at -1 and 1.
+
+        Returns:
+            Observations, rewards, terminations (none), truncations (all, at the horizon), ``info``.
+        """
+        if not self._started:
+            raise gymnasium.error.ResetNeeded("step was called before reset")
+        if self._step >= self.settings.horizon:
+            raise gymnasium.error.ResetNeeded("the episodes are over; reset begins new ones")
+        r = self.settings.recipe
+        volts = r.volts(np.asarray(actions, dtype=np.float64).reshape(self.num_envs))
+        self.plant.step(volts)
+        self._observer.acted(volts)
+        self._step += 1
+        observation = self._observe()
+        pressure = self._readings[:, self._controlled]
+        target = self._targets[self._step, :, 0]
+        error = target - pressure
+        done = np.full(self.num_envs, self._step == self.settings.horizon)
+        info = {
+            "error_pa": error,
+            "pressure_pa": pressure,
+            "target_pa": target.copy(),
+            "volts": volts,
+        }
+        reward = self.settings.reward.of(error / r.span_pa)
+        return observation, reward, np.zeros(self.num_envs, dtype=bool), done, info
+
+    def _observe(self) -> NDArray[np.float32]:
+        r = self.settings.recipe
+        self._readings = self.plant.readings()
+        seen = self._readings[:, self._seen]
+        seen = seen + self._noise * self._rng.normal(size=seen.shape)
+        line = self.plant.line(r.line) if r.line else None
+        return self._observer.observe(seen, self._targets[self._step], line).astype(np.float32)
+
+
+def _check_step(settings: EnvSettings, plant: Any) -> None:
+    """Raises InputError unless the control period is a whole number of physics steps."""
+    asked = settings.physics_step_s
+    if asked is None:
+        return
+    period_s = settings.recipe.period_s
+    ratio = period_s / asked
+    if abs(ratio - round(ratio)) > 1e-6 * ratio or round(ratio) < 1:
+        raise InputError(
+            f"physics_step_s: found {asked:g}, the control period of {period_s:g} s must be a whole"
+            " multiple of it"
+        )
+    longest = plant.plan.dt_s if isinstance(plant, PdePlant) else plant.step_s
+    if asked > longest * (1.0 + 1e-9):
+        raise InputError(
+            f"physics_step_s: found {asked:g}, stable is up to {longest:.3g} s with these cells"
+        )
+    plant.set_step(asked)
+
+
+def make_env(settings: EnvSettings) -> PressureTracking:
+    """Builds the environment.
+
+    Args:
+        settings: What is trained on.
+
+    Raises:
+        InputError: The rig does not fit the recipe, or the control period the physics step.
+    """
+    return PressureTracking(settings)

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The training task: plants beside the simulator, features, episodes, drawn rigs."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+from pneu_policy.ensembles import draw_rigs
+from pneu_policy.observations import Observer, Recipe
+from pneu_policy.plants import make_plant
+from pneu_policy.targets import Target
+from pneu_policy.tracking import EnvSettings, PressureTracking, Reward, make_env
+from pneu_sim.errors import InputError
+from pneu_sim.rig.load import load_rig
+from pneu_sim.rig.parameters import get_parameter, with_parameters
+from pneu_sim.run import run_rig
+from pneu_sim.simulator import Simulator
+
+SHORT = "rigs/rig_a_fitted.yaml"
+PLATE = "rigs/rig_a_thin_plate.yaml"
+RECIPE = Recipe(tap="end", taps=("end", "valve_out"))
+
+
+@pytest.fixture(scope="module")
+def volts():
+    return np.append(np.full(5, 5.0), np.repeat(np.random.default_rng(1).uniform(2, 8, 12), 5))
+
+
+def run(plant, volts, start_pa=101e3):
+    series = [plant.reset(start_pa)]
+    series += [plant.step(np.full(plant.count, v)) for v in volts]
+    return np.stack(series)
+
+
+@pytest.mark.parametrize(
+    ("name", "delay_s", "lag_s"), [(SHORT, 0.0, 0.0), (SHORT, 0.0073, 0.004), (PLATE, 0.0073, 0.0)]
+)
+def test_a_plant_does_what_the_simulator_does(name, delay_s, lag_s, volts):
+    rig = load_rig(name)
+    rig = with_parameters(rig, {"valves.valve.spool.delay_s": delay_s, "taps.end.lag_s": lag_s})
+    plant = make_plant([rig] * 3, 0.01, 0.125)
+    got = run(plant, volts)
+    held = np.repeat(volts, 5)  # the plant follows openings every 2 ms
+    if rig.model == "pde":
+        taps = Simulator(rig, dx_m=0.125).run(0.01 * volts.size, {"voltage": held}, 0.002).taps
+    else:
+        taps = run_rig(rig, {"voltage": np.append(held, held[-1])}, 0.002)
+    want = np.stack([taps[tap][::5] for tap in plant.taps], axis=-1)
+    # The walls' slow terms are refreshed every few steps, counted from another step.
+    assert np.abs(got[:, 0] - want).max() < 150.0
+    assert np.array_equal(got[:, 0], got[:, 2])
+    assert np.ptp(want[:, plant.taps.index("end")]) > 1e5
+
+
+def test_a_plant_comes_back_to_a_state_and_puts_it_into_other_lanes():
+    rig = load_rig(SHORT)
+    one = make_plant([rig], 0.01, 0.25)
+    many = make_plant([rig] * 19, 0.01, 0.25)
+    for plant in (one, many):
+        plant.set_delay(np.full(plant.count, 0.006))
+    run(one, [8.0, 7.0, 3.0])
+    run(many, [2.0])
+    many.set_state(one.state(), np.zeros(19, dtype=np.int64))
+    kept = many.state()
+    first = [many.step(np.full(19, v)) for v in (9.0, 1.0)]
+    alone = [one.step(np.array([v])) for v in (9.0, 1.0)]
+    many.set_state(kept)
+    again = [many.step(np.full(19, v)) for v in (9.0, 1.0)]
+    assert np.array_equal(first, again)
+    assert np.allclose(np.stack(first)[:, 18], np.stack(alone)[:, 0], rtol=1e-9)
+
+
+def test_lines_of_a_plant_are_told_and_a_lumped_one_has_none():
+    rig = load_rig(SHORT)
+    plant = make_plant([rig] * 2, 0.01, 0.125)
+    plant.reset(350e3)
+    gas = plant.line((("tube", 4),))
+    assert gas.shape == (2, 12)
+    assert np.allclose(gas[:, 4:8], 0.0)  # at rest
+    assert np.allclose(gas[:, 8:], 0.0)  # at the centre of the scale
+    with pytest.raises(InputError, match="pipe 'hose'"):
+        plant.line((("hose", 2),))
+    with pytest.raises(InputError, match="knows no gas along its lines"):
+        make_plant([load_rig(PLATE)], 0.01).line((("tube", 4),))
+
+
+def test_features_are_what_their_names_say():
+    recipe = Recipe("b", ("a", "b"), (0.0, 0.1), past=2, base=3.0, levels=2)
+    observer = Observer(recipe, 1)
+    targets = np.array([[240e3, 260e3]])
+    observer.observe(np.array([[390e3, 190e3]]), targets)
+    observer.acted(np.array([7.5]))
+    observer.acted(np.array([2.5]))
+    seen = dict(
+        zip(recipe.names(), observer.observe(np.array([[400e3, 200e3]]), targets)[0], strict=True)
+    )
+    assert len(seen) == recipe.size
+    assert seen["error at 0 s"] == pytest.approx(0.4)
+    assert seen["error at 0.1 s"] == pytest.approx(0.6)
+    assert seen["sin(3 error at 0.1 s)"] == pytest.approx(np.sin(1.8))
+    assert seen["cos(1 error at 0 s)"] == pytest.approx(np.cos(0.4))
+    assert seen["pressure a"] == pytest.approx(0.25)
+    assert seen["change b"] == pytest.approx(0.1)
+    assert seen["command 1 back"] == pytest.approx(-0.5)
+    assert seen["command 2 back"] == pytest.approx(0.5)
+    assert Recipe.from_dict(recipe.to_dict()) == recipe
+    with pytest.raises(ValueError, match="nan"):
+        observer.observe(np.array([[np.nan, 200e3]]), targets)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"tap": "c"}, "taps: found a, b"),
+        ({"preview_s": [0.1]}, "preview_s"),
+        ({"period_s": 0.0}, "period_s"),
+        ({"levels": 99}, "levels"),
+        ({"colour": 1}, "colour"),
+        ({"past": "two"}, "past"),
+    ],
+)
+def test_a_recipe_that_makes_no_sense_is_refused(change, message):
+    data = Recipe("b", ("a", "b")).to_dict()
+    with pytest.raises(InputError, match=message):
+        Recipe.from_dict(data | change)
+
+
+def small(**changes):
+    settings = {"rig": SHORT, "recipe": RECIPE, "num_envs": 5, "horizon": 20, "dx_m": 0.25}
+    return EnvSettings(**(settings | changes))
+
+
+def test_episodes_follow_from_their_seed_alone():
+    action = np.random.default_rng(0).uniform(-1, 1, (20, 5, 1))
+
+    def episodes(env, seed):
+        seen = [env.reset(seed=seed)[0]]
+        for a in action:
+            observation, reward, terminated, truncated, info = env.step(a)
+            seen.append(observation)
+            assert not terminated.any()
+        assert truncated.all()
+        return np.stack(seen), reward, info
+
+    env = make_env(small())
+    assert isinstance(env, gymnasium.vector.VectorEnv)
+    first, reward, info = episodes(env, 3)
+    other, _, _ = episodes(env, 4)
+    again, _, _ = episodes(make_env(small()), 3)
+    assert np.array_equal(first, again)
+    assert not np.allclose(first, other)
+    assert env.observation_space.contains(first[0])
+    assert np.allclose(info["error_pa"], info["target_pa"] - info["pressure_pa"])
+    assert np.allclose(reward, Reward().of(info["error_pa"] / RECIPE.span_pa))
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(action[0])
+
+
+def test_the_target_shown_ahead_is_the_one_that_comes():
+    recipe = Recipe("end", ("end",), (0.0, 0.03), past=0, levels=0)
+    env = make_env(small(recipe=recipe, noise_pa=0.0))
+    observation, _ = env.reset(seed=1)
+    pressure = env.plant.readings()[:, env.plant.taps.index("end")]
+    ahead = observation[:, 1] * recipe.span_pa + pressure
+    for _ in range(3):
+        *_, info = env.step(np.zeros((5, 1)))
+    assert np.allclose(info["target_pa"], ahead, atol=1.0)
+
+
+def test_the_reward_is_floored_and_falls_with_the_error():
+    reward = Reward(alpha=2.0, beta=0.5, floor=0.1)
+    assert reward.of(np.array([0.05]))[0] == pytest.approx(-0.1 - 0.5 * np.log(0.1))
+    assert (np.diff(reward.of(np.linspace(0.0, 3.0, 50))) < 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"recipe": Recipe("tip", ("tip",))}, "recipe.taps: found 'tip'"),
+        ({"kinds": ("round",)}, "kinds"),
+        ({"num_envs": 0}, "num_envs"),
+        ({"delay_s": (0.01, 0.0)}, "delay_s"),
+        ({"physics_step_s": 3e-5 * 1.1}, "whole multiple"),
+        ({"physics_step_s": 5e-3}, "stable is up to"),
+        ({"rig": "rigs/rig_a.yaml"}, "no std_error"),
+        ({"rig": PLATE, "recipe": Recipe("end", ("end",), line=(("tube", 3),))}, "knows no gas"),
+    ],
+)
+def test_settings_that_cannot_be_trained_on_are_refused(change, message):
+    with pytest.raises(InputError, match=message):
+        make_env(small(**change))
+
+
+def test_the_physics_step_may_be_chosen():
+    env = make_env(small(physics_step_s=1e-4))
+    assert env.plant.step_s == pytest.approx(1e-4)
+    env.reset(seed=0)
+    *_, info = env.step(np.ones((5, 1)))
+    usual = make_env(small())
+    usual.reset(seed=0)
+    *_, same = usual.step(np.ones((5, 1)))
+    assert np.allclose(info["pressure_pa"], same["pressure_pa"], rtol=0.02)
+
+
+def test_settings_survive_being_written_down():
+    settings = small(reward=Reward(beta=0.1), target_period_s=(0.2, 0.4))
+    assert EnvSettings.from_dict(settings.to_dict()) == settings
+    with pytest.raises(InputError, match=r"env\.color: found"):
+        EnvSettings.from_dict(settings.to_dict() | {"color": 1})
+    with pytest.raises(InputError, match=r"env\.rig: missing"):
+        EnvSettings.from_dict({"recipe": RECIPE.to_dict()})
+
+
+def test_drawn_rigs_scatter_by_the_standard_errors():
+    rig = load_rig(SHORT)
+    path = "valves.valve.ports.supply.conductance_m3_s_pa"
+    drawn = np.array([get_parameter(r, path) for r in draw_rigs(rig, 300, 1)])
+    sigma = next(p.std_error for p in rig.fit.parameters if p.path == path)
+    assert drawn.std() == pytest.approx(sigma, rel=0.15)
+    assert drawn.mean() == pytest.approx(get_parameter(rig, path), rel=0.01)
+    again = draw_rigs(rig, 2, 1)
+    assert get_parameter(again[1], path) == drawn[1]
+    assert get_parameter(draw_rigs(rig, 1, 2)[0], path) != drawn[0]
+    for one in again:
+        assert (np.diff(one.valves["valve"].ports["supply"].opening.fraction) >= 0.0).all()
+    assert draw_rigs(rig, 2, 1, spread=0.0) == [rig, rig]
+
+
+def test_corners_of_a_jagged_target_move_within_their_period():
+    even = Target("jagged", 1e5, 5e5, 0.5, seed=2)
+    moved = Target("jagged", 1e5, 5e5, 0.5, seed=2, jitter=0.6)
+    times = np.arange(0.0, 10.0, 1e-3)
+    for target in (even, moved):
+        series = target.at(times)
+        assert np.array_equal(series[::7], target.at(times[::7]))  # whichever is asked for first
+        bends = np.abs(np.diff(series, 2)) > 1.0
+        corners = times[1:-1][bends]
+        corners = corners[np.diff(corners, prepend=-1.0) > 5e-3]
+        off = np.abs((corners + 0.25) % 0.5 - 0.25)
+        assert corners.size >= 17
+        assert off.max() < (0.002 if target is even else 0.152)
+        assert np.abs(np.diff(series)).max() < 4e5 * 1e-3 / (0.5 * (1 - target.jitter)) * 1.01
+    assert off.max() > 0.05
+    with pytest.raises(InputError, match="jitter"):
+        Target("jagged", 1e5, 5e5, jitter=1.0)
+
+
+def test_the_environment_can_be_made_from_a_rig_at_hand():
+    rig = load_rig(SHORT)
+    env = PressureTracking(small(spread=0.0), rig)
+    assert env.rig is rig
