@@ -21,12 +21,14 @@ setup(
     zip_safe=False,
     maintainer="The Pneu developers",
     maintainer_email="noreply@pneu.invalid",
-    description="Controllers of pneumatic pressure and the targets they follow",
+    description="Controllers of pneumatic pressure, their training, and the targets they follow",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
             "pid = pneu_policy.nodes.pid:main",
+            "policy = pneu_policy.nodes.policy:main",
             "target = pneu_policy.nodes.target:main",
         ],
+        "pneu.commands": ["policy = pneu_policy.commands:register"],
     },
 )

@@ -80,13 +80,14 @@ class Pid:
         self._derivative = 0.0
         self._before: float | None = None
 
-    def step(self, target_pa: float, pressure_pa: float, dt_s: float) -> float:
+    def step(self, target_pa: float, pressure_pa: float, dt_s: float, more_v: float = 0.0) -> float:
         """Voltage for the next period.
 
         Args:
             target_pa: Where the pressure shall be, Pa.
             pressure_pa: Where it is, Pa.
             dt_s: Time since the pressure of the step before, s; ignored at the first step.
+            more_v: Voltage that is added, as a feed-forward knows it, V.
 
         Returns:
             The voltage, within its limits, V.
@@ -108,7 +109,7 @@ class Pid:
             self._derivative = keep * self._derivative + (1.0 - keep) * raw
         self._before = slope_of
         self.error_pa = error
-        share = g.null_v + g.kp_v_per_pa * error + g.kd_v_s_per_pa * self._derivative
+        share = g.null_v + more_v + g.kp_v_per_pa * error + g.kd_v_s_per_pa * self._derivative
         if not first:
             # The trapezoid would need the error before; at control rates the rectangle does.
             more = self.integral_v + g.ki_v_per_pa_s * error * dt_s

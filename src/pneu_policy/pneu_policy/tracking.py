@@ -86,6 +86,7 @@ class EnvSettings:
         spread: Rigs are drawn by this many standard errors of the calibration; 0 takes it as is.
         delay_s: Least and most delay of commands, s; each episode draws one.
         noise_pa: Noise of the readings, one sigma, Pa; None is that of the rig's sensors.
+        start_error_pa: An episode starts within this of its target, Pa.
         reward: The reward.
         seed: Seed of the drawn rigs.
     """
@@ -104,6 +105,7 @@ class EnvSettings:
     spread: float = 1.0
     delay_s: tuple[float, float] = (0.002, 0.01)
     noise_pa: float | None = None
+    start_error_pa: float = 20e3
     reward: Reward = field(default_factory=Reward)
     seed: int = 0
 
@@ -121,6 +123,10 @@ class EnvSettings:
                 raise InputError(f"{name}: found {low:g} to {high:g}, the first is the smaller one")
         if self.delay_s[1] > 0.2:
             raise InputError(f"delay_s: found {self.delay_s[1]:g}, allowed is up to 0.2 s")
+        if not 0.0 <= self.start_error_pa < 1e6:
+            raise InputError(
+                f"start_error_pa: found {self.start_error_pa:g}, it must not be negative"
+            )
         if self.noise_pa is not None and not 0.0 <= self.noise_pa < 1e6:
             raise InputError(f"noise_pa: found {self.noise_pa}, it must not be negative")
 
@@ -251,7 +257,8 @@ class PressureTracking(gymnasium.vector.VectorEnv):
             )  # fmt: skip
             self._targets[:, j] = target.at(begins[j] + times)
         self.plant.set_delay(rng.uniform(*s.delay_s, n))
-        self.plant.reset(rng.uniform(s.low_pa, s.high_pa, n))
+        away = rng.uniform(-s.start_error_pa, s.start_error_pa, n)
+        self.plant.reset(np.clip(self._targets[0, :, 0] + away, s.low_pa, s.high_pa))
         self._observer.reset()
         self._step = 0
         self._started = True

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The PID and target nodes on a graph: tracking, life cycle, stale inputs, a clock set back."""
+"""Nodes of controllers and targets on a graph: tracking, life cycle, what is missing or wrong."""
 
 import math
+import os
+import re
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,12 +20,20 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import FluidPressure
 
+from pneu_policy.controllers import PidController, save_pid
 from pneu_policy.nodes.pid import PidNode
+from pneu_policy.nodes.policy import PolicyNode
 from pneu_policy.nodes.target import TargetNode
+from pneu_policy.observations import Recipe
+from pneu_policy.pid import Gains
+from pneu_policy.policy_file import PolicyFile, rig_identity
 from pneu_policy.targets import Target
+from pneu_runtime.launch.plan import Plan
 from pneu_sim.errors import InputError
 from pneu_sim.nodes import common
+from pneu_sim.rig import load_rig
 
+ROOT = Path(__file__).parents[3]
 GAINS = {"kp_v_per_pa": 1e-5, "ki_v_per_pa_s": 0.0}
 
 
@@ -41,11 +52,17 @@ def graph():
 class Plant:
     """Readings and targets that the test sets, published until it stops."""
 
-    def __init__(self, graph):
+    def __init__(self, graph, others=()):
         self.pressure_pa, self.target_pa = 200e3, 250e3
         self.readings = self.targets = True
+        self.stalled = None  # a stamp that readings at the end keep
+        self.ahead_pa = []  # what a target tells beyond the present
+        self.others = dict.fromkeys(others, 300e3)
         probe = self.probe = graph.probe
         self.pressure = probe.create_publisher(FluidPressure, "taps/end/pressure", 10)
+        self.publishers = {
+            tap: probe.create_publisher(FluidPressure, f"taps/{tap}/pressure", 10) for tap in others
+        }
         self.target = probe.create_publisher(PressureTarget, "target", common.COMMAND_QOS)
         self.commands = graph.listen(ValveCommand, "valve/command", common.COMMAND_QOS)
         probe.create_timer(0.01, self.tick, clock=common.steady_clock())
@@ -55,10 +72,15 @@ class Plant:
         now = self.probe.get_clock().now().to_msg()
         if self.readings:
             message = FluidPressure(fluid_pressure=self.pressure_pa)
-            message.header.stamp = now
+            message.header.stamp = self.stalled or now
             self.pressure.publish(message)
+        for tap, pressure_pa in list(self.others.items()):
+            message = FluidPressure(fluid_pressure=pressure_pa)
+            message.header.stamp = now
+            self.publishers[tap].publish(message)
         if self.targets:
-            message = PressureTarget(tap="end", step_s=0.1, pressure_pa=[self.target_pa])
+            values = [self.target_pa, *self.ahead_pa]
+            message = PressureTarget(tap="end", step_s=0.1, pressure_pa=values)
             message.header.stamp = now
             self.target.publish(message)
 
@@ -211,6 +233,199 @@ def test_targets_are_those_of_the_seed_with_their_preview(graph):
     assert np.abs(target.at(at) - later.pressure_pa).max() < 4000.0
 
 
+def test_a_target_may_begin_at_a_time_of_its_own_with_moved_corners(graph):
+    heard = graph.listen(PressureTarget, "target", common.COMMAND_QOS)
+    graph.add(TargetNode, seed=5, kind="jagged", jitter=0.6, start_s=30.0, preview_s=2.0)
+    wait_for(lambda: heard)
+    target = Target("jagged", 150e3, 500e3, 0.6, 5, jitter=0.6)
+    # The first message heard may be some tenths of a second after the start.
+    ahead = 0.02 * np.arange(len(heard[0].pressure_pa))
+    misses = [
+        np.abs(target.at(30.0 + late + ahead) - heard[0].pressure_pa).max()
+        for late in np.arange(0.0, 1.0, 0.0005)
+    ]
+    assert min(misses) < 2000.0
+
+
 def test_an_unknown_kind_of_target_is_refused(graph):
     with pytest.raises(InputError, match="smooth, jagged, hold, mixed"):
         graph.add(TargetNode, kind="wavy")
+
+
+def write_policy(path, weights, taps=("middle", "end"), rig="rig_a_fitted", **recipe):
+    """A policy of one linear layer, made so that its voltages are known by heart."""
+    made = Recipe("end", taps, levels=0, **{"preview_s": (0.0, 0.1), **recipe})
+    layer = np.zeros((1, made.size), dtype=np.float32)
+    for name, value in weights.items():
+        layer[0, made.names().index(name)] = value
+    identity = rig_identity(load_rig(ROOT / f"rigs/{rig}.yaml"))
+    layers = [(layer, np.zeros(1, dtype=np.float32))]
+    PolicyFile(layers, made, identity, {"algorithm": "by hand"}).save(path)
+    return str(path)
+
+
+@pytest.fixture
+def policy(tmp_path):
+    # 1 V for an error of 100 kPa now, 2 V for one in 0.1 s.
+    return write_policy(tmp_path / "made.npz", {"error at 0 s": 0.2, "error at 0.1 s": 0.4})
+
+
+def test_the_policy_commands_the_voltage_of_its_network_at_the_period_of_its_file(graph, policy):
+    graph.add(PolicyNode, autostart=True, policy=policy)
+    plant = Plant(graph, ["middle"])
+    plant.ahead_pa = [300e3, 300e3]
+    plant.settles_at(5.0 + 0.5 + 2.0)
+    plant.pressure_pa = 300e3
+    plant.settles_at(4.5)
+    begin, count = time.monotonic(), len(plant.commands)
+    time.sleep(1.0)
+    rate = (len(plant.commands) - count) / (time.monotonic() - begin)
+    assert rate == pytest.approx(100.0, rel=0.1)
+    status = graph.status("policy: control")
+    assert "tracking" in status.message
+    rms = {pair.key: float(pair.value) for pair in status.values}["rms error (Pa)"]
+    assert rms == pytest.approx(50e3, rel=1e-3)
+
+
+def test_the_target_is_taken_at_the_time_of_the_reading(graph, tmp_path):
+    path = write_policy(tmp_path / "made.npz", {"error at 0.1 s": 1.0}, taps=("end",))
+    graph.add(PolicyNode, autostart=True, policy=path, sensor_timeout_s=1.0)
+    commands = graph.listen(ValveCommand, "valve/command", common.COMMAND_QOS)
+    pressure = graph.probe.create_publisher(FluidPressure, "taps/end/pressure", 10)
+    target = graph.probe.create_publisher(PressureTarget, "target", common.COMMAND_QOS)
+    wait_for(lambda: pressure.get_subscription_count() and target.get_subscription_count())
+    now = graph.probe.get_clock().now().nanoseconds
+    ramp = PressureTarget(tap="end", step_s=0.1, pressure_pa=[200e3 + 1e4 * k for k in range(6)])
+    ramp.header.stamp = common.to_stamp(now)
+    reading = FluidPressure(fluid_pressure=200e3)
+    reading.header.stamp = common.to_stamp(now + 250_000_000)
+    target.publish(ramp)
+    pressure.publish(reading)
+    # 0.25 s after the target's stamp and 0.1 s ahead of that: 35 kPa up the ramp, 5 V per 100 kPa.
+    wait_for(lambda: commands and commands[-1].voltage_v[0] == pytest.approx(5.0 + 1.75, abs=1e-5))
+
+
+def test_a_tap_that_was_never_heard_or_falls_silent_is_named_and_the_valve_safe(graph, policy):
+    graph.add(PolicyNode, autostart=True, policy=policy, safe_voltage_v=4.25)
+    plant = Plant(graph, ["middle"])
+    plant.ahead_pa = [250e3, 250e3]
+    silent = plant.others.pop("middle")
+    plant.settles_at(4.25)
+    status = graph.status("policy: control")
+    assert status.level == DiagnosticStatus.WARN
+    assert "safe voltage (never heard 'middle' on /taps/middle/pressure)" in status.message
+    plant.others["middle"] = silent
+    plant.settles_at(6.5)
+    del plant.others["middle"]
+    plant.settles_at(4.25)
+    assert "for 0.05 s nothing new of 'middle'" in graph.status("policy: control").message
+    plant.others["middle"] = silent
+    plant.settles_at(6.5)
+    plant.targets = False
+    plant.settles_at(4.25)
+    assert "for 0.25 s none on /target" in graph.status("policy: control").message
+
+
+def test_a_reading_that_is_no_number_makes_the_valve_safe_at_once(graph, policy):
+    graph.add(PolicyNode, autostart=True, policy=policy, sensor_timeout_s=1.0)
+    plant = Plant(graph, ["middle"])
+    plant.ahead_pa = [250e3, 250e3]
+    plant.settles_at(6.5)
+    begin = time.monotonic()
+    plant.others["middle"] = math.nan
+    plant.settles_at(5.0)
+    assert time.monotonic() - begin < 0.9  # well before the timeout
+    told = graph.status("policy: control").message
+    assert told.startswith("reading is no number: safe voltage (found nan as 'middle' on")
+    plant.others["middle"] = 300e3
+    plant.settles_at(6.5)
+
+
+@pytest.mark.parametrize("make", [PidNode, PolicyNode])
+def test_a_stalled_reading_that_is_repeated_grows_old(graph, policy, make):
+    own = {"policy": policy} if make is PolicyNode else GAINS
+    graph.add(make, autostart=True, **own)
+    plant = Plant(graph, ["middle"])
+    plant.ahead_pa = [250e3, 250e3]
+    wait_for(lambda: plant.volts() > 5.4)
+    plant.stalled = graph.probe.get_clock().now().to_msg()
+    plant.settles_at(5.0)
+    told = graph.status("control").message
+    assert "no pressure reading: safe voltage (for 0.05 s nothing new of 'end'" in told
+    plant.stalled = None
+    wait_for(lambda: plant.volts() > 5.4)
+
+
+def test_a_target_that_tells_too_little_of_the_future_is_not_followed(graph, policy):
+    graph.add(PolicyNode, autostart=True, policy=policy)
+    plant = Plant(graph, ["middle"])
+    plant.settles_at(5.0)
+    told = graph.status("policy: control").message
+    assert told == "target too short: safe voltage (it tells 0 s ahead, needed are 0.1)"
+    plant.ahead_pa = [250e3]
+    plant.settles_at(6.5)
+
+
+def test_a_tuned_pid_runs_in_the_place_of_a_policy(graph, tmp_path):
+    path = tmp_path / "pid.yaml"
+    save_pid(PidController(Gains(kp_v_per_pa=1e-5), period_s=0.02), {}, path)
+    graph.add(PolicyNode, autostart=True, policy=str(path), rig=str(ROOT / "rigs/rig_b.yaml"))
+    Plant(graph).settles_at(5.5)
+
+
+def test_the_launch_file_puts_a_policy_in_the_place_of_the_pid(tmp_path):
+    launch = ROOT / "ros_ws/src/pneu_bringup/launch/rig.launch.yaml"
+    rig = ROOT / "rigs/rig_a_fitted.yaml"
+    given = {"controller": "policy", "policy": "deft.npz", "rig": str(rig)}
+    words = [" ".join(spec.command) for spec in Plan(launch, given, os.environ, tmp_path).processes]
+    nodes = [re.search(r"__node:=(\w+)", line)[1] for line in words]
+    assert nodes == ["simulator", "policy", "target"]
+    files = [Path(word) for word in words[1].split() if word.endswith(".yaml")]
+    parameters = "".join(path.read_text() for path in files)
+    assert "policy: deft.npz" in parameters and f"rig: {rig}" in parameters
+
+
+def refusals(tmp_path):
+    """Per case the parameters and what is told."""
+    good = write_policy(tmp_path / "good.npz", {"error at 0 s": 1.0})
+    cut = tmp_path / "cut.npz"
+    cut.write_bytes(Path(good).read_bytes()[:-200])
+    inside = write_policy(tmp_path / "inside.npz", {}, line=(("tube", 3),))
+    other = str(ROOT / "rigs/rig_b_fitted.yaml")
+    return {
+        "none": ({}, "parameter policy: found none"),
+        "missing": ({"policy": str(tmp_path / "x.npz")}, "x.npz: no such policy file"),
+        "cut": ({"policy": str(cut)}, "cut.npz: is no policy file, or a damaged one"),
+        "another rig": (
+            {"policy": good, "rig": other},
+            "good.npz: trained for rig 'rig_a', found rig 'rig_b': pipe 'tube' is 5 m long",
+        ),
+        "another valve": ({"policy": good, "command": "left"}, "the policy commands voltage"),
+        "gas": ({"policy": inside}, "sees the gas of lines, which no sensor tells"),
+    }
+
+
+def test_what_cannot_control_the_rig_is_refused_in_a_sentence(graph, tmp_path):
+    for parameters, told in refusals(tmp_path).values():
+        with pytest.raises(InputError) as error:
+            graph.add(PolicyNode, autostart=True, **parameters)
+        assert told in str(error.value)
+
+
+def test_a_policy_for_another_rig_is_not_configured_until_it_is_the_right_one(graph, tmp_path):
+    parameters, told = refusals(tmp_path)["another rig"]
+    graph.add(PolicyNode, **parameters)
+
+    def configure():
+        request = ChangeState.Request()
+        request.transition.id = Transition.TRANSITION_CONFIGURE
+        return graph.call(ChangeState, "policy/change_state", request).success
+
+    since = graph.mark()
+    assert not configure()
+    status = graph.wait_until_told("policy: control", told, since)
+    assert status.level == DiagnosticStatus.ERROR
+    state = graph.call(GetState, "policy/get_state", GetState.Request()).current_state.id
+    assert state == State.PRIMARY_STATE_UNCONFIGURED
+    write_policy(parameters["policy"], {"error at 0 s": 1.0}, rig="rig_b_fitted")
+    assert configure()

@@ -68,6 +68,22 @@ class TargetNode(Node):
             (0.1, 1000.0),
             read_only=True,
         )
+        jitter = common.declare(
+            self,
+            "jitter",
+            0.0,
+            "Share of the period by which corners of jagged targets are moved at random.",
+            (0.0, 0.9),
+            read_only=True,
+        )
+        self._offset_s = common.declare(
+            self,
+            "start_s",
+            0.0,
+            "Where in the target's own time it begins, s.",
+            (0.0, 1e6),
+            read_only=True,
+        )
         seed = common.declare(self, "seed", 0, "Seed.", (0, 2**31 - 1), read_only=True)
         rate_hz = common.declare(
             self, "rate_hz", 50.0, "Messages per second.", (1.0, 1000.0), read_only=True
@@ -78,7 +94,7 @@ class TargetNode(Node):
         self._step_s = common.declare(
             self, "step_s", 0.02, "Time between values, s.", (0.0005, 1.0), read_only=True
         )
-        self._target = Target(kind, low, high, period_s, seed, turn_s)
+        self._target = Target(kind, low, high, period_s, seed, turn_s, jitter)
         self._ahead = np.arange(round(preview_s / self._step_s) + 1) * self._step_s
         self._start_ns: int | None = None
         self._publisher = self.create_publisher(PressureTarget, "target", common.COMMAND_QOS)
@@ -88,7 +104,7 @@ class TargetNode(Node):
         now = self.get_clock().now()
         if self._start_ns is None or now.nanoseconds < self._start_ns:
             self._start_ns = now.nanoseconds  # the first time, or time was set back
-        at_s = (now.nanoseconds - self._start_ns) * 1e-9
+        at_s = self._offset_s + (now.nanoseconds - self._start_ns) * 1e-9
         message = PressureTarget(
             tap=self._tap,
             step_s=self._step_s,

@@ -1,0 +1,356 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Controllers behind one interface: PID, PID with feed-forward, and a learned policy.
+
+A controller is stepped once per period with the newest reading of each of its taps and the target
+now and ahead, and answers with a voltage. It knows nothing of clocks, topics or plants.
+"""
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from pneu_policy.feed_forward import FeedForward
+from pneu_policy.observations import Observer
+from pneu_policy.pid import Gains, Pid
+from pneu_policy.policy_file import PolicyFile
+from pneu_sim.errors import InputError
+
+Floats = NDArray[np.float64]
+
+PERIOD_S = 0.004
+"""Control period of a PID where none is named, s."""
+
+VERSION = 1
+KINDS = ("pid", "feed_forward")
+
+
+class Controller(Protocol):
+    """What all controllers have in common.
+
+    Attributes:
+        name: What to call it.
+        tap: Tap whose pressure it controls.
+        taps: Taps it must be told, the controlled one among them.
+        preview_s: Times ahead at which it must be told the target, s, rising from 0.
+        period_s: Time from one step to the next, s.
+    """
+
+    name: str
+    tap: str
+    taps: tuple[str, ...]
+    preview_s: tuple[float, ...]
+    period_s: float
+
+    def reset(self) -> None:
+        """Forgets the past."""
+
+    def step(self, taps_pa: Mapping[str, float], targets_pa: Sequence[float]) -> float:
+        """Voltage for the next period.
+
+        Args:
+            taps_pa: Per tap its newest reading, Pa.
+            targets_pa: Target at the times ahead, Pa.
+
+        Returns:
+            The voltage, V.
+
+        Raises:
+            ValueError: A number is not finite.
+        """
+
+
+class PidController:
+    """A PID on the target of the present."""
+
+    def __init__(
+        self, gains: Gains, tap: str = "end", period_s: float = PERIOD_S, name: str = "pid"
+    ) -> None:
+        """Starts at rest.
+
+        Args:
+            gains: What it is set to.
+            tap: Tap whose pressure it controls.
+            period_s: Time from one step to the next, s.
+            name: What to call it.
+
+        Raises:
+            InputError: The period is none.
+        """
+        if not (math.isfinite(period_s) and period_s > 0.0):
+            raise InputError(f"period_s: found {period_s}, it must be positive")
+        self.name, self.tap, self.period_s = name, tap, period_s
+        self.taps: tuple[str, ...] = (tap,)
+        self.tuned: Mapping[str, Any] = {}  # how its gains were found, where a file told
+        self.preview_s: tuple[float, ...] = (0.0,)
+        self._pid = Pid(gains)
+
+    @property
+    def gains(self) -> Gains:
+        """What it is set to."""
+        return self._pid.gains
+
+    def reset(self) -> None:
+        """Forgets the past."""
+        self._pid.reset()
+
+    def step(self, taps_pa: Mapping[str, float], targets_pa: Sequence[float]) -> float:
+        """Voltage for the next period; see `Controller.step`.
+
+        Args:
+            taps_pa: Per tap its newest reading, Pa.
+            targets_pa: Target now, Pa.
+        """
+        return self._pid.step(targets_pa[0], taps_pa[self.tap], self.period_s)
+
+
+class FeedForwardPid:
+    """A PID beside the voltage that the target's slope ahead asks for.
+
+    The PID may take its target from a little ahead as well, because what it commands arrives late.
+    """
+
+    def __init__(
+        self,
+        gains: Gains,
+        ahead: FeedForward,
+        target_lead_s: float = 0.0,
+        tap: str = "end",
+        period_s: float = PERIOD_S,
+        name: str = "feed_forward",
+    ) -> None:
+        """Starts at rest.
+
+        Args:
+            gains: What the PID is set to.
+            ahead: The feed-forward.
+            target_lead_s: How far ahead the PID takes its target, s.
+            tap: Tap whose pressure it controls.
+            period_s: Time from one step to the next, s.
+            name: What to call it.
+
+        Raises:
+            InputError: A time is none.
+        """
+        for what, value, least in (
+            ("period_s", period_s, 1e-6),
+            ("target_lead_s", target_lead_s, 0.0),
+        ):
+            if not (math.isfinite(value) and value >= least):
+                raise InputError(f"{what}: found {value}, it must be {least:g} or more")
+        self.name, self.tap, self.period_s = name, tap, period_s
+        self.taps: tuple[str, ...] = (tap,)
+        self.tuned: Mapping[str, Any] = {}  # how its gains were found, where a file told
+        self.ahead = ahead
+        self.target_lead_s = target_lead_s
+        early, late = ahead.preview_s
+        self.preview_s: tuple[float, ...] = tuple(sorted({0.0, target_lead_s, early, late}))
+        self._early, self._late = map(self.preview_s.index, (early, late))
+        self._target = self.preview_s.index(target_lead_s)
+        self._pid = Pid(gains)
+
+    @property
+    def gains(self) -> Gains:
+        """What the PID is set to."""
+        return self._pid.gains
+
+    def reset(self) -> None:
+        """Forgets the past."""
+        self._pid.reset()
+
+    def step(self, taps_pa: Mapping[str, float], targets_pa: Sequence[float]) -> float:
+        """Voltage for the next period; see `Controller.step`.
+
+        Args:
+            taps_pa: Per tap its newest reading, Pa.
+            targets_pa: Target at the times ahead, Pa.
+        """
+        early, late = targets_pa[self._early], targets_pa[self._late]
+        if not (math.isfinite(early) and math.isfinite(late)):
+            raise ValueError(f"found targets {early} Pa and {late} Pa ahead")
+        more = self.ahead.volts(early, late)
+        return self._pid.step(
+            targets_pa[self._target], taps_pa[self.tap], self.period_s, more_v=more
+        )
+
+
+class PolicyController:
+    """A learned policy with the memory that its features need."""
+
+    def __init__(self, policy: PolicyFile, name: str | None = None) -> None:
+        """Starts without a past.
+
+        Args:
+            policy: The policy.
+            name: What to call it; None is the name of its file.
+        """
+        recipe = policy.recipe
+        self.policy = policy
+        self.name = name or (policy.path.stem if policy.path is not None else "policy")
+        self.tap, self.taps = recipe.tap, recipe.taps
+        self.preview_s, self.period_s = recipe.preview_s, recipe.period_s
+        self._observer = Observer(recipe, 1)
+        self._taps = np.empty((1, len(self.taps)))
+        self._targets = np.empty((1, len(self.preview_s)))
+        self._volts = np.empty(1)
+
+    def reset(self) -> None:
+        """Forgets the past: as if pressures had not changed and the valve had been closed."""
+        self._observer.reset()
+
+    def step(
+        self,
+        taps_pa: Mapping[str, float],
+        targets_pa: Sequence[float],
+        line: Floats | None = None,
+    ) -> float:
+        """Voltage for the next period; see `Controller.step`.
+
+        Args:
+            taps_pa: Per tap its newest reading, Pa.
+            targets_pa: Target at the times ahead, Pa.
+            line: (1, points) gas of the lines, for a policy that sees it in simulation.
+        """
+        row = self._taps[0]
+        for n, tap in enumerate(self.taps):
+            row[n] = taps_pa[tap]
+        self._targets[0] = targets_pa
+        features = self._observer.observe(self._taps, self._targets, line)[0]
+        r = self.policy.recipe
+        volts = r.null_v + r.half_v * min(max(self.policy.act(features), -1.0), 1.0)
+        self._volts[0] = volts
+        self._observer.acted(self._volts)
+        return volts
+
+
+def load_controller(spec: str | Path) -> Controller:
+    """Reads a controller from its file.
+
+    Args:
+        spec: A policy (.npz), or a PID or feed-forward PID (.yaml) as `save_pid` writes it.
+
+    Returns:
+        The controller, at rest.
+
+    Raises:
+        InputError: The file is missing, damaged, or holds no controller.
+    """
+    path = Path(spec)
+    if path.suffix == ".npz":
+        return PolicyController(PolicyFile.load(path))
+    if path.suffix in (".yaml", ".yml"):
+        return _load_pid(path)
+    raise InputError(f"{path}: a controller is a policy (.npz) or a PID (.yaml)")
+
+
+def save_pid(
+    controller: PidController | FeedForwardPid, tuned: Mapping[str, Any], path: str | Path
+) -> None:
+    """Writes a PID, with or without feed-forward, whole or not at all.
+
+    Args:
+        controller: The controller.
+        tuned: How its gains were found, plain data.
+        path: Where; its folder must exist.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    forward = isinstance(controller, FeedForwardPid)
+    data: dict[str, Any] = {
+        "pneu_controller": VERSION,
+        "kind": "feed_forward" if forward else "pid",
+        "tap": controller.tap,
+        "period_s": controller.period_s,
+        "gains": dict(vars(controller.gains)),
+    }
+    if isinstance(controller, FeedForwardPid):
+        data["target_lead_s"] = controller.target_lead_s
+        data["feed_forward"] = controller.ahead.to_dict()
+    data["tuned"] = dict(tuned)
+    path = Path(path)
+    yaml = YAML()
+    yaml.default_flow_style = None
+    yaml.width = 100
+    aside = path.with_name(f".{path.name}.part")
+    try:
+        with aside.open("w", encoding="utf-8") as stream:
+            stream.write("# SPDX-License-Identifier: Apache-2.0\n")
+            yaml.dump(data, stream)
+        os.replace(aside, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+
+
+def _load_pid(path: Path) -> PidController | FeedForwardPid:
+    try:
+        data = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file of a controller") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error})") from None
+    except YAMLError as error:
+        raise InputError(f"{path}: is not YAML: {getattr(error, 'problem', error)}") from None
+    if not isinstance(data, dict) or data.get("pneu_controller") != VERSION:
+        found = data.get("pneu_controller") if isinstance(data, dict) else data
+        raise InputError(f"{path}: pneu_controller: found {found!r}, this version reads {VERSION}")
+    try:
+        controller = _pid_of(data)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    tuned = data.get("tuned", {})
+    if not isinstance(tuned, dict):
+        raise InputError(f"{path}: tuned: found {tuned!r}, needed is a mapping")
+    controller.tuned = tuned
+    return controller
+
+
+def _pid_of(data: Mapping[str, Any]) -> PidController | FeedForwardPid:
+    kind = data.get("kind")
+    if kind not in KINDS:
+        raise InputError(f"kind: found {kind!r}, allowed are {', '.join(KINDS)}")
+    known = ["pneu_controller", "kind", "tap", "period_s", "gains", "tuned"]
+    if kind == "feed_forward":
+        known += ["target_lead_s", "feed_forward"]
+    for name in data:
+        if name not in known:
+            raise InputError(f"{name}: unknown, known are {', '.join(known)}")
+    tap = data.get("tap", "end")
+    if not isinstance(tap, str):
+        raise InputError(f"tap: found {tap!r}, needed is the name of a tap")
+    found = data.get("gains")
+    if not isinstance(found, dict):
+        raise InputError(f"gains: found {found!r}, needed is a mapping")
+    allowed = [one.name for one in fields(Gains)]
+    for name in found:
+        if name not in allowed:
+            raise InputError(f"gains.{name}: unknown, known are {', '.join(allowed)}")
+    if "kp_v_per_pa" not in found:
+        raise InputError("gains.kp_v_per_pa: missing")
+    gains = {name: _number(value, f"gains.{name}") for name, value in found.items()}
+    try:
+        made = Gains(**gains)
+    except InputError as error:
+        raise InputError(f"gains.{error}") from None
+    period_s = _number(data.get("period_s", PERIOD_S), "period_s")
+    if kind == "pid":
+        return PidController(made, tap, period_s)
+    try:
+        ahead = FeedForward.from_dict(data.get("feed_forward", {}))
+    except InputError as error:
+        raise InputError(f"feed_forward.{error}") from None
+    lead_s = _number(data.get("target_lead_s", 0.0), "target_lead_s")
+    return FeedForwardPid(made, ahead, lead_s, tap, period_s)
+
+
+def _number(value: Any, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{name}: found {value!r}, needed is a number")
+    return float(value)

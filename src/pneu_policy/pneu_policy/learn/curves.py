@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Learning curves: score and tracking error against samples, by group of runs (thesis 7.2, 7.5)."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+from numpy.typing import NDArray
+
+from pneu_policy.learn.history import History
+from pneu_sim.errors import InputError
+
+COLOURS = ("#1f5fa8", "#c8501e", "#2e8b57", "#8a3ffc", "#b8860b", "#555555")
+"""Told apart also where colours are not seen well, in this order."""
+
+_POINTS = 200
+
+PANELS = (
+    ("eval_score", "score (sum of rewards)", "linear"),
+    ("eval_rmse_atm", "tracking error, RMS (atm)", "log"),
+)
+
+
+def learning_curves(
+    groups: Mapping[str, Sequence[History]],
+    path: str | Path,
+    title: str = "",
+    mark_atm: float | None = 0.1,
+) -> None:
+    """Draws the evaluations of runs: each run as a light line, the mean of a group in bold.
+
+    The mean of errors is the geometric one, as their axis is logarithmic. It goes as far as all
+    runs of the group do.
+
+    Args:
+        groups: Histories by the name that the legend shows.
+        path: Picture; its ending decides the format.
+        title: What stands above.
+        mark_atm: An error to draw a line at, atm.
+
+    Raises:
+        InputError: There is nothing to draw, or the picture cannot be written.
+    """
+    path = Path(path)
+    if not groups or not all(groups.values()):
+        raise InputError(f"{path}: no histories to draw")
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    panels = figure.subplots(1, 2)
+    for axes, (key, label, scale) in zip(panels, PANELS, strict=True):
+        for number, (name, histories) in enumerate(groups.items()):
+            _draw_group(axes, key, name, histories, COLOURS[number % len(COLOURS)], scale)
+        axes.set(xlabel="samples (control periods)", ylabel=label, yscale=scale, xlim=(0, None))
+        axes.ticklabel_format(axis="x", style="sci", scilimits=(0, 5), useMathText=True)
+        axes.grid(True, which="both" if scale == "log" else "major", alpha=0.25, linewidth=0.5)
+        axes.spines[["top", "right"]].set_visible(False)
+    if mark_atm is not None:
+        panels[1].axhline(mark_atm, color="black", linewidth=0.8, linestyle=":")
+    panels[1].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    panels[1].yaxis.set_major_formatter("{x:g}")
+    panels[1].yaxis.set_minor_formatter(NullFormatter())
+    panels[0].legend(frameon=False, loc="lower right")
+    if title:
+        figure.suptitle(title)
+    aside = path.with_name(f".{path.name}.part")
+    kind = path.suffix.removeprefix(".") or "png"
+    # without a date, the same histories make the same file
+    undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind, {})
+    try:
+        figure.savefig(aside, format=kind, dpi=150, metadata=undated)
+        os.replace(aside, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+    except ValueError as error:
+        raise InputError(f"{path}: cannot be drawn as {kind!r} ({error})") from None
+
+
+def _draw_group(
+    axes: Axes, key: str, name: str, histories: Sequence[History], colour: str, scale: str
+) -> None:
+    curves = [_curve(history, key) for history in histories]
+    for samples, values in curves:
+        light = 0.35 if len(curves) > 1 else 1.0
+        axes.plot(samples, values, color=colour, alpha=light, linewidth=0.9)
+    label = f"{name} ({len(curves)} seeds)" if len(curves) > 1 else name
+    begin = max(samples[0] for samples, _ in curves)
+    end = min(samples[-1] for samples, _ in curves)
+    grid = np.linspace(begin, max(begin, end), _POINTS)
+    log = scale == "log"
+    each = [np.interp(grid, x, np.log(y) if log else y) for x, y in curves]
+    mean = np.mean(each, axis=0)
+    axes.plot(grid, np.exp(mean) if log else mean, color=colour, linewidth=2.0, label=label)
+
+
+def _curve(history: History, key: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    rows = [row for row in history.rows if row[key] is not None]
+    if not rows:
+        raise InputError(f"a history without {key} cannot be drawn")
+    return np.array([row["samples"] for row in rows]), np.array([row[key] for row in rows])

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The history of a training: one row per iteration, as JSON beside the policy it led to.
+
+Rows hold ``iteration`` (1 is the first), ``samples`` (control periods of all rigs so far),
+``simulated_s``, ``wall_s``, ``score`` (mean sum of rewards of an episode) and ``rmse_atm`` of the
+episodes with exploration, ``eval_score`` and ``eval_rmse_atm`` of those without it where one was
+made (else null), ``std`` of the exploration, and what the algorithm adds.
+"""
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pneu_sim.errors import InputError
+
+VERSION = 1
+ATM_PA = 101_325.0
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class History:
+    """How a training went.
+
+    Attributes:
+        algorithm: ``npg`` or ``ppo``.
+        settings: What it was set to, as plain values.
+        rows: One per iteration.
+        finished: Whether all iterations were done.
+    """
+
+    algorithm: str
+    settings: Mapping[str, Any]
+    rows: Sequence[Row]
+    finished: bool
+
+    def time_to(self, error_atm: float) -> Row | None:
+        """The first row whose evaluation is at an error or below, or None.
+
+        Args:
+            error_atm: RMS tracking error without exploration, atm.
+        """
+        for row in self.rows:
+            if row["eval_rmse_atm"] is not None and row["eval_rmse_atm"] <= error_atm:
+                return row
+        return None
+
+    def save(self, path: str | Path) -> None:
+        """Writes the history, whole or not at all.
+
+        Args:
+            path: The file; its folder must exist.
+
+        Raises:
+            InputError: It cannot be written.
+        """
+        path = Path(path)
+        document = {
+            "pneu_history": VERSION,
+            "algorithm": self.algorithm,
+            "finished": self.finished,
+            "time_to_0.1_atm": self.time_to(0.1),
+            "settings": self.settings,
+            "rows": [{key: _json(value) for key, value in row.items()} for row in self.rows],
+        }
+        aside = path.with_name(f".{path.name}.part")
+        try:
+            aside.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+            os.replace(aside, path)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+
+    @classmethod
+    def load(cls, path: str | Path) -> "History":
+        """Reads a history.
+
+        Args:
+            path: The file.
+
+        Raises:
+            InputError: It is missing, damaged or not a history.
+        """
+        try:
+            document = json.loads(Path(path).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
+        except ValueError as error:
+            raise InputError(f"{path}: is not a history of a training ({error})") from None
+        if not isinstance(document, dict) or document.get("pneu_history") != VERSION:
+            found = document.get("pneu_history") if isinstance(document, dict) else None
+            raise InputError(f"{path}: pneu_history: found {found!r}, this version reads {VERSION}")
+        try:
+            return cls(
+                algorithm=document["algorithm"],
+                settings=document["settings"],
+                rows=document["rows"],
+                finished=document["finished"],
+            )
+        except KeyError as error:
+            raise InputError(f"{path}: {error.args[0]} is missing from the history") from None
+
+
+def _json(value: Any) -> Any:
+    """JSON knows no infinities."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Episodes of a policy in a vector environment whose episodes all end together."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_policy.learn.history import ATM_PA
+
+Array = NDArray[np.float32]
+
+LONGEST = 1_000_000
+"""Steps after which an environment without a horizon is refused."""
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """Episodes of equal length, side by side.
+
+    Attributes:
+        observations: Before each action and after the last one: (steps + 1, episodes, size).
+        actions: (steps, episodes, size).
+        rewards: (steps, episodes).
+        error_pa: Tracking error after each step, (steps, episodes), Pa.
+    """
+
+    observations: Array
+    actions: Array
+    rewards: Array
+    error_pa: NDArray[np.float64]
+
+    @property
+    def score(self) -> float:
+        """Mean sum of rewards of an episode."""
+        return float(self.rewards.sum(axis=0, dtype=np.float64).mean())
+
+    @property
+    def rmse_atm(self) -> float:
+        """RMS tracking error over all episodes, atm."""
+        return float(np.sqrt(np.mean(self.error_pa**2)) / ATM_PA)
+
+    @property
+    def samples(self) -> int:
+        """Steps of all episodes together."""
+        return int(self.rewards.size)
+
+
+def roll_out(env: gymnasium.vector.VectorEnv, act: Callable[[Array], Array], seed: int) -> Episodes:
+    """Runs one episode of every rig of an environment.
+
+    Args:
+        env: The environment; it decides the length.
+        act: Actions for observations, one row per rig.
+        seed: Decides the episodes.
+
+    Raises:
+        FloatingPointError: The environment returned what is not finite.
+        ValueError: Episodes do not end together, or not at all.
+    """
+    observation, _ = env.reset(seed=seed)
+    observations, actions, rewards, errors = [np.asarray(observation, np.float32)], [], [], []
+    for step in range(LONGEST):
+        action = np.asarray(act(observations[-1]), np.float32)
+        observation, reward, terminated, truncated, info = env.step(action)
+        if not (np.isfinite(observation).all() and np.isfinite(reward).all()):
+            raise FloatingPointError(
+                f"the environment returned a number that is not finite in step {step} of the"
+                f" episodes of seed {seed}"
+            )
+        # copies: an environment may write its arrays anew at the next step
+        observations.append(np.array(observation, np.float32))
+        actions.append(action)
+        rewards.append(np.array(reward, np.float32))
+        errors.append(np.array(info["error_pa"], np.float64))
+        done = terminated | truncated
+        if done.all():
+            break
+        if done.any():
+            raise ValueError(f"only {done.sum()} of {len(done)} episodes ended after step {step}")
+    else:
+        raise ValueError(f"episodes did not end within {LONGEST} steps")
+    return Episodes(np.stack(observations), np.stack(actions), np.stack(rewards), np.stack(errors))

@@ -1,0 +1,383 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the nodes of all controllers share: life cycle, topics, ages, the safe voltage, diagnostics.
+
+A lifecycle node commands the valve while active only, and a deactivation ends with the safe
+voltage. It hears the taps and the target that its controller asks for, and commands the safe
+voltage where one of them is missing, stale or unusable. Which voltage else is said by the node of
+the controller.
+"""
+
+import functools
+import math
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from pneu_msgs.msg import PressureTarget, ValveCommand
+from rclpy.clock import JumpThreshold, ROSClock
+from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import FluidPressure
+
+from pneu_sim.errors import InputError
+from pneu_sim.nodes import common
+
+NO_READING = "no pressure reading"
+NO_NUMBER = "reading is no number"
+NO_TARGET = "no target"
+SHORT_TARGET = "target too short"
+
+
+class ControlNode(LifecycleNode):
+    """A target and readings in, a valve command out."""
+
+    takes_nan = False
+    """Whether a reading that is no number counts as the newest one; else it is not heard at all."""
+
+    def __init__(self, name: str, **options: Any) -> None:
+        """Declares the parameters; with ``autostart`` it is active at once.
+
+        Args:
+            name: Name of the node.
+            options: Keywords of ``rclpy.lifecycle.LifecycleNode``.
+
+        Raises:
+            InputError: The parameters make no controller.
+        """
+        super().__init__(name, **options)
+        self._diagnostics: common.Diagnostics | None = None
+        self._refused = ""
+        self._tap = ""
+        self._taps: tuple[str, ...] = ()
+        self._preview_s: tuple[float, ...] = (0.0,)
+        self._period_s = math.nan
+        try:
+            self._declare()
+            self._state, self._detail = "inactive", ""
+            self._commands = self._sensor_losses = self._target_losses = self._jumps = 0
+            self._reported_ns: int | None = None
+            self._forget()
+            if self._autostart:
+                self.trigger_configure()
+                if self._refused:
+                    raise InputError(self._refused)
+                self.trigger_activate()
+        except InputError:
+            self.destroy_node()
+            raise
+
+    # ---- what the node of a controller says ----------------------------------------------------
+
+    @abstractmethod
+    def _declare(self) -> None:
+        """Declares its own parameters and calls `_declare_common`."""
+
+    @abstractmethod
+    def _make(self) -> None:
+        """Makes the controller; sets ``_tap``, ``_taps``, ``_preview_s`` and ``_period_s``.
+
+        Raises:
+            InputError: The parameters make none; the node then stays unconfigured.
+        """
+
+    @abstractmethod
+    def _rest(self) -> None:
+        """Lets the controller forget the past; there may be none yet."""
+
+    @abstractmethod
+    def _step(self, stamp_ns: int, pressures_pa: Mapping[str, float]) -> float | None:
+        """Voltage for the newest readings; None leaves the one before.
+
+        Args:
+            stamp_ns: Time of the reading of the controlled tap, ns.
+            pressures_pa: Per tap its reading, Pa.
+        """
+
+    def _figures(self) -> Mapping[str, object]:
+        """More figures for /diagnostics."""
+        return {}
+
+    def _declare_common(self) -> None:
+        """Declares the parameters that all controllers have."""
+        self._command = common.declare(
+            self, "command", "voltage", "Name of the valve command.", read_only=True
+        )
+        self._sensor_timeout_s = common.declare(
+            self,
+            "sensor_timeout_s",
+            0.05,
+            "Age of the newest reading at which the safe voltage is published, s.",
+            (0.001, 1.0),
+            read_only=True,
+        )
+        self._target_timeout_s = common.declare(
+            self,
+            "target_timeout_s",
+            0.25,
+            "Age of the newest target at which the safe voltage is published, s.",
+            (0.001, 10.0),
+            read_only=True,
+        )
+        self._safe_v = common.declare(
+            self,
+            "safe_voltage_v",
+            5.0,
+            "Published while sensor or target are stale, and on deactivation, V.",
+            (-24.0, 24.0),
+            read_only=True,
+        )
+        self._autostart = common.declare(
+            self, "autostart", False, "Configure and activate at start.", read_only=True
+        )
+
+    # ---- lifecycle -----------------------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Makes the controller, publishers, subscriptions and diagnostics.
+
+        Args:
+            state: Where it comes from.
+        """
+        if self._diagnostics is None:  # else it has told of a refusal so far
+            self._diagnostics = common.Diagnostics(self, self._report)
+        try:
+            self._make()
+        except InputError as error:
+            self._refused = " ".join(str(error).split())
+            self.get_logger().error(f"not configured: {self._refused}")
+            self._diagnostics.publish()
+            return TransitionCallbackReturn.FAILURE
+        self._refused = ""
+        self._publisher = self.create_lifecycle_publisher(
+            ValveCommand, "valve/command", common.COMMAND_QOS
+        )
+        self._subscriptions_made = [
+            self.create_subscription(
+                FluidPressure,
+                f"taps/{tap}/pressure",
+                functools.partial(self._on_pressure, tap),
+                qos_profile_sensor_data,
+            )
+            for tap in self._taps
+        ]
+        self._target_subscription = self.create_subscription(
+            PressureTarget, "target", self._on_target, common.COMMAND_QOS
+        )
+        # Created while inactive, so that activation waits for nothing.
+        self._timer = self.create_timer(self._period_s, self._tick)
+        self._timer.cancel()
+        threshold = JumpThreshold(
+            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
+        )
+        self._jump = self.get_clock().create_jump_callback(threshold, post_callback=self._on_jump)
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begins to command the valve.
+
+        Args:
+            state: Where it comes from.
+        """
+        self._forget()
+        self._state, self._detail = "waiting", ""
+        self._timer.reset()
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Commands the safe voltage once, then nothing.
+
+        Args:
+            state: Where it comes from.
+        """
+        self._timer.cancel()
+        self._publish(self._safe_v)
+        self._state, self._detail = "inactive", ""
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Gives up publishers and subscriptions.
+
+        Args:
+            state: Where it comes from.
+        """
+        self._close()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Commands the safe voltage where it was active, and gives up everything.
+
+        Args:
+            state: Where it comes from.
+        """
+        if self._state != "inactive":
+            self._publish(self._safe_v)
+        self._state, self._detail = "inactive", ""
+        if state.label != "unconfigured":
+            self._close()
+        self._close_diagnostics()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Commands the safe voltage and starts over unconfigured.
+
+        Args:
+            state: Where it comes from.
+        """
+        return self.on_shutdown(state)
+
+    def _close(self) -> None:
+        self.destroy_timer(self._timer)
+        self._close_diagnostics()
+        for subscription in (*self._subscriptions_made, self._target_subscription):
+            self.destroy_subscription(subscription)
+        self.destroy_lifecycle_publisher(self._publisher)
+        self._jump.unregister()
+
+    def _close_diagnostics(self) -> None:
+        if self._diagnostics is not None:
+            self._diagnostics.close()
+            self._diagnostics = None
+
+    # ---- callbacks -----------------------------------------------------------------------------
+
+    def _forget(self) -> None:
+        """Forgets all that belongs to the past, as after a jump of the clock."""
+        self._rest()
+        # Per tap stamp, Pa, arrival.
+        self._readings: dict[str, tuple[int, float, int]] = {}
+        self._target: tuple[int, float, tuple[float, ...], int] | None = None
+        self._volts = self._safe_v
+        self._error_square = self._error_count = 0.0
+
+    def _now_ns(self) -> int:
+        """The clock that ages are told by: steady, or simulated where that is in use."""
+        clock = self.get_clock()
+        simulated = isinstance(clock, ROSClock) and clock.ros_time_is_active
+        return int((clock if simulated else self._steady).now().nanoseconds)
+
+    _steady = common.steady_clock()
+
+    def _on_jump(self, jump: Any) -> None:
+        self._jumps += 1
+        self._forget()
+
+    def _on_pressure(self, tap: str, message: FluidPressure) -> None:
+        if not (self.takes_nan or math.isfinite(message.fluid_pressure)):
+            return
+        stamp = common.from_stamp(message.header.stamp)
+        before = self._readings.get(tap)
+        # A sensor that stalls may be repeated on and on; that does not make its reading younger.
+        arrival = before[2] if before is not None and before[0] == stamp else self._now_ns()
+        self._readings[tap] = (stamp, message.fluid_pressure, arrival)
+
+    def _on_target(self, message: PressureTarget) -> None:
+        values = tuple(float(v) for v in message.pressure_pa)
+        usable = all(math.isfinite(v) and v > 0.0 for v in values) and values
+        if message.tap not in ("", self._tap) or not usable or not message.step_s > 0.0:
+            self.get_logger().warning(
+                f"target ignored: for tap {message.tap!r}, {len(values)} values,"
+                f" step {message.step_s} s",
+                throttle_duration_sec=1.0,
+            )
+            return
+        stamp = common.from_stamp(message.header.stamp)
+        self._target = (stamp, message.step_s, values, self._now_ns())
+
+    def _targets_at(self, stamp_ns: int, ahead_s: Sequence[float]) -> list[float]:
+        """The target some times after a reading; beyond what is known, the nearest value."""
+        assert self._target is not None
+        begin, step_s, values, _ = self._target
+        last = len(values) - 1
+        since_s = (stamp_ns - begin) * 1e-9
+        found = []
+        for ahead in ahead_s:
+            at = min(max((since_s + ahead) / step_s, 0.0), float(last))
+            left = int(at)
+            right = min(left + 1, last)
+            found.append(values[left] + (values[right] - values[left]) * (at - left))
+        return found
+
+    def _fault(self, now_ns: int) -> tuple[str, str] | None:
+        """What keeps it from controlling, and the particulars."""
+        for tap in self._taps:
+            reading = self._readings.get(tap)
+            if reading is None:
+                return NO_READING, f"never heard {self._where(tap)}"
+            if now_ns - reading[2] > self._sensor_timeout_s * 1e9:
+                age = f"for {self._sensor_timeout_s:g} s"
+                return NO_READING, f"{age} nothing new of {self._where(tap)}"
+            if not math.isfinite(reading[1]):
+                return NO_NUMBER, f"found {reading[1]} as {self._where(tap)}"
+        if self._target is None or now_ns - self._target[3] > self._target_timeout_s * 1e9:
+            topic = self.resolve_topic_name("target")
+            if self._target is None:
+                return NO_TARGET, f"never heard one on {topic}"
+            return NO_TARGET, f"for {self._target_timeout_s:g} s none on {topic}"
+        known_s = (len(self._target[2]) - 1) * self._target[1]
+        if known_s < self._preview_s[-1] - 1e-9:
+            return SHORT_TARGET, f"it tells {known_s:g} s ahead, needed are {self._preview_s[-1]:g}"
+        return None
+
+    def _where(self, tap: str) -> str:
+        return f"{tap!r} on {self.resolve_topic_name(f'taps/{tap}/pressure')}"
+
+    def _tick(self) -> None:
+        fault = self._fault(self._now_ns())
+        if fault is not None:
+            self._lose(*fault)
+        else:
+            self._control()
+        self._publish(self._volts)
+
+    def _lose(self, what: str, detail: str) -> None:
+        if self._state != what:
+            self._sensor_losses += what in (NO_READING, NO_NUMBER)
+            self._target_losses += what in (NO_TARGET, SHORT_TARGET)
+            self._rest()
+        if (self._state, self._detail) != (what, detail):
+            self.get_logger().warning(f"{what}: safe voltage of {self._safe_v:g} V ({detail})")
+            self._state, self._detail = what, detail
+        self._volts = self._safe_v
+
+    def _control(self) -> None:
+        if self._state != "tracking":
+            self.get_logger().info("tracking")
+            self._state, self._detail = "tracking", ""
+        stamp_ns, pressure_pa, _ = self._readings[self._tap]
+        volts = self._step(stamp_ns, {tap: self._readings[tap][1] for tap in self._taps})
+        if volts is None:
+            return
+        self._volts = volts
+        self._error_square += (self._targets_at(stamp_ns, (0.0,))[0] - pressure_pa) ** 2
+        self._error_count += 1.0
+
+    def _publish(self, volts: float) -> None:
+        message = ValveCommand(name=[self._command], voltage_v=[volts])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._publisher.publish(message)
+        self._commands += 1
+
+    def _report(self) -> list[DiagnosticStatus]:
+        rms = math.sqrt(self._error_square / self._error_count) if self._error_count else math.nan
+        self._error_square = self._error_count = 0.0
+        values: Mapping[str, object] = {
+            "voltage (V)": self._volts,
+            "rms error (Pa)": rms,
+            **self._figures(),
+            "commands": self._commands,
+            "readings lost": self._sensor_losses,
+            "targets lost": self._target_losses,
+            "jumps of the clock": self._jumps,
+        }
+        level, text = DiagnosticStatus.OK, self._state
+        if self._detail:
+            level, text = DiagnosticStatus.WARN, f"{text}: safe voltage ({self._detail})"
+        # Reports are timed by the steady clock, control by this one: then no command is sent.
+        before_ns, self._reported_ns = self._reported_ns, self._now_ns()
+        if self._reported_ns == before_ns and self._state != "inactive":
+            level, text = DiagnosticStatus.WARN, "the clock stands still: no commands"
+        if self._refused:
+            level, text = DiagnosticStatus.ERROR, f"not configured: {self._refused}"
+        return [common.status(level, f"{self.get_name()}: control", text, values, self._tap)]

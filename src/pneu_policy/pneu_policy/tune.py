@@ -1,0 +1,356 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tuning of PID and feed-forward PID: a stated search, on stated targets, with a seed.
+
+Candidates are run on simulated rigs drawn from the calibration's uncertainty, with sensor noise and
+late commands, as policies are trained; all candidates meet the same rigs, targets, noise and
+delays. What is least is the RMSE of target minus pressure over all of them, sought in the
+logarithms of the gains by differential evolution. The same settings give the same gains.
+"""
+
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_policy.controllers import FeedForwardPid, PidController
+from pneu_policy.ensembles import draw_rigs
+from pneu_policy.feed_forward import HALF_WINDOW_S, FeedForward
+from pneu_policy.pid import Gains
+from pneu_policy.plants import make_plant
+from pneu_policy.search import Search
+from pneu_policy.targets import KINDS, Kind, Target
+from pneu_sim.errors import InputError
+from pneu_sim.rig import load_rig
+from pneu_sim.rig.schema import Rig
+
+Floats = NDArray[np.float64]
+PidKind = Literal["pid", "feed_forward"]
+
+TARGETS_WITHIN_S = 60.0
+"""Targets are taken from a random place within this time of their start."""
+
+PREVIEW_S = 0.2
+"""No term looks further ahead than this, which is what policies see (thesis 9.1.1)."""
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A number that is tuned.
+
+    Attributes:
+        name: What it sets.
+        low: Least value.
+        high: Greatest value.
+        begin: Value of the first candidate.
+        log: Whether it is sought in its logarithm.
+    """
+
+    name: str
+    low: float
+    high: float
+    begin: float
+    log: bool = True
+
+    def value(self, share: float) -> float:
+        """The value at a share of the range.
+
+        Args:
+            share: 0 to 1.
+        """
+        if self.log:
+            return float(self.low * (self.high / self.low) ** share)
+        return self.low + (self.high - self.low) * share
+
+    def share(self) -> float:
+        """Where in the range it begins."""
+        if self.log:
+            return math.log(self.begin / self.low) / math.log(self.high / self.low)
+        return (self.begin - self.low) / (self.high - self.low)
+
+
+PID_KNOBS = (
+    Knob("kp_v_per_pa", 1e-6, 1e-4, 1e-5),
+    Knob("ki_v_per_pa_s", 1e-6, 1e-2, 1e-4),
+    Knob("kd_v_s_per_pa", 1e-9, 1e-6, 3e-8),
+    Knob("derivative_hz", 5.0, 100.0, 40.0),
+    Knob("integral_v", 0.2, 5.0, 1.0),
+)
+FORWARD_KNOBS = (
+    *PID_KNOBS,
+    Knob("gain", 0.2, 3.0, 1.0),
+    Knob("lead_s", HALF_WINDOW_S, PREVIEW_S - HALF_WINDOW_S, 0.03, log=False),
+    Knob("target_lead_s", 0.0, 0.1, 0.01, log=False),
+)
+
+
+@dataclass(frozen=True)
+class TuneSettings:
+    """What is tuned, and on what.
+
+    Attributes:
+        rig: Rig file.
+        kind: ``pid`` or ``feed_forward``.
+        seed: Seed of the search and of all that is drawn.
+        tap: Tap whose pressure is controlled.
+        period_s: Control period, s.
+        kinds: Kinds of target, in turn.
+        low_pa: Lowest target, Pa.
+        high_pa: Highest target, Pa.
+        target_period_s: Typical time between a target's extremes, s.
+        jitter: Share of that by which corners of jagged targets are moved.
+        trials: Runs of each candidate, each with a rig and a target of its own.
+        seconds: Length of a run, s.
+        spread: Rigs are drawn by this many standard errors of the calibration; 0 takes it as is.
+        delay_s: Least and most delay of commands, s.
+        noise_pa: Noise of the readings, one sigma, Pa.
+        dx_m: Cell length of the full model, m. With 0.15 instead of 0.025 the pressures at the end
+            of the tubes of 2.5 and 5 m differ by 0.3 kPa rms under steps of the command.
+        candidates: Candidates of a generation.
+        generations: Generations.
+    """
+
+    rig: str
+    kind: PidKind = "pid"
+    seed: int = 0
+    tap: str = "end"
+    period_s: float = 0.004
+    kinds: tuple[Kind, ...] = ("smooth", "jagged")
+    low_pa: float = 150e3
+    high_pa: float = 550e3
+    target_period_s: float = 0.3
+    jitter: float = 0.6
+    trials: int = 6
+    seconds: float = 2.0
+    spread: float = 1.0
+    delay_s: tuple[float, float] = (0.002, 0.01)
+    noise_pa: float = 250.0
+    dx_m: float = 0.15
+    candidates: int = 20
+    generations: int = 35
+
+    def __post_init__(self) -> None:
+        """Raises InputError where a number is out of range."""
+        if self.kind not in get_args(PidKind):
+            allowed = ", ".join(get_args(PidKind))
+            raise InputError(f"kind: found {self.kind!r}, allowed are {allowed}")
+        if not self.kinds or any(kind not in KINDS for kind in self.kinds):
+            raise InputError(f"kinds: found {list(self.kinds)}, allowed are {', '.join(KINDS)}")
+        for name, low, high in (
+            ("seed", 0, 2**31 - 1),
+            ("trials", 1, 1000),
+            ("candidates", 5, 1000),
+            ("generations", 1, 1000),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise InputError(
+                    f"{name}: found {getattr(self, name)}, allowed are {low} to {high}"
+                )
+        if not (math.isfinite(self.seconds) and self.seconds >= self.period_s > 0.0):
+            raise InputError(f"seconds: found {self.seconds:g}, needed is a period or more")
+        if not (math.isfinite(self.noise_pa) and self.noise_pa >= 0.0):
+            raise InputError(f"noise_pa: found {self.noise_pa}, it must not be negative")
+        least, most = self.delay_s
+        if not 0.0 <= least <= most <= 0.2:
+            raise InputError(f"delay_s: found {least:g} to {most:g}, allowed are 0 to 0.2 s")
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What a tuning found.
+
+    Attributes:
+        controller: The best candidate.
+        rmse_pa: Its RMSE over all runs, Pa.
+        of_kind_pa: Its RMSE per kind of target, Pa.
+        history_pa: Least RMSE after each generation, Pa.
+        evaluations: Candidates that were run.
+        settings: What was tuned, and on what.
+        rig_sha256: Digest of the rig file.
+    """
+
+    controller: PidController | FeedForwardPid
+    rmse_pa: float
+    of_kind_pa: dict[str, float]
+    history_pa: list[float]
+    evaluations: int
+    settings: TuneSettings
+    rig_sha256: str
+
+    def provenance(self) -> dict[str, Any]:
+        """Returns how the gains were found, as plain data for a file."""
+        settings = {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in asdict(self.settings).items()
+        }
+        return {
+            "search": "differential evolution, best/1/bin",
+            "rmse_pa": self.rmse_pa,
+            "rmse_of_kind_pa": dict(self.of_kind_pa),
+            "evaluations": self.evaluations,
+            "rig_sha256": self.rig_sha256,
+            "settings": settings,
+        }
+
+
+class Trials:
+    """The runs that all candidates must do."""
+
+    def __init__(self, settings: TuneSettings, rig: Rig) -> None:
+        """Draws rigs, targets, delays and noise.
+
+        Args:
+            settings: What is tuned, and on what.
+            rig: The rig.
+
+        Raises:
+            InputError: The rig has no such tap, or cannot be controlled so.
+        """
+        s = settings
+        if s.tap not in rig.taps:
+            raise InputError(f"tap: found {s.tap!r}, rig {rig.name!r} has {', '.join(rig.taps)}")
+        rng = np.random.default_rng([s.seed, 1])
+        n = s.trials
+        self.settings = s
+        self.kinds = [s.kinds[k % len(s.kinds)] for k in range(n)]
+        seeds = rng.integers(2**31, size=n)
+        self._targets = [
+            Target(kind, s.low_pa, s.high_pa, s.target_period_s, int(seed), jitter=s.jitter)
+            for kind, seed in zip(self.kinds, seeds, strict=True)
+        ]
+        self._begins = rng.uniform(0.0, TARGETS_WITHIN_S, n)
+        self._delays = rng.uniform(*s.delay_s, n)
+        self.steps = round(s.seconds / s.period_s)
+        self._noise = s.noise_pa * rng.normal(size=(self.steps, n))
+        rigs = draw_rigs(rig, n, s.seed, s.spread)
+        dx_m = s.dx_m if rig.model == "pde" else None
+        self._plant = make_plant(rigs * s.candidates, s.period_s, dx_m)
+        self._tap = self._plant.taps.index(s.tap)
+
+    def run(self, candidates: Sequence[PidController | FeedForwardPid]) -> Floats:
+        """Errors of some candidates.
+
+        Args:
+            candidates: As many as the settings say, or fewer.
+
+        Returns:
+            (candidates, trials) mean of the squared error, Pa^2.
+        """
+        s, n = self.settings, self.settings.trials
+        lanes = s.candidates * n
+        times = np.arange(self.steps + 1) * s.period_s
+        wanted = np.empty((self.steps + 1, lanes))
+        ahead: list[list[list[float]]] = []
+        controllers = []
+        for lane in range(lanes):
+            # Lanes without a candidate repeat the first.
+            one = candidates[lane // n if lane // n < len(candidates) else 0]
+            target, begin = self._targets[lane % n], self._begins[lane % n]
+            told = target.at(begin + times[:, None] + np.array(one.preview_s))
+            wanted[:, lane] = told[:, 0]
+            ahead.append(told.tolist())
+            controllers.append(_fresh(one))
+        self._plant.set_delay(np.tile(self._delays, s.candidates))
+        seen = self._plant.reset(wanted[0])[:, self._tap]
+        volts = np.empty(lanes)
+        square = np.zeros(lanes)
+        taps_pa = {s.tap: 0.0}
+        for k in range(self.steps):
+            noisy = (seen + np.tile(self._noise[k], s.candidates)).tolist()
+            for lane, controller in enumerate(controllers):
+                taps_pa[s.tap] = noisy[lane]
+                volts[lane] = controller.step(taps_pa, ahead[lane][k])
+            seen = self._plant.step(volts)[:, self._tap]
+            square += (wanted[k + 1] - seen) ** 2
+        return (square / self.steps).reshape(s.candidates, n)[: len(candidates)]
+
+
+def _fresh(one: PidController | FeedForwardPid) -> PidController | FeedForwardPid:
+    """The same controller with a memory of its own."""
+    if isinstance(one, FeedForwardPid):
+        return FeedForwardPid(one.gains, one.ahead, one.target_lead_s, one.tap, one.period_s)
+    return PidController(one.gains, one.tap, one.period_s)
+
+
+def make_candidate(
+    settings: TuneSettings, plain: FeedForwardPid | PidController, shares: Floats
+) -> PidController | FeedForwardPid:
+    """A controller from a point of the search.
+
+    Args:
+        settings: What is tuned.
+        plain: A controller for the rig; what is tuned in it is replaced.
+        shares: Per knob its share of the range, 0 to 1.
+    """
+    knobs = FORWARD_KNOBS if settings.kind == "feed_forward" else PID_KNOBS
+    # Seven digits are more than a tuning finds, and read well in a file.
+    set_to = {k.name: float(f"{k.value(float(x)):.7g}") for k, x in zip(knobs, shares, strict=True)}
+    gains = replace(plain.gains, **{knob.name: set_to[knob.name] for knob in PID_KNOBS})
+    if not isinstance(plain, FeedForwardPid):
+        return PidController(gains, plain.tap, plain.period_s)
+    ahead = replace(plain.ahead, gain=set_to["gain"], lead_s=set_to["lead_s"])
+    return FeedForwardPid(gains, ahead, set_to["target_lead_s"], plain.tap, plain.period_s)
+
+
+def _plain(settings: TuneSettings, rig: Rig) -> PidController | FeedForwardPid:
+    """A controller for a rig, not yet tuned."""
+    (valve,) = rig.valves.values()
+    gains = Gains(1e-5, null_v=valve.spool.null_v)
+    if settings.kind == "pid":
+        return PidController(gains, settings.tap, settings.period_s)
+    ahead = FeedForward.of_rig(rig, settings.tap)
+    return FeedForwardPid(gains, ahead, 0.0, settings.tap, settings.period_s)
+
+
+def tune(settings: TuneSettings, progress: Callable[[int, float], None] | None = None) -> Tuned:
+    """Seeks the gains with the least RMSE.
+
+    Args:
+        settings: What is tuned, and on what.
+        progress: Called after each generation with its number and the least RMSE so far, Pa.
+
+    Returns:
+        What was found.
+
+    Raises:
+        InputError: The rig file or a setting is wrong.
+    """
+    s = settings
+    rig = load_rig(s.rig)
+    if len(rig.valves) != 1:
+        raise InputError(f"{s.rig}: found {len(rig.valves)} valves, a PID commands one")
+    trials = Trials(s, rig)
+    knobs = FORWARD_KNOBS if s.kind == "feed_forward" else PID_KNOBS
+    rng = np.random.default_rng([s.seed, 2])
+    begin = np.array([knob.share() for knob in knobs])
+    search = Search(begin, s.candidates, rng)
+    plain = _plain(s, rig)
+    history: list[float] = []
+    square = np.empty(0)
+    for generation in range(s.generations):
+        points = search.ask()
+        errors = trials.run([make_candidate(s, plain, point) for point in points])
+        before = search.least
+        search.tell(errors.mean(axis=1))
+        if search.least < before:
+            square = errors[int(np.argmin(errors.mean(axis=1)))]
+        history.append(math.sqrt(search.least))
+        if progress is not None:
+            progress(generation + 1, history[-1])
+    of_kind = {
+        str(kind): float(np.sqrt(np.mean(square[[k == kind for k in trials.kinds]])))
+        for kind in dict.fromkeys(trials.kinds)
+    }
+    return Tuned(
+        controller=make_candidate(s, plain, search.best),
+        rmse_pa=history[-1],
+        of_kind_pa=of_kind,
+        history_pa=history,
+        evaluations=s.candidates * s.generations,
+        settings=s,
+        rig_sha256=hashlib.sha256(Path(s.rig).read_bytes()).hexdigest(),
+    )

@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Controllers behind their one interface: what they answer, and what their files hold."""
+
+import math
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pneu_policy.controllers import (
+    FeedForwardPid,
+    PidController,
+    PolicyController,
+    load_controller,
+    save_pid,
+)
+from pneu_policy.feed_forward import FeedForward
+from pneu_policy.observations import Observer, Recipe
+from pneu_policy.pid import Gains, Pid
+from pneu_policy.plants import make_plant
+from pneu_policy.policy_file import PolicyFile, rig_identity
+from pneu_policy.targets import Target
+from pneu_sim.errors import InputError
+from pneu_sim.rig import load_rig
+from pneu_sim.rig.schema import Rig
+
+ROOT = Path(__file__).parents[3]
+GAINS = Gains(kp_v_per_pa=1e-5, ki_v_per_pa_s=3e-5, kd_v_s_per_pa=1e-7)
+ALL_TAPS = ("supply", "valve_out", "middle", "end", "exhaust")
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return load_rig(ROOT / "rigs/rig_a_fitted.yaml")
+
+
+def make_policy(rig, recipe):
+    rng = np.random.default_rng(4)
+    sizes = [recipe.size, 32, 32, 1]
+    weights = [
+        (rng.normal(0.0, m**-0.5, (n, m)).astype(np.float32), np.zeros(n, dtype=np.float32))
+        for m, n in pairwise(sizes)
+    ]
+    return PolicyFile(weights, recipe, rig_identity(rig), {})
+
+
+def controllers(rig):
+    ahead = FeedForward.of_rig(rig, "end", 0.8, 0.05)
+    return [
+        PidController(GAINS),
+        FeedForwardPid(GAINS, ahead, 0.02),
+        PolicyController(make_policy(rig, Recipe("end", ALL_TAPS))),
+    ]
+
+
+@pytest.fixture(params=[0, 1, 2], ids=["pid", "feed_forward", "policy"])
+def controller(request, rig):
+    return controllers(rig)[request.param]
+
+
+def told(controller, k):
+    """Made-up readings and targets of step k."""
+    rng = np.random.default_rng(k)
+    taps = {tap: 300e3 + 20e3 * rng.normal() for tap in controller.taps}
+    return taps, [300e3 + 20e3 * rng.normal() for _ in controller.preview_s]
+
+
+def test_after_a_reset_it_answers_as_before(controller):
+    runs = []
+    for _ in range(2):
+        controller.reset()
+        runs.append([controller.step(*told(controller, k)) for k in range(50)])
+    assert runs[0] == runs[1]
+    assert all(0.0 <= v <= 10.0 for v in runs[0]) and np.ptp(runs[0]) > 0.1
+
+
+def test_what_it_must_be_told_is_consistent(controller):
+    assert controller.tap in controller.taps and controller.period_s > 0.0
+    assert controller.preview_s[0] == 0.0
+    assert list(controller.preview_s) == sorted(set(controller.preview_s))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_number_that_is_not_finite_is_refused_wherever_it_stands(controller, bad):
+    for tap in controller.taps:
+        taps, targets = told(controller, 0)
+        with pytest.raises(ValueError, match="found"):
+            controller.step({**taps, tap: bad}, targets)
+    for n in range(len(controller.preview_s)):
+        taps, targets = told(controller, 0)
+        targets[n] = bad
+        if isinstance(controller, FeedForwardPid) and n == 0:
+            continue  # it looks ahead only
+        with pytest.raises(ValueError, match="found"):
+            controller.step(taps, targets)
+
+
+def test_a_step_takes_microseconds(controller):
+    taps, targets = told(controller, 0)
+    spent = []
+    for _ in range(2000):
+        begin = time.perf_counter()
+        controller.step(taps, targets)
+        spent.append(time.perf_counter() - begin)
+    assert np.median(spent) < 200e-6
+
+
+def test_the_policy_is_its_network_on_the_features_of_its_recipe(rig):
+    recipe = Recipe("end", ("end", "middle"), (0.0, 0.1), past=2, levels=2)
+    policy = make_policy(rig, recipe)
+    controller, observer = PolicyController(policy), Observer(recipe, 1)
+    for k in range(20):
+        taps, targets = told(controller, k)
+        seen = np.array([[taps["end"], taps["middle"]]])
+        volts = recipe.volts(policy.act(observer.observe(seen, np.array([targets]))[0]))
+        observer.acted(np.array([volts]))
+        assert controller.step(taps, targets) == pytest.approx(volts, abs=1e-12)
+
+
+def test_a_policy_that_sees_the_gas_of_lines_wants_it(rig):
+    recipe = Recipe("end", ("end",), line=(("tube", 2),))
+    controller = PolicyController(make_policy(rig, recipe))
+    taps, targets = told(controller, 0)
+    with pytest.raises(ValueError, match="gas of lines"):
+        controller.step(taps, targets)
+    assert 0.0 <= controller.step(taps, targets, np.zeros((1, 6))) <= 10.0
+
+
+def test_without_feed_forward_and_lead_it_is_the_pid(rig):
+    plain = PidController(GAINS)
+    other = FeedForwardPid(GAINS, FeedForward.of_rig(rig, "end", gain=0.0))
+    for k in range(50):
+        taps, targets = told(other, k)
+        assert other.step(taps, targets) == plain.step(taps, targets[:1])
+
+
+def test_feed_forward_adds_to_the_voltage_but_not_to_the_integral():
+    one, two = Pid(GAINS), Pid(GAINS)
+    for k in range(50):
+        volts = one.step(3e5, 2.99e5 + 10.0 * k, 0.01)
+        assert two.step(3e5, 2.99e5 + 10.0 * k, 0.01, more_v=0.25) == pytest.approx(volts + 0.25)
+        assert two.integral_v == one.integral_v
+
+
+def chamber_like(length_m=0.1):
+    """A short wide pipe behind a linear valve: close to a well-mixed volume without losses."""
+    opening = {"voltage_v": [5.0, 10.0], "fraction": [0.0, 1.0]}
+    closing = {"voltage_v": [0.0, 5.0], "fraction": [1.0, 0.0]}
+    port = {"conductance_m3_s_pa": 1e-9, "critical_ratio": 0.3}
+    wide = {"area_m2": 1e-4, "wall": {"nusselt": 1e6}}  # isothermal
+    return Rig.model_validate(
+        {
+            "name": "chamber_like",
+            "pipes": {
+                "supply_line": {"from": "supply", "to": "a", "length_m": 0.1, **wide},
+                "vessel": {"from": "b", "to": "closed", "length_m": length_m, **wide},
+                "exhaust_line": {"from": "c", "to": "room", "length_m": 0.1, **wide},
+            },
+            "reservoirs": {"supply": {"pressure_pa": 7e5}, "room": {"pressure_pa": 1e5}},
+            "valves": {
+                "valve": {
+                    "command": "voltage",
+                    "ports": {
+                        "in": {"from": "a", "to": "b", **port, "opening": opening},
+                        "out": {"from": "b", "to": "c", **port, "opening": closing},
+                    },
+                }
+            },
+            "commands": {"voltage": {}},
+            "taps": {"end": {"pipe": "vessel", "position_m": 0.05}},
+        }
+    )
+
+
+@pytest.mark.parametrize("slope", [4e5, -4e5])
+def test_feed_forward_alone_follows_a_ramp_of_the_simulated_vessel(slope):
+    rig = chamber_like()
+    ahead = FeedForward.of_rig(rig, "end")
+    assert ahead.volume_m3 == pytest.approx(1e-5)
+    plant = make_plant([rig], 0.01)
+    start = 300e3
+    plant.reset(np.array([start]))
+    for k in range(40):
+        early = start + slope * (0.01 * k - 0.005)
+        seen = plant.step(np.array([5.0 + ahead.volts(early, early + 0.02 * slope)]))
+    # Half a tenth of the way: nearly isothermal, and the losses of the lines are small.
+    assert seen[0, 0] - start == pytest.approx(0.4 * slope, rel=0.05)
+
+
+def test_feed_forward_opens_wide_where_the_reservoir_cannot_drive_the_flow(rig):
+    ahead = FeedForward.of_rig(rig, "end")
+    assert ahead.null_v + ahead.volts(640e3, 650e3) == 10.0
+    assert ahead.null_v + ahead.volts(100e3, 90e3) == 0.0
+    assert ahead.volts(300e3, 300e3) == 0.0
+
+
+def tracking_error(rig, controller, kind):
+    """RMS of target minus pressure, with sensor noise and a command that is a period late, Pa."""
+    plant = make_plant([rig], controller.period_s)
+    target = Target(kind, 150e3, 550e3, 0.6, seed=3)
+    rng = np.random.default_rng(0)
+    seen = plant.reset(np.array([float(target.at(0.0))]))[0]
+    late, errors = 5.0, []
+    for k in range(round(3.0 / controller.period_s)):
+        noisy = dict(zip(plant.taps, seen + 250.0 * rng.normal(size=seen.size), strict=True))
+        wanted = target.at(k * controller.period_s + np.array(controller.preview_s))
+        volts = controller.step(noisy, wanted.tolist())
+        seen, late = plant.step(np.array([late]))[0], volts
+        errors.append(wanted[0] - seen[plant.taps.index("end")])
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def test_feed_forward_helps_the_same_gains(rig):
+    gains = Gains(kp_v_per_pa=8e-6, ki_v_per_pa_s=1e-6)
+    plain = tracking_error(rig, PidController(gains), "smooth")
+    ahead = FeedForward.of_rig(rig, "end", 1.0, 0.03)
+    assert tracking_error(rig, FeedForwardPid(gains, ahead), "smooth") < 0.5 * plain
+
+
+def test_pids_come_back_from_their_files(rig, tmp_path):
+    for one in controllers(rig)[:2]:
+        path = tmp_path / f"{one.name}.yaml"
+        save_pid(one, {"seed": 3}, path)
+        again = load_controller(path)
+        assert type(again) is type(one) and again.gains == one.gains
+        assert (again.period_s, again.preview_s) == (one.period_s, one.preview_s)
+        steps = [told(one, k) for k in range(20)]
+        assert [again.step(*s) for s in steps] == [one.step(*s) for s in steps]
+    assert again.ahead == one.ahead
+
+
+def test_a_policy_comes_from_its_file(rig, tmp_path):
+    policy = make_policy(rig, Recipe("end", ALL_TAPS))
+    policy.save(tmp_path / "deft.npz")
+    controller = load_controller(tmp_path / "deft.npz")
+    assert isinstance(controller, PolicyController) and controller.name == "deft"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("pneu_rig: 1", "pneu_controller: found None"),
+        ("pneu_controller: 1\nkind: fuzzy", "found 'fuzzy', allowed are pid, feed_forward"),
+        ("pneu_controller: 1\nkind: pid", "gains: found None"),
+        ("pneu_controller: 1\nkind: pid\ngains: {}", "gains.kp_v_per_pa: missing"),
+        ("pneu_controller: 1\nkind: pid\ngains: {kp: 1}", "gains.kp: unknown"),
+        ("pneu_controller: 1\nkind: pid\ngains: {kp_v_per_pa: x}", "gains.kp_v_per_pa: found 'x'"),
+        ("pneu_controller: 1\nkind: pid\ngains: {kp_v_per_pa: -1}", "gains.kp_v_per_pa: found -1"),
+        ("pneu_controller: 1\nkind: pid\nlead: 3\ngains: {kp_v_per_pa: 1}", "lead: unknown"),
+        (
+            "pneu_controller: 1\nkind: feed_forward\ngains: {kp_v_per_pa: 1}",
+            "feed_forward.*gain: missing",
+        ),
+        ("a: [", "is not YAML"),
+    ],
+)
+def test_files_that_hold_no_controller_are_refused(tmp_path, text, message):
+    path = tmp_path / "pid.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as error:
+        load_controller(path)
+    assert str(path) in str(error.value)
+
+
+def test_other_files_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"\.npz.*\.yaml"):
+        load_controller("pid.txt")
+    with pytest.raises(InputError, match="no such"):
+        load_controller(tmp_path / "pid.yaml")
+
+
+def test_feed_forward_is_refused_where_the_rig_gives_none():
+    with pytest.raises(InputError, match="found 'nose'"):
+        FeedForward.of_rig(chamber_like(), "nose")
+    with pytest.raises(InputError, match="one valve"):
+        FeedForward.of_rig(load_rig(ROOT / "rigs/ventilator.yaml"), "airway")
