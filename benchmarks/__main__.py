@@ -11,7 +11,7 @@ import sys
 
 from rich.console import Console
 
-from benchmarks import accuracy, graph, kernel, peers, report, rig, sysid, timing
+from benchmarks import accuracy, graph, kernel, peers, report, rig, sysid, timing, training
 
 SUBJECTS = {
     "kernel": kernel,
@@ -19,6 +19,7 @@ SUBJECTS = {
     "rig": rig,
     "accuracy": accuracy,
     "sysid": sysid,
+    "training": training,
     "graph": graph,
 }
 QUICK = "--quick"
