@@ -14,7 +14,8 @@ BENCH_VENV := .venv-bench
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test bench lint format bags folder-is-named confusion clean clean-kernels
+.PHONY: help demo test bench lint format bags folder-is-named confusion study-pressure clean \
+	clean-kernels
 
 help:  ## list the targets
 	@$(PYTHON) tools/make_help.py $(firstword $(MAKEFILE_LIST))
@@ -50,6 +51,9 @@ folder-is-named:
 confusion: $(VENV)/.ready-run  ## slow: every effect injected and diagnosed, as a matrix
 	@$(RUN) -m studies.confusion
 
+study-pressure: $(VENV)/.ready-study  ## slow: train, tune and prove pressure controllers (an hour)
+	@$(RUN) -m studies.pressure
+
 clean: clean-kernels  ## remove all that these targets have made
 	@rm -rf $(VENV) $(BENCH_VENV) build dist pneu.egg-info out .mypy_cache .ruff_cache .pytest_cache
 
@@ -62,6 +66,9 @@ $(VENV)/.ready-run: pyproject.toml tools/environment.py
 
 $(VENV)/.ready-dev: pyproject.toml tools/environment.py
 	@$(PYTHON) tools/environment.py $(VENV) --extra dev
+
+$(VENV)/.ready-study: pyproject.toml tools/environment.py
+	@$(PYTHON) tools/environment.py $(VENV) --extra study
 
 $(BENCH_VENV)/.ready-bench: pyproject.toml tools/environment.py
 	@$(PYTHON) tools/environment.py $(BENCH_VENV) --extra bench --optional

@@ -20,6 +20,7 @@ REALTIME = (
     "src/pneu_sysid/test/test_replay_node",
     "tests/test_faults",
     "tests/test_graph",
+    "tests/test_pressure_study",
 )
 """Beginnings of the paths of tests that run against the clock."""
 

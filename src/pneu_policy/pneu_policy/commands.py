@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The subcommands of `pneu` about controllers: train, tune, evaluate, policy."""
+
+import typer
+
+from pneu_policy.evaluate_command import register_evaluate
+from pneu_policy.learn.command import register_train
+from pneu_policy.tune_command import register_policy, register_tune
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the subcommands to the application.
+
+    Args:
+        app: The application.
+    """
+    register_train(app)
+    register_tune(app)
+    register_policy(app)
+    register_evaluate(app)

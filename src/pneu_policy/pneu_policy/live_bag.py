@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a recording of the live graph shows of a run: pressure, target and what the valve did.
+
+Bag in, series out: nothing that the processes claim of themselves is used.
+"""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pneu_policy.metrics import Track
+from pneu_runtime import hook
+from pneu_runtime.bag.reader import BagReader
+from pneu_sim.errors import InputError
+
+NAMESPACE = "lab"
+MOST_UNFOLLOWED_S = 0.02
+"""Longest total time in which the valve was not where it was commanded, in a valid run."""
+LEAST_RATE_HZ = 200.0
+"""Fewest readings per second of a valid run; the bridge aims at 500."""
+
+
+class LateError(Exception):
+    """A run that does not show the rig in real time, or not whole."""
+
+
+def track_of(bag: Path, tap: str, namespace: str = NAMESPACE) -> Track:
+    """What a recording shows of a run: time zero is that of the first target.
+
+    Args:
+        bag: The recording.
+        tap: Tap that is controlled.
+        namespace: Of the graph.
+
+    Raises:
+        LateError: The recording is damaged, lacks a topic or has too few readings, or the valve
+            was not where it was commanded.
+    """
+    hook.install()
+    from pneu_msgs.msg import PressureTarget, ValveCommand
+    from rclpy.serialization import deserialize_message
+    from sensor_msgs.msg import FluidPressure
+
+    kinds = {
+        f"/{namespace}/taps/{tap}/pressure": FluidPressure,
+        f"/{namespace}/target": PressureTarget,
+        f"/{namespace}/valve/command": ValveCommand,
+        f"/{namespace}/valve/applied": ValveCommand,
+    }
+    found: dict[str, dict[int, Any]] = {topic: {} for topic in kinds}
+    try:
+        recorded = list(BagReader(bag).messages(set(kinds)))
+    except InputError as error:
+        raise LateError(f"no recording: {error}") from None
+    for message in recorded:
+        content = deserialize_message(message.data, kinds[message.topic])
+        stamp = content.header.stamp
+        found[message.topic][stamp.sec * 1_000_000_000 + stamp.nanosec] = content
+    readings, targets, commands, applied = found.values()
+    for topic, messages in found.items():
+        if len(messages) < 2:
+            raise LateError(f"{len(messages)} messages of {topic} were recorded")
+    zero = min(targets)
+
+    def seconds(messages: Mapping[int, Any]) -> Any:
+        return (np.array(sorted(messages), dtype=np.int64) - zero) * 1e-9
+
+    def values(messages: Mapping[int, Any], read: Callable[[Any], float]) -> Any:
+        return np.array([read(messages[stamp]) for stamp in sorted(messages)], dtype=np.float64)
+
+    track = Track(
+        seconds(readings),
+        values(readings, lambda message: message.fluid_pressure),
+        seconds(targets),
+        values(targets, lambda message: message.pressure_pa[0]),
+        seconds(applied),
+        values(applied, lambda message: message.voltage_v[0]),
+    )
+    during = (track.time_s > 0.0) & (track.time_s < track.target_time_s[-1])
+    rate_hz = np.count_nonzero(during) / track.target_time_s[-1]
+    if rate_hz < LEAST_RATE_HZ:
+        raise LateError(f"{rate_hz:.0f} readings per second, needed are {LEAST_RATE_HZ:.0f}")
+    _check_followed(
+        track, seconds(commands), values(commands, lambda message: message.voltage_v[0])
+    )
+    return track
+
+
+def _check_followed(track: Track, command_s: Any, volts: Any) -> None:
+    """Raises where the valve stood for long at what the controller had not commanded just before.
+
+    The bridge makes the valve safe where it must; such a run shows the bridge.
+    """
+    ends = np.append(track.command_time_s[1:], track.command_time_s[-1])
+    lasted = ends - track.command_time_s
+    unfollowed_s = 0.0
+    last_s = float(track.target_time_s[-1])
+    for at, value, length in zip(track.command_time_s, track.volts, lasted, strict=True):
+        if not 0.1 < at < last_s:
+            continue
+        end = int(np.searchsorted(command_s, at + 1e-3))
+        begin = max(int(np.searchsorted(command_s, at - 0.05)) - 1, 0)
+        near = volts[begin:end]
+        if near.size == 0 or np.min(np.abs(near - value)) > 0.02:
+            unfollowed_s += float(length)
+    if unfollowed_s > MOST_UNFOLLOWED_S:
+        raise LateError(f"the valve did not follow the commands for {unfollowed_s:.3f} s")
