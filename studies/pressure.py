@@ -4,6 +4,7 @@
 Stages, each skipped where its result is there already, so that an interrupted study goes on:
 
   train     policies by ``studies/settings/<tube>_<variant>.yaml`` -> ``policies/``
+  ppo       the same task by another algorithm, a library's, as a yardstick
   tune      a PID and a PID with feed-forward for each tube -> ``policies/``
   simulate  all of them on the calibrated rigs, in simulation
   live      those of the tables on the emulated lab, whose plants nobody trained on
@@ -23,12 +24,15 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import joblib
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from pneu_hw_bridge.lab.sealed import open_sealed
 from pneu_policy.evaluate import Conditions, Tasks, evaluate_simulated
 from pneu_policy.learn.settings import load_document
+from pneu_policy.learn.sweep import Run, expand
+from pneu_policy.learn.trainer import HISTORY
 from pneu_policy.limit import evaluate_limit
 from pneu_policy.live import evaluate_live
 from pneu_policy.live_rig import LivePlant
@@ -42,12 +46,12 @@ ROOT = Path(__file__).resolve().parent.parent
 SETTINGS = ROOT / "studies" / "settings"
 POLICIES = ROOT / "policies"
 OUT = ROOT / "out" / "pressure"
-TASKS = Tasks(seeds=(101, 102, 103, 104, 105))
+TASKS = Tasks(seeds=(101, 102, 103, 104, 105), duration_s=8.0)
 """Five runs of each task, as in the thesis; seeds that no tuning has seen."""
 PIDS = ("pid", "feed_forward")
-SIMULATED_ONLY = ("line",)
-"""Variants that see the gas of the tube, which no sensor of the lab tells."""
-STAGES = ("train", "tune", "simulate", "live", "limit", "page")
+SIMULATED_ONLY = ("line", "no_encoding", "no_encoding_fine")
+"""One sees the gas of the tube, which no sensor of the lab tells; all are compared in the model."""
+STAGES = ("train", "ppo", "tune", "simulate", "live", "limit", "page")
 
 
 @dataclass(frozen=True)
@@ -114,6 +118,32 @@ def train(console: Console, workers: int) -> None:
                 shutil.copyfile(found, POLICIES / f"{tube}_{variant}_{seed}.npz")
 
 
+def ppo(console: Console, workers: int) -> None:
+    """Trains the first variant by PPO with as many samples, for its learning curve alone."""
+    document = load_document(SETTINGS / "short_pde.yaml")
+    runs = [
+        run
+        for run in expand(document, OUT / "training" / "short_ppo")
+        if not (run.folder / HISTORY).exists()
+    ]
+    console.print(f"{len(runs)} runs of PPO", style="cyan")
+    joblib.Parallel(n_jobs=workers)(joblib.delayed(ppo_run)(run) for run in runs)
+
+
+def ppo_run(run: Run) -> None:
+    """One of these runs.
+
+    Args:
+        run: Where its history goes, and what is trained.
+    """
+    # Here, because it is wanted by this stage alone and takes seconds to import.
+    from pneu_policy.learn.ppo import train_ppo
+
+    history = train_ppo(run.settings)
+    run.folder.mkdir(parents=True, exist_ok=True)
+    history.save(run.folder / HISTORY)
+
+
 def tune(console: Console) -> None:
     """Tunes what is not tuned."""
     for tube, parts in TUBES.items():
@@ -154,7 +184,7 @@ def controllers(tube: str, live: bool) -> dict[str, list[Path]]:
     for kind in PIDS:
         found[kind] = [path for path in [POLICIES / f"{tube}_{kind}.yaml"] if path.exists()]
     # The order of the table's columns.
-    known = ["pde", "plate"]
+    known = ["pde", "plate", "pde_fine", "plate_fine"]
     order = sorted(found, key=lambda n: (known.index(n) if n in known else 9, n in PIDS))
     return {name: found[name] for name in order if found[name]}
 
@@ -218,7 +248,7 @@ def main(arguments: list[str] | None = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("stages", nargs="*", default=STAGES, metavar="stage", help="all without")
-    parser.add_argument("--workers", type=int, default=2, help="processes of train and limit")
+    parser.add_argument("--workers", type=int, default=2, help="processes of train, ppo and limit")
     options = parser.parse_args(arguments)
     unknown = [stage for stage in options.stages if stage not in STAGES]
     if unknown:
@@ -229,6 +259,8 @@ def main(arguments: list[str] | None = None) -> int:
             console.rule(stage)
             if stage == "train":
                 train(console, options.workers)
+            elif stage == "ppo":
+                ppo(console, options.workers)
             elif stage == "tune":
                 tune(console)
             elif stage == "page":

@@ -48,18 +48,17 @@ def test_the_table_is_of_these_policies(tube, table):
 
 def test_on_the_lab_they_keep_the_order_of_the_table(table, tmp_path):
     asked = table.settings["tasks"]
-    changed = {"kinds": ("smooth",), "seeds": (asked["seeds"][0],), "duration_s": 4.0}
+    changed = {"kinds": ("jagged",), "seeds": (asked["seeds"][0],), "duration_s": 4.0}
     tasks = Tasks(**{**asked, **changed})
     found = Evaluation(tasks.to_dict(), folder=tmp_path)
     controllers = {name: files_of(name, "short", table) for name in ("pde", "plate")}
     evaluate_live(found, controllers, [SHORT], tasks)
     late = [run.note for run in found.runs if run.metrics is None]
-    if late:
-        pytest.skip(f"this machine is too busy to run it: {late[0]}")
+    assert not late  # after three tries; this machine is too busy
 
     again = {run.controller: run.metrics.rmse_atm for run in found.runs}
     stated = {
-        name: spread(table.values("rmse_atm", name, "short", "smooth"))[0] for name in controllers
+        name: spread(table.values("rmse_atm", name, "short", "jagged"))[0] for name in controllers
     }
     assert stated["pde"] < stated["plate"]
     assert again["pde"] < again["plate"]

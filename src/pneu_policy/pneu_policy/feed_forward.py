@@ -32,6 +32,9 @@ HALF_WINDOW_S = 0.01
 POINTS = 25
 """Points of an inverse opening curve, closer together near null."""
 
+LISTS = ("voltage_v", "fraction")
+"""Fields of a port that hold lists."""
+
 
 @dataclass(frozen=True)
 class Way:
@@ -266,11 +269,14 @@ def _numbers(data: Any, kind: type, but: tuple[str, ...]) -> dict[str, Any]:
         if name in but:
             continue
         value = data[name]
+        listed = name in LISTS
         try:
-            listed = isinstance(value, list | tuple)
+            if isinstance(value, list | tuple) != listed:
+                raise TypeError
             values[name] = tuple(map(float, value)) if listed else float(value)
         except (TypeError, ValueError):
-            raise InputError(f"{name}: found {value!r}, needed is a number") from None
+            needed = "a list of numbers" if listed else "a number"
+            raise InputError(f"{name}: found {value!r}, needed is {needed}") from None
     return values
 
 

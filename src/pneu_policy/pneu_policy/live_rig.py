@@ -147,10 +147,17 @@ class LiveRig:
         self._control_port = 0
 
     def __enter__(self) -> "LiveRig":
-        """Starts lab, bridge and probe."""
+        """Starts lab, bridge and probe.
+
+        Raises:
+            InputError: They do not come up.
+        """
         self.folder.mkdir(parents=True, exist_ok=True)
         try:
             self._start()
+        except LateError as error:  # there is no run yet that could be repeated
+            self._stack.close()
+            raise InputError(f"lab {self.plant.name!r}: {error}; see {self.folder}") from None
         except BaseException:
             self._stack.close()
             raise

@@ -214,16 +214,16 @@ class PolicyFile:
             ]
             recipe, rig, training = about["recipe"], about["rig"], about["training"]
             log_std = float(arrays["log_std"])
+        except InputError as error:  # first, because it is a ValueError
+            raise InputError(f"{path}: {error}") from None
         except (KeyError, TypeError, ValueError) as error:
             what = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else error
             raise InputError(f"{path}: is no policy file ({what})") from None
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
         if not (isinstance(recipe, dict) and isinstance(rig, dict) and isinstance(training, dict)):
             raise InputError(f"{path}: is no policy file (recipe, rig and training are mappings)")
         try:
             return cls(weights, Recipe.from_dict(recipe), rig, training, log_std, path)
-        except InputError as error:
+        except (InputError, OverflowError) as error:  # a recipe with an infinite whole number
             raise InputError(f"{path}: {error}") from None
 
 

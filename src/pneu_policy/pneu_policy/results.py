@@ -284,6 +284,8 @@ def load(path: Path) -> Evaluation:
         return Evaluation(data["settings"], dict(data["controllers"]), runs, path.parent)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except InputError:  # before its base, ValueError
+        raise
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: is no evaluation ({error})") from None
 

@@ -127,7 +127,10 @@ def _train_one(run: Any) -> list[Any]:
                     said += f"  (without exploration {judged:.3f})"
                 bar.update(task, completed=row["iteration"], said=said)
 
-            history = sweep.train(run, report=report)
+            try:
+                history = sweep.train(run, report=report)
+            except FloatingPointError as error:
+                raise InputError(f"{run.folder}: {error}") from error
     return [sweep.Outcome(run, history)]
 
 

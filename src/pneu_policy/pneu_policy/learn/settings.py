@@ -45,7 +45,8 @@ class NpgSettings:
         value_steps: Gradient steps of that fit per iteration.
         value_batch: Samples per gradient step.
         rescale_values: Whether the value function works in units of the returns' spread.
-        bootstrap: Whether advantages count the value after the horizon, for tasks that would go on.
+        bootstrap: Whether advantages count what the value function says after the last step, as
+            mjrl does. It sees the time and is fitted to returns that end there, so this is little.
     """
 
     gamma: float = 0.995
