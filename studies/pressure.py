@@ -16,6 +16,8 @@ policy of training seed n modulo their number: every policy is run, none is chos
 """
 
 import argparse
+import hashlib
+import json
 import re
 import shutil
 import subprocess
@@ -32,10 +34,11 @@ from pneu_hw_bridge.lab.sealed import open_sealed
 from pneu_policy.evaluate import Conditions, Tasks, evaluate_simulated
 from pneu_policy.learn.settings import load_document
 from pneu_policy.learn.sweep import Run, expand
-from pneu_policy.learn.trainer import HISTORY
+from pneu_policy.learn.trainer import HISTORY, POLICY
 from pneu_policy.limit import evaluate_limit
 from pneu_policy.live import evaluate_live
 from pneu_policy.live_rig import LivePlant
+from pneu_policy.policy_file import PolicyFile
 from pneu_policy.results import Evaluation, error_rows, load, rich_table
 from pneu_sim.errors import InputError
 from pneu_sim.rig import load_rig
@@ -103,19 +106,36 @@ def variants(tube: str) -> dict[str, Path]:
 
 
 def train(console: Console, workers: int) -> None:
-    """Trains what is not trained, and puts the policies where they are kept."""
+    """Trains what is not trained as its settings say, and puts it where policies are kept."""
     for tube in TUBES:
         for variant, settings in variants(tube).items():
-            seeds = load_document(settings)["sweep"]["seed"]
-            if len(policies(tube, variant)) >= len(seeds):
-                continue
             out = OUT / "training" / f"{tube}_{variant}"
+            runs = expand(load_document(settings), out)
+            kept = {
+                run.folder: POLICIES / f"{tube}_{variant}_{run.settings.seed}.npz" for run in runs
+            }
+            if all(is_of(kept[run.folder], run) for run in runs):
+                continue
             words = ["train", str(settings.relative_to(ROOT)), "-o", str(out.relative_to(ROOT))]
             pneu(console, *words, "--resume", "--workers", str(workers))
             POLICIES.mkdir(exist_ok=True)
-            for found in sorted(out.glob("seed-*/policy.npz")):
-                seed = found.parent.name.removeprefix("seed-")
-                shutil.copyfile(found, POLICIES / f"{tube}_{variant}_{seed}.npz")
+            for folder, path in kept.items():
+                shutil.copyfile(folder / POLICY, path)
+
+
+def is_of(path: Path, run: Run) -> bool:
+    """Whether a policy is there and was trained as a run asks.
+
+    Args:
+        path: Its file.
+        run: The run.
+    """
+    if not path.exists():
+        return False
+    found = PolicyFile.load(path).training
+    rig = hashlib.sha256((ROOT / run.settings.env.rig).read_bytes()).hexdigest()
+    asked = json.loads(json.dumps(run.settings.to_dict()))
+    return bool(found["settings"] == asked and found["rig"]["sha256"] == rig)
 
 
 def ppo(console: Console, workers: int) -> None:
@@ -207,12 +227,18 @@ def opened(name: str) -> Evaluation:
         name: Of its folder.
     """
     path = OUT / name / "evaluation.json"
-    settings = {"tasks": TASKS.to_dict(), "conditions": asdict(Conditions())}
+    plants = {
+        tube: [hashlib.sha256(file.read_bytes()).hexdigest() for file in (parts.rig, parts.sealed)]
+        for tube, parts in TUBES.items()
+    }
+    settings = {"tasks": TASKS.to_dict(), "conditions": asdict(Conditions()), "plants": plants}
     if not path.exists():
         return Evaluation(settings, folder=path.parent)
     found = load(path)
     if found.settings != settings:
-        raise InputError(f"{path}: was made with other tasks; remove its folder to begin anew")
+        raise InputError(
+            f"{path}: was made with other tasks or plants; remove its folder to begin anew"
+        )
     return found
 
 

@@ -3,7 +3,6 @@
 
 import contextlib
 import os
-import random
 import threading
 import time
 
@@ -17,6 +16,7 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import qos_profile_sensor_data  # noqa: E402
+from tests.domains import own_domain_id  # noqa: E402
 
 
 class Graph:
@@ -128,7 +128,7 @@ def wait_and_see(condition, seconds):
 def own_domain():
     """Environment of a domain that other tests do not use, on loopback."""
     before = dict(os.environ)
-    os.environ["ROS_DOMAIN_ID"] = str(random.randint(1, 100))
+    os.environ["ROS_DOMAIN_ID"] = str(own_domain_id())
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     try:
         yield int(os.environ["ROS_DOMAIN_ID"])

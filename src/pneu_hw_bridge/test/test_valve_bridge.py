@@ -3,7 +3,6 @@
 
 import math
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -31,9 +30,10 @@ from rclpy.qos import (
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
+from tests.domains import own_domain_id
 
 SAFE_WITHIN_S = 0.15
-DOMAIN = random.SystemRandom().randrange(1, 101)
+DOMAIN = own_domain_id()
 ENVIRONMENT = {
     **os.environ,
     "ROS_DOMAIN_ID": str(DOMAIN),

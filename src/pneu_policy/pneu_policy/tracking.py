@@ -169,6 +169,8 @@ class EnvSettings:
                         f"env.{name}: found {values[name]!r}, a whole number is needed"
                     )
             return cls(**values)
+        except InputError:
+            raise
         except (TypeError, ValueError) as error:
             raise InputError(f"env: {error}") from None
 

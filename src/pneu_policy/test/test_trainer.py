@@ -330,3 +330,15 @@ def test_ppo_writes_the_same_history():
     assert history.algorithm == "ppo" and history.rows[-1]["eval_rmse_atm"] > 0.0
     reference = Trainer(settings()).iterate()
     assert set(history.rows[0]) <= set(reference)
+
+
+def test_a_rig_file_that_changed_meanwhile_is_noticed(tmp_path):
+    rig = tmp_path / "rig.yaml"
+    rig.write_bytes(Path(PLAIN["env"]["rig"]).read_bytes())
+    changed = TrainSettings.from_dict(PLAIN | {"env": PLAIN["env"] | {"rig": str(rig)}})
+    first = Trainer(changed)
+    first.iterate()
+    first.save(tmp_path / "checkpoint.pt")
+    rig.write_text(rig.read_text() + "# another\n")
+    with pytest.raises(InputError, match="as it was before it was changed"):
+        Trainer(changed).resume(tmp_path / "checkpoint.pt")

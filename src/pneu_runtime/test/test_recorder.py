@@ -2,7 +2,6 @@
 """Recorder and player on a graph of several processes."""
 
 import os
-import random
 import shutil
 import signal
 import subprocess
@@ -13,6 +12,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
+from tests.domains import own_domain_id
 
 from pneu_runtime.bag.reader import BagReader
 from pneu_runtime.bag.recover import recover_bag
@@ -54,7 +54,7 @@ finally:
 def environment(tmp_path):
     return {
         **os.environ,
-        "ROS_DOMAIN_ID": str(random.randint(1, 100)),
+        "ROS_DOMAIN_ID": str(own_domain_id()),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "ROS_LOG_DIR": str(tmp_path / "log"),
     }

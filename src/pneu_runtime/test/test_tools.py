@@ -2,7 +2,6 @@
 """The commands on the graph, against a node in another process."""
 
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -10,6 +9,7 @@ import time
 
 import pytest
 from ruamel.yaml import YAML
+from tests.domains import own_domain_id
 
 from pneu_runtime.tools.message_text import fill, parse_values, plain, yaml_text
 from pneu_runtime.tools.rates import Bandwidth, Rate
@@ -52,7 +52,7 @@ TOPIC = "/rig/taps/end/pressure"
 def environment(tmp_path_factory):
     return {
         **os.environ,
-        "ROS_DOMAIN_ID": str(random.randint(1, 100)),
+        "ROS_DOMAIN_ID": str(own_domain_id()),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "ROS_LOG_DIR": str(tmp_path_factory.mktemp("log")),
     }

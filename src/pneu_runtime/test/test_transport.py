@@ -2,7 +2,6 @@
 """The transport within one process: topics, services, waiting, graph, quality of service."""
 
 import json
-import random
 import threading
 import time
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from pathlib import Path
 import cyclonedds.builtin as builtin
 import pytest
 from cyclonedds.domain import DomainParticipant
+from tests.domains import own_domain_id
 
 from pneu_runtime import interfaces
 from pneu_runtime.transport import (
@@ -26,7 +26,7 @@ from pneu_runtime.transport import (
 )
 from pneu_runtime.transport.idl import topic_type
 
-DOMAIN = random.Random().randrange(1, 101)
+DOMAIN = own_domain_id()
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 STRING = "std_msgs/msg/String"
 TRIGGER = "std_srvs/srv/Trigger"

@@ -2,7 +2,6 @@
 """The transport across processes: discovery without multicast, stalls, signals."""
 
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -10,11 +9,12 @@ import threading
 import time
 
 import pytest
+from tests.domains import own_domain_id
 
 from pneu_runtime import interfaces
 from pneu_runtime.transport import EndpointQos, Session, TransportError, Waiter
 
-DOMAIN = random.Random().randrange(1, 101)
+DOMAIN = own_domain_id()
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 STRING = "std_msgs/msg/String"
 IMAGE = "sensor_msgs/msg/Image"

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A trained policy as a file that runs without PyTorch, with where it comes from."""
 
-import hashlib
 import importlib.metadata
 import platform
 from pathlib import Path
@@ -45,7 +44,7 @@ def export_policy(trainer: "Trainer", path: str | Path) -> PolicyFile:
         "model": rig.model,
         "rig": {
             "file": Path(trainer.settings.env.rig).name,
-            "sha256": hashlib.sha256(Path(trainer.settings.env.rig).read_bytes()).hexdigest(),
+            "sha256": trainer.rig_sha256,
         },
         "score": last["eval_score"],
         "rmse_pa": None if last["eval_rmse_atm"] is None else last["eval_rmse_atm"] * ATM_PA,

@@ -7,6 +7,7 @@ is taken up again does bit for bit what it would have done uninterrupted.
 """
 
 import contextlib
+import hashlib
 import signal
 import threading
 import time
@@ -58,6 +59,7 @@ class Trainer:
         values: The value function.
         average: Average of the iterates as one vector, where the settings ask for one.
         rows: History so far, one row per iteration done.
+        rig_sha256: Digest of the rig file.
     """
 
     def __init__(
@@ -78,6 +80,9 @@ class Trainer:
         torch.set_num_threads(settings.threads)
         self.settings = settings
         self.env = make_env(settings.env) if env is None else env
+        # Of the file as it is now: it may be changed while the training goes on.
+        rig = Path(settings.env.rig)
+        self.rig_sha256 = hashlib.sha256(rig.read_bytes()).hexdigest() if rig.exists() else ""
         n = settings.npg
         inputs = int(self.env.single_observation_space.shape[0])  # type: ignore[index]
         actions = int(self.env.single_action_space.shape[0])  # type: ignore[index]
@@ -188,6 +193,7 @@ class Trainer:
         """
         state = {
             "settings": self.settings.to_dict(),
+            "rig_sha256": self.rig_sha256,
             "policy": self.policy.state_dict(),
             "values": self.values.state_dict(),
             "optimiser": self._optimiser.state_dict(),
@@ -210,6 +216,11 @@ class Trainer:
             other = first_difference(state["settings"], self.settings.to_dict(), ("iterations",))
             if other:
                 raise InputError(f"{path}: the checkpoint is of other settings: {other}")
+            if state["rig_sha256"] != self.rig_sha256:
+                raise InputError(
+                    f"{path}: the checkpoint is of the rig file {self.settings.env.rig} as it was"
+                    " before it was changed; start anew"
+                )
             self.policy.load_state_dict(state["policy"])
             self.values.load_state_dict(state["values"])
             self._optimiser.load_state_dict(state["optimiser"])
