@@ -152,8 +152,11 @@ class Recipe:
                 elif name == "line":
                     value = tuple((str(pipe), int(points)) for pipe, points in value)
                 else:
-                    value = int(value) if field.type is int else float(value)
-            except (TypeError, ValueError):
+                    number = float(value)
+                    if isinstance(value, str) or (field.type is int and number != int(number)):
+                        raise TypeError
+                    value = int(number) if field.type is int else number
+            except (TypeError, ValueError, OverflowError):
                 raise InputError(f"{name}: found {value!r} in a recipe") from None
             values[name] = value
         return cls(**values)

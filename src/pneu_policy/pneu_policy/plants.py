@@ -127,9 +127,10 @@ class Plant(ABC):
         """Sets how late commands reach the valves, from the next reset on.
 
         Args:
-            delay_s: (count,) s.
+            delay_s: (count,) delay beyond the rig's own, s.
         """
-        self._spool[:, 0, V_DELAY] = delay_s
+        own = np.array([model.spool[0, V_DELAY] for model in self._models])
+        self._spool[:, 0, V_DELAY] = own + delay_s
         self._fit_past()
 
     def reset(self, pressure_pa: Floats | float) -> Floats:

@@ -117,6 +117,7 @@ def test_features_are_what_their_names_say():
         ({"levels": 99}, "levels"),
         ({"colour": 1}, "colour"),
         ({"past": "two"}, "past"),
+        ({"past": 1.7}, "past: found 1.7"),
     ],
 )
 def test_a_recipe_that_makes_no_sense_is_refused(change, message):

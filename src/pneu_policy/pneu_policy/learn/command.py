@@ -183,12 +183,14 @@ def _table(outcomes: list[Any]) -> Table:
             continue
         last, first = outcome.history.rows[-1], outcome.history.time_to(0.1)
         reached = "-" if first is None else f"{first['wall_s']:.0f} s, {first['samples']} samples"
+        # A run that is asked for fewer iterations than it has done may end between evaluations.
+        judged = last["eval_score"] is not None
         table.add_row(
             escape(outcome.run.name),
             str(last["iteration"]),
             str(last["samples"]),
-            f"{last['eval_score']:.2f}",
-            f"{last['eval_rmse_atm']:.4f}",
+            f"{last['eval_score']:.2f}" if judged else "-",
+            f"{last['eval_rmse_atm']:.4f}" if judged else "-",
             reached,
             f"{last['wall_s']:.0f} s",
         )

@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 from pneu_policy.learn.history import History
 from pneu_sim.errors import InputError
 
-COLOURS = ("#1f5fa8", "#c8501e", "#2e8b57", "#8a3ffc", "#b8860b", "#555555")
+COLOURS = (
+    "#1f5fa8", "#c8501e", "#2e8b57", "#8a3ffc", "#b8860b",
+    "#555555", "#e377c2", "#17becf", "#000000",
+)  # fmt: skip
 """Told apart also where colours are not seen well, in this order."""
 
 _POINTS = 200
