@@ -57,8 +57,8 @@ COMPARED = """## What is compared
 
 All policies share the algorithm, its settings, the number of episodes, the targets, and, but for
 the `_plain` ones, noise and commands that are 3 to 12 ms late. They differ in the model, and, as in
-the thesis, in what the model knows: all taps, or the controlled one alone. `one_tap` stands between:
-the full model, one tap.
+the thesis, in what the model knows: all taps, or the controlled one alone. `one_tap` stands
+between: the full model, one tap.
 Each model's ensemble is drawn by the standard errors of its own calibration; those of the thin
 plate are wide, and some of its draws stand at the bounds of their parameters (the spool's bandwidth
 of the long tube at 164 Hz).
