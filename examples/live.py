@@ -214,6 +214,8 @@ def main() -> int:
     """Runs the story; returns the exit status."""
     os.chdir(ROOT)
     console = Console(width=140) if not sys.stdout.isatty() else Console()
+    if len(sys.argv) > 1 and not sys.argv[1].isdigit():
+        sys.exit(f"seed: found {sys.argv[1]!r}, a whole number is needed")
     seed = int(sys.argv[1]) if len(sys.argv) > 1 else 1
     began = time.monotonic()
     shutil.rmtree(OUT, ignore_errors=True)

@@ -67,12 +67,7 @@ The settings (discount, iterations, averaging) were chosen on the short tube and
 `_fine` policies were added after the others had been looked at in simulation, on the targets of the
 table too; on the lab nothing had run before.
 
-The thin plate's policies swing on the long tube, and on the calibrated model of the short one ("In
-simulation", below); on the short plant of the lab, whose hidden effects damp it, they do not, and
-do as well as the others. The thesis tells of no ensemble and of no delays drawn at random. Trained
-so (`_plain`), both models' policies are worse on the short tube, and the thin plate's far worse:
-what the ensemble teaches stands in for the waves and travel times that the thin plate lacks, as
-long as they are short.
+What was found is told in [control.md](control.md#what-the-study-found).
 """
 MAIN = ("pde", "plate", "pde_fine", "plate_fine", "pid", "feed_forward", LIMIT)
 PLAIN = ("pde", "plate", "pde_plain", "plate_plain")

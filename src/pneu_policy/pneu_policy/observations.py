@@ -20,6 +20,9 @@ Floats = NDArray[np.float64]
 GAS = ("density", "velocity", "pressure")
 """State variables of the gas at a point of a line, in the order in which they are told."""
 
+DENSITY_KG_M3, VELOCITY_M_S = 1.2, 100.0
+"""Densities and velocities of the gas are told in these."""
+
 
 @dataclass(frozen=True)
 class Recipe:
@@ -175,6 +178,14 @@ class Observer:
         self.recipe = recipe
         self._controlled = recipe.taps.index(recipe.tap)
         self._zoom = recipe.base ** np.arange(recipe.levels)
+        counts = [points for _, points in recipe.line]
+        self._line_from = np.concatenate(
+            [np.repeat([0.0, 0.0, recipe.centre_pa], n) for n in counts] or [np.empty(0)]
+        )
+        self._line_in = np.concatenate(
+            [np.repeat([DENSITY_KG_M3, VELOCITY_M_S, recipe.range_pa], n) for n in counts]
+            or [np.empty(0)]
+        )
         self._before: Floats | None = None
         self._commands = np.zeros((count, recipe.past))
         self._features = np.empty((count, recipe.size))
@@ -223,7 +234,7 @@ class Observer:
         if r.line:
             if line is None:
                 raise ValueError("the recipe wants the gas of lines, found none")
-            out[:, at:] = line
+            out[:, at:] = (line - self._line_from) / self._line_in
         return out
 
     def acted(self, volts: Floats) -> None:

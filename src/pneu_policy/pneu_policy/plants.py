@@ -31,7 +31,8 @@ from pneu_sim.rig.build import (
     Model,
     Plan,
     build,
-    plan_grid,
+    common_plan,
+    reservoir_of_pipes,
 )
 from pneu_sim.rig.schema import Rig
 from pneu_sim.valve import KNOTS_PER_SAMPLE, batch_openings
@@ -228,14 +229,13 @@ class Plant(ABC):
 
     @abstractmethod
     def line(self, points: Sequence[tuple[str, int]]) -> Floats:
-        """Gas at evenly spaced points of lines, in the units of a recipe's features.
+        """Gas at evenly spaced points of lines.
 
         Args:
             points: Pipes with their numbers of points.
 
         Returns:
-            (count, 3 points): per pipe densities over that of the room, velocities in 100 m/s,
-            pressures from 350 kPa in 200 kPa.
+            (count, 3 points): per pipe densities, kg/m^3, velocities, m/s, and pressures, Pa.
         """
 
     @abstractmethod
@@ -293,7 +293,7 @@ class PdePlant(Plant):
 
     def _fill(self, pressure_pa: Floats) -> Floats:
         first = self.rigs[0]
-        fed = _fed_pipes(first, self.plan)
+        fed = reservoir_of_pipes(first, self.plan)
         out = np.empty((len(self.taps), self.count))
         for tile, lanes in zip(self._tiles, self._lanes, strict=True):
             p = np.repeat(pressure_pa[None, lanes], self.plan.slots, axis=0)
@@ -348,10 +348,7 @@ class PdePlant(Plant):
             slots = start + np.minimum(((np.arange(n) + 0.5) * cells / n).astype(int), cells - 1)
             gas = np.empty((3, n, self.count))
             for tile, lanes in zip(self._tiles, self._lanes, strict=True):
-                rho, momentum, energy = tile.state[:3, slots]
-                u = momentum / rho
-                p = (self._gas.gamma - 1.0) * (energy - 0.5 * momentum * u)
-                gas[:, :, lanes] = rho / 1.2, u / 100.0, (p - 350e3) / 200e3
+                gas[:, :, lanes] = tiles.gas_in(tile, slots)
             columns.append(gas.reshape(3 * n, self.count).T)
         return np.concatenate(columns, axis=1)
 
@@ -483,32 +480,14 @@ class LumpedPlant(Plant):
 
 def _on_one_plan(rigs: Sequence[Rig], dx_m: float | None, gas: Gas) -> tuple[Plan, list[Model]]:
     """Plan of the first rig and the models of all on it."""
-    first = rigs[0]
-    plan = plan_grid(first, dx_m)
+    plan = common_plan(rigs, dx_m)
     for other in rigs[1:]:
-        same = list(other.pipes) == list(first.pipes) and np.array_equal(
-            plan_grid(other, dx_m).ends, plan.ends
-        )
-        if not same or other.model != first.model:
+        if other.model != rigs[0].model:
             raise InputError(
-                f"rig {other.name!r} has another structure or model than {first.name!r}; rigs that"
-                " run side by side share one"
+                f"rig {other.name!r}: model: found {other.model}, {rigs[0].name!r} beside it has"
+                f" {rigs[0].model}"
             )
     return plan, [build(rig, plan, gas) for rig in rigs]
-
-
-def _fed_pipes(rig: Rig, plan: Plan) -> dict[str, int]:
-    """Pipes that a reservoir fills without a valve between, with the reservoir's number."""
-    found: dict[str, int] = {}
-    reached = {name: i for i, name in enumerate(plan.reservoirs)}
-    for _ in rig.pipes:
-        for name, pipe in rig.pipes.items():
-            for node, far in ((pipe.from_node, pipe.to_node), (pipe.to_node, pipe.from_node)):
-                if node in reached and name not in found:
-                    found[name] = reached[node]
-                    if far not in rig.chambers and far != "closed":
-                        reached.setdefault(far, reached[node])
-    return found
 
 
 def make_plant(

@@ -77,7 +77,13 @@ def test_lines_of_a_plant_are_told_and_a_lumped_one_has_none():
     gas = plant.line((("tube", 4),))
     assert gas.shape == (2, 12)
     assert np.allclose(gas[:, 4:8], 0.0)  # at rest
-    assert np.allclose(gas[:, 8:], 0.0)  # at the centre of the scale
+    assert np.allclose(gas[:, 8:], 350e3)
+    assert np.allclose(gas[:, :4], 350e3 / (287.05 * 293.15), rtol=2e-3)  # ideal gas
+    seen = Observer(Recipe("end", ("end",), line=(("tube", 4),)), 2).observe(
+        np.full((2, 1), 350e3), np.full((2, 6), 350e3), gas
+    )
+    assert np.allclose(seen[:, -4:], 0.0)  # at the centre of the scale
+    assert np.allclose(seen[:, -12:-8], gas[:, :4] / 1.2)
     with pytest.raises(InputError, match="pipe 'hose'"):
         plant.line((("hose", 2),))
     with pytest.raises(InputError, match="knows no gas along its lines"):

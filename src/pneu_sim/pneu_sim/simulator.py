@@ -13,8 +13,8 @@ from pneu_sim import sensors
 from pneu_sim import tile as tiles
 from pneu_sim.errors import InputError
 from pneu_sim.gas import AIR, Gas
-from pneu_sim.rig.build import S_LAG, S_OFFSET, build, plan_grid
-from pneu_sim.rig.schema import CLOSED, Rig
+from pneu_sim.rig.build import S_LAG, S_OFFSET, build, common_plan, reservoir_of_pipes
+from pneu_sim.rig.schema import Rig
 from pneu_sim.valve import SpoolState, openings
 
 Floats = NDArray[np.float64]
@@ -65,17 +65,7 @@ class Simulator:
         """
         self._single = isinstance(rig, Rig)
         self.rigs: list[Rig] = [rig] if isinstance(rig, Rig) else list(rig)
-        first = self.rigs[0]
-        self._plan = plan_grid(first, dx_m)
-        for other in self.rigs[1:]:
-            same = list(other.pipes) == list(first.pipes) and np.array_equal(
-                plan_grid(other, dx_m).ends, self._plan.ends
-            )
-            if not same:
-                raise InputError(
-                    f"rig {other.name!r} has other pipes, nodes or cells than {first.name!r};"
-                    " rigs that run side by side share one structure"
-                )
+        self._plan = common_plan(self.rigs, dx_m)
         self._models = [build(r, self._plan, gas) for r in self.rigs]
         self._gas = gas
         self.reset()
@@ -108,7 +98,7 @@ class Simulator:
         room = self._tile.ambient[0]
         p = np.tile(room, (self._plan.slots, 1))
         pc = np.tile(room, (len(self._plan.chambers), 1))
-        nodes = self._reservoir_nodes()
+        nodes = reservoir_of_pipes(first, self._plan)
         for name in first.pipes:
             start, n = self._plan.pipes[name]
             value = given.get(name)
@@ -121,23 +111,6 @@ class Simulator:
                 pc[c] = np.broadcast_to(np.asarray(given[name], dtype=float), (w,))
         tiles.fill_pipes(self._tile, p, self._tile.ambient[1])
         tiles.fill_chambers(self._tile, pc, np.tile(self._tile.ambient[1], (pc.shape[0], 1)))
-
-    def _reservoir_nodes(self) -> dict[str, int]:
-        """Reservoir that each pipe is filled from, through pipes alone."""
-        first = self.rigs[0]
-        found: dict[str, int] = {}
-        reached = {name: i for i, name in enumerate(self._plan.reservoirs)}
-        for _ in first.pipes:
-            for name, pipe in first.pipes.items():
-                for node, far in (
-                    (pipe.from_node, pipe.to_node),
-                    (pipe.to_node, pipe.from_node),
-                ):
-                    if node in reached and name not in found:
-                        found[name] = reached[node]
-                        if far != CLOSED and far not in first.chambers:
-                            reached.setdefault(far, reached[node])
-        return found
 
     def set_state(
         self, pipe: str, density: ArrayLike, velocity: ArrayLike, pressure: ArrayLike
@@ -247,15 +220,7 @@ class Simulator:
             InputError: There is no such pipe.
         """
         start, n = self._span(pipe)
-        span = slice(start, start + n)
-        cell, (mass, momentum, energy) = self._tile.cell[:, span], self._tile.state[:3, span]
-        gm = self._gas.gamma - 1.0
-        k, rest = cell[L.COMPLIANCE], cell[L.REST_P]
-        u = momentum / mass
-        e = gm * (energy - 0.5 * momentum * u + 0.5 * k * rest**2)
-        b = 1.0 - k * rest
-        p = 2.0 * e / (b + np.sqrt(b * b + 2.0 * k * (gm + 2.0) * e))
-        rho = mass / (1.0 + k * (p - rest))
+        rho, u, p = tiles.gas_in(self._tile, slice(start, start + n))
         length = self.rigs[0].pipes[pipe].length_m
         table = {
             "density": rho,

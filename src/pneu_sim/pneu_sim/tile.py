@@ -146,6 +146,23 @@ def fill_pipes(
     )
 
 
+def gas_in(tile: Tile, slots: slice | Ints) -> tuple[Floats, Floats, Floats]:
+    """Density, velocity and pressure of the gas in some slots, each (slots, lanes).
+
+    Args:
+        tile: The batch.
+        slots: Which.
+    """
+    cell, (mass, momentum, energy) = tile.cell[:, slots], tile.state[:3, slots]
+    gm = tile.models[0].gas.gamma - 1.0
+    k, rest = cell[L.COMPLIANCE], cell[L.REST_P]
+    u = momentum / mass
+    e = gm * (energy - 0.5 * momentum * u + 0.5 * k * rest**2)
+    b = 1.0 - k * rest
+    p = 2.0 * e / (b + np.sqrt(b * b + 2.0 * k * (gm + 2.0) * e))
+    return mass / (1.0 + k * (p - rest)), u, p
+
+
 def fill_chambers(tile: Tile, pressure: Floats, temperature: Floats) -> None:
     """Sets the gas in the chambers.
 

@@ -52,11 +52,13 @@ def learning_curves(
     path = Path(path)
     if not groups or not all(groups.values()):
         raise InputError(f"{path}: no histories to draw")
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    figure = Figure(figsize=(11.0, 3.8), layout="constrained")
     panels = figure.subplots(1, 2)
     for axes, (key, label, scale) in zip(panels, PANELS, strict=True):
         for number, (name, histories) in enumerate(groups.items()):
-            _draw_group(axes, key, name, histories, COLOURS[number % len(COLOURS)], scale)
+            again, colour = divmod(number, len(COLOURS))
+            style = (COLOURS[colour], "--" if again else "-")
+            _draw_group(axes, key, name, histories, style, scale)
         axes.set(xlabel="samples (control periods)", ylabel=label, yscale=scale, xlim=(0, None))
         axes.ticklabel_format(axis="x", style="sci", scilimits=(0, 5), useMathText=True)
         axes.grid(True, which="both" if scale == "log" else "major", alpha=0.25, linewidth=0.5)
@@ -66,7 +68,8 @@ def learning_curves(
     panels[1].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     panels[1].yaxis.set_major_formatter("{x:g}")
     panels[1].yaxis.set_minor_formatter(NullFormatter())
-    panels[0].legend(frameon=False, loc="lower right")
+    # Beside the panels, as many groups would hide the curves.
+    panels[1].legend(frameon=False, loc="center left", bbox_to_anchor=(1.02, 0.5), fontsize="small")
     if title:
         figure.suptitle(title)
     aside = path.with_name(f".{path.name}.part")
@@ -83,8 +86,14 @@ def learning_curves(
 
 
 def _draw_group(
-    axes: Axes, key: str, name: str, histories: Sequence[History], colour: str, scale: str
+    axes: Axes,
+    key: str,
+    name: str,
+    histories: Sequence[History],
+    style: tuple[str, str],
+    scale: str,
 ) -> None:
+    colour, dashes = style
     curves = [_curve(history, key) for history in histories]
     for samples, values in curves:
         light = 0.35 if len(curves) > 1 else 1.0
@@ -96,7 +105,14 @@ def _draw_group(
     log = scale == "log"
     each = [np.interp(grid, x, np.log(y) if log else y) for x, y in curves]
     mean = np.mean(each, axis=0)
-    axes.plot(grid, np.exp(mean) if log else mean, color=colour, linewidth=2.0, label=label)
+    axes.plot(
+        grid,
+        np.exp(mean) if log else mean,
+        color=colour,
+        linestyle=dashes,
+        linewidth=2.0,
+        label=label,
+    )
 
 
 def _curve(history: History, key: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -224,6 +224,49 @@ def plan_grid(rig: Rig, dx_m: float | None = None) -> Plan:
     )
 
 
+def common_plan(rigs: Sequence[Rig], dx_m: float | None = None) -> Plan:
+    """Plan of rigs that run side by side.
+
+    Args:
+        rigs: The rigs.
+        dx_m: Cell length that replaces theirs, m.
+
+    Raises:
+        InputError: They do not share one structure.
+    """
+    first = rigs[0]
+    plan = plan_grid(first, dx_m)
+    for other in rigs[1:]:
+        same = list(other.pipes) == list(first.pipes) and np.array_equal(
+            plan_grid(other, dx_m).ends, plan.ends
+        )
+        if not same:
+            raise InputError(
+                f"rig {other.name!r} has other pipes, nodes or cells than {first.name!r};"
+                " rigs that run side by side share one structure"
+            )
+    return plan
+
+
+def reservoir_of_pipes(rig: Rig, plan: Plan) -> dict[str, int]:
+    """Number of the reservoir that each pipe is filled from, through pipes alone.
+
+    Args:
+        rig: The rig.
+        plan: Its plan.
+    """
+    found: dict[str, int] = {}
+    reached = {name: i for i, name in enumerate(plan.reservoirs)}
+    for _ in rig.pipes:
+        for name, pipe in rig.pipes.items():
+            for node, far in ((pipe.from_node, pipe.to_node), (pipe.to_node, pipe.from_node)):
+                if node in reached and name not in found:
+                    found[name] = reached[node]
+                    if far != CLOSED and far not in rig.chambers:
+                        reached.setdefault(far, reached[node])
+    return found
+
+
 def _areas(pipe: Pipe, faces: Floats) -> tuple[Floats, Floats]:
     """Mean area of each cell and area of each face of a pipe, before neighbours are compared."""
     n = faces.size - 1
