@@ -35,6 +35,9 @@ def register(app: typer.Typer) -> None:
     lab.command("fault")(fault)
     lab.command("clear")(clear)
     lab.command("status")(status)
+    lab.command("stand")(stand)
+    lab.command("go")(go)
+    lab.command("restart")(restart)
     lab.command("seal")(seal_effects)
     lab.command("reveal")(reveal)
     app.add_typer(lab, name="lab")
@@ -61,7 +64,23 @@ def run(
         float | None,
         typer.Option(help="Cell length of the plant, m.", show_default="half of the rig's"),
     ] = None,
-    sample: Annotated[float, typer.Option(help="Interval of the device's samples, s.")] = 1e-3,
+    sample: Annotated[
+        float, typer.Option(help="Interval of the plant's samples and of the device's outputs, s.")
+    ] = 1e-3,
+    period: Annotated[
+        float, typer.Option(help="Interval of the samples of a device with a clock, s.")
+    ] = 2e-3,
+    paced: Annotated[
+        float | None,
+        typer.Option(
+            help="Seconds of device time per second, at most 1, of a device with a clock. Its time"
+            " waits for the machine and for its reader instead of being real time.",
+            show_default="real time",
+        ),
+    ] = None,
+    standing: Annotated[
+        bool, typer.Option("--standing", help="With --paced: time stands still until lab go.")
+    ] = False,
     latency: Annotated[float, typer.Option(help="Age at which a reading shows, s.")] = 2e-3,
     noise: Annotated[
         float | None, typer.Option(help="Sensor noise, Pa.", show_default="the rig's")
@@ -100,6 +119,9 @@ def run(
             expose=expose,
             dx_m=dx,
             sample_s=sample,
+            period_s=period,
+            pace=paced,
+            standing=standing,
             latency_s=latency,
             noise_pa=noise,
             quantum_pa=quantum,
@@ -153,6 +175,27 @@ def status(control_port: ControlPort = CONTROL_PORT, ready_file: ReadyFile = Non
     answer = ask(_control_port(control_port, ready_file), {"do": "status"})
     answer.pop("ok")
     print(json.dumps(answer, indent=2))
+
+
+def stand(control_port: ControlPort = CONTROL_PORT, ready_file: ReadyFile = None) -> None:
+    """Have the time of a paced lab stand still."""
+    ask(_control_port(control_port, ready_file), {"do": "stand"})
+
+
+def go(
+    seconds: Annotated[
+        float | None, typer.Option(help="How long, device time, s.", show_default="for good")
+    ] = None,
+    control_port: ControlPort = CONTROL_PORT,
+    ready_file: ReadyFile = None,
+) -> None:
+    """Have the time of a paced lab pass again."""
+    ask(_control_port(control_port, ready_file), {"do": "go", "seconds": seconds})
+
+
+def restart(control_port: ControlPort = CONTROL_PORT, ready_file: ReadyFile = None) -> None:
+    """Have clock, counters and outputs of a lab's device begin anew, as after a loss of supply."""
+    ask(_control_port(control_port, ready_file), {"do": "restart"})
 
 
 def seal_effects(

@@ -16,7 +16,7 @@ from pneu_hw_bridge.safety.supervisor import State, Supervisor
 MOST_CHANGES = 4
 """Changes of state that are kept until the node reports them; of more the first are dropped."""
 
-MOST_WAITING = 64
+MOST_WAITING = 512
 """Samples kept for a node that does not come to publish them; older ones are dropped."""
 
 
@@ -91,19 +91,22 @@ class Link:
             self._look(now_s)
             return self._output
 
-    def readings(self, values: Mapping[str, float], steady_s: float, stamp_ns: int) -> None:
+    def readings(self, values: Mapping[str, float], steady_s: float, stamp_ns: int | None) -> None:
         """Takes what was read in one cycle.
 
         Args:
             values: SI value per channel.
             steady_s: Steady time of acquisition.
-            stamp_ns: Time of acquisition, ns.
+            stamp_ns: Time of acquisition, ns; None where it is not known, so that nobody but the
+                supervisor learns of it.
         """
         with self._lock:
             for name in self._supervisor.limits.sensors:
                 if name in values:
                     self._supervisor.reading(name, values[name], steady_s)
             self._readings = values
+            if stamp_ns is None:
+                return
             self._count += 1
             due = self._count % self._every == 0
             if due:

@@ -87,6 +87,14 @@ def lab(tmp_path_factory):
         yield one
 
 
+@pytest.fixture(scope="module")
+def logging_lab(tmp_path_factory):
+    """The same behind a device with a clock of its own."""
+    options = ("--seed", "7", "--registers", "logging_plc")
+    with running_lab(tmp_path_factory.mktemp("lab"), *options) as one:
+        yield one
+
+
 @pytest.fixture
 def healthy_lab(lab):
     """The shared lab, without faults before and after."""

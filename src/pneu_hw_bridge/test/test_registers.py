@@ -165,6 +165,64 @@ def test_bad_maps_are_refused_in_one_sentence(text, says):
     assert str(caught.value).startswith("map.yaml: ")
 
 
+TAPPED = (
+    HEAD
+    + "  a: "
+    + WRITE
+    + """
+  p: {direction: read, table: input, address: 6, type: uint16, unit: Pa, range: [0, 1.0e6]}
+clock:
+  samples:
+    counter: {address: 0}
+    time: {address: 2, type: uint64, tick_s: 1.0e-9}
+    records: 3
+    stride: 8
+  commands:
+    counter: {address: 40}
+    time: {address: 42, tick_s: 1.0e-6}
+    values: {a: 44}
+"""
+)
+
+
+def test_a_clock_is_read():
+    registers = parse_register_map(TAPPED, "map.yaml")
+    samples, commands = registers.sample_span, registers.command_span
+    assert (samples.table, samples.address, samples.count) == ("input", 0, 23)
+    assert (commands.table, commands.address, commands.count) == ("input", 40, 6)
+    count = registers.clock.samples.time
+    assert count.decode([0, 0, 1, 2]) == 2**16 + 2
+    assert count.encode(2**64 + 2**16 + 2) == [0, 0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("counter: {address: 0}", "counter: {adress: 0}", "did you mean 'address'"),
+        ("counter: {address: 0}", "counter: {address: 0, type: float32}", "clock.samples.counter"),
+        ("counter: {address: 0}", "counter: {address: 6}", "both use input 6"),
+        ("counter: {address: 0}", "counter: {table: holding, address: 9}", "no single read has"),
+        ("tick_s: 1.0e-9", "tick_s: 0.0", "clock.samples.time.tick_s"),
+        ("tick_s: 1.0e-9", "period: 1.0e-9", "known are address, byte_order, table, tick_s, type"),
+        ("stride: 8", "stride: 6", "less than the 7 registers of a record"),
+        ("    stride: 8\n", "", "3 records need a stride"),
+        ("records: 3", "records: 17", "take 135 registers, one read has at most 125"),
+        ("records: 3", "records: 6", "both use input 40"),
+        ("values: {a: 44}", "values: {b: 44}", "found b, needed are the outputs a"),
+        ("values: {a: 44}", "values: {a: 43}", "both use input 43"),
+        ("unit: Pa", "unit: K", "no channel in Pa that is sampled"),
+        ("direction: read, table: input", "direction: read, table: holding", "no single read has"),
+    ],
+)
+def test_a_clock_that_cannot_be_is_refused_in_one_sentence(old, new, says):
+    assert old in TAPPED
+    with pytest.raises(InputError) as caught:
+        parse_register_map(TAPPED.replace(old, new, 1), "map.yaml")
+    assert says in str(caught.value)
+    assert str(caught.value).startswith("map.yaml: ")
+    assert "\n" not in str(caught.value)
+
+
 def test_missing_map_names_the_profiles():
-    with pytest.raises(InputError, match="generic_plc, labjack_t"):
+    with pytest.raises(InputError, match="generic_plc, labjack_t, logging_plc"):
         load_register_map("no_such_map.yaml")

@@ -27,6 +27,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
     qos_profile_sensor_data,
 )
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
@@ -189,6 +190,44 @@ def test_readings_and_commands(bridge, lab, graph, wait_until):
     assert cause == "write"
 
 
+def test_a_device_with_a_clock(start_lab, tmp_path, graph, wait_until):
+    """Stamps step as the device samples, commands and /clock are in its time, nothing is lost."""
+    applied, clock = [], []
+    listen = graph.node.create_subscription
+    listen(ValveCommand, "valve/applied", applied.append, 50)
+    listen(Clock, "/clock", clock.append, 50)
+    with (
+        start_lab(tmp_path, "--registers", "logging_plc", "--paced", "1") as lab,
+        running_bridge(
+            lab.port, "autostart:=true", "register_map:=logging_plc", "publish_clock:=true"
+        ),
+    ):
+        follow(lab, graph, wait_until, 6.0)
+        first = len(graph.sets)
+        follow(lab, graph, wait_until, 5.0)
+        time.sleep(0.5)
+        told = [ns(one.header.stamp) for one in graph.sets[first:]]
+        wait_until(lambda: graph.status("device clock").message == "works")
+        assert graph.status("device clock").level == b"\0"
+        taken = list(applied)
+        lab.ask("restart")
+
+        def restarted():
+            values = {one.key: one.value for one in graph.status("device clock").values}
+            return values["compared anew"] == "1"
+
+        wait_until(restarted)
+    assert len(told) > 200
+    assert {b - a for a, b in pairwise(told)} == {2_000_000}
+    assert {ns(one.clock) for one in clock} & set(told)
+    since = [(ns(one.header.stamp) - told[0]) % 1_000_000 for one in taken]
+    assert max(since) <= 1 and 6.0 in {one.voltage_v[0] for one in taken}
+
+
+def ns(stamp):
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
 def test_diagnostics(bridge, lab, graph, wait_until):
     follow(lab, graph, wait_until)
     wait_until(lambda: graph.status() is not None and graph.status().message == "following")
@@ -332,6 +371,7 @@ def test_parameters(healthy_lab, graph, wait_until):
     [
         ("use_sim_time:=true", "keep the machine's time"),
         ("register_map:=no_such_map.yaml", "could not be configured"),
+        ("publish_clock:=true", "'generic_plc' names no clock of the device"),
     ],
 )
 def test_bad_start(parameter, says, healthy_lab):

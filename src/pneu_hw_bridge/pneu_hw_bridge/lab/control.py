@@ -91,7 +91,18 @@ class Control:
             return {"fault": active.kind.name, "steady_s": now_s}
         if what == "clear":
             return {"cleared": self._device.faults.clear(str(request.get("name") or ""))}
-        raise InputError(f"do: found {what!r}, known are status, history, fault, clear")
+        if what == "stand":
+            self._plant.stand()
+            return {}
+        if what == "go":
+            seconds = request.get("seconds")
+            self._plant.go(None if seconds is None else float(seconds))
+            return {}
+        if what == "restart":
+            self._device.restart()
+            return {}
+        known = "status, history, fault, clear, stand, go, restart"
+        raise InputError(f"do: found {what!r}, known are {known}")
 
     def _status(self, now_s: float) -> dict[str, Any]:
         plant = dataclasses.asdict(self._plant.status())

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Modbus device of the emulated lab: registers in front of a plant, with its own watchdog."""
+"""The Modbus device of the emulated lab: registers in front of a plant, with its own watchdog.
+
+Where the register map names a clock, the device shows its latest samples and commands as records
+with number and device time, all from one moment in one read. Device time is the plant's.
+"""
 
 import asyncio
 import math
@@ -15,7 +19,8 @@ from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from pneu_hw_bridge.lab.faults import Faults
-from pneu_hw_bridge.lab.plant import Plant
+from pneu_hw_bridge.lab.plant import Plant, Sample
+from pneu_hw_bridge.registers.clock import Count
 from pneu_hw_bridge.registers.schema import ChannelBase, Output, RegisterMap
 from pneu_sim.errors import InputError
 
@@ -37,6 +42,7 @@ _RANGES = {
     "uint16": (0, 2**16 - 1),
     "int32": (-(2**31), 2**31 - 1),
     "uint32": (0, 2**32 - 1),
+    "uint64": (0, 2**64 - 1),
 }
 
 
@@ -53,6 +59,21 @@ class Change:
     steady_s: float
     volts: dict[str, float]
     cause: str
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command that the device took, or gave itself.
+
+    Attributes:
+        number: How many there were before it.
+        time_s: Simulated time from which on it acts, s.
+        volts: The voltages.
+    """
+
+    number: int
+    time_s: float
+    volts: dict[str, float]
 
 
 @dataclass
@@ -127,8 +148,12 @@ class LabDevice:
         self._watchdog_s = watchdog_s
         self._rng = np.random.default_rng(seed)
         self._safe = {name: output.safe for name, output in registers.outputs.items()}
-        self._fed_s = time.monotonic()
+        self._fed_s = plant.now_s()
         self._bitten = False
+        self._zero = (0, 0.0)
+        told = registers.clock.commands if registers.clock is not None else None
+        self._commands: deque[Command] = deque(maxlen=told.records if told else 1)
+        self._commands.append(Command(0, 0.0, plant.volts()))
         self._server: ModbusTcpServer | None = None
         self._address = ("127.0.0.1", 0)
         self._tasks: set[asyncio.Task[None]] = set()
@@ -161,7 +186,24 @@ class LabDevice:
         for task in self._tasks:
             task.cancel()
         await self._hang_up()
-        self._plant.apply(self._safe)
+        self._apply(self._safe)
+
+    def restart(self) -> None:
+        """Has clock, counters and outputs begin anew, as when the supply of the device failed.
+
+        Raises:
+            InputError: The device has no clock.
+        """
+        if self._registers.clock is None:
+            raise InputError("the device of this register map has no clock that could begin anew")
+        self._apply(self._safe)
+        self._note("start")
+        shown = self._plant.taken(time.monotonic())
+        newest = shown[0] if shown else self._plant.newest()
+        self._zero = newest.number, newest.time_s
+        last = self._commands[-1]
+        self._commands.clear()
+        self._commands.append(Command(0, max(last.time_s, newest.time_s), last.volts))
 
     @property
     def bitten(self) -> bool:
@@ -211,12 +253,20 @@ class LabDevice:
             due_s = now_s + POLL_S
             self.faults.present(now_s)
             self._plant.supply(self.faults.get("supply", now_s) is not None)
-            if not self._bitten and now_s - self._fed_s > self._watchdog_s:
+            if not self._bitten and self._plant.now_s() - self._fed_s > self._watchdog_s:
                 self._bitten = True
                 self.watchdog_trips += 1
-                self._plant.apply(self._safe)
+                self._apply(self._safe)
                 self._note("watchdog")
             await asyncio.sleep(POLL_S)
+
+    def _apply(self, volts: dict[str, float]) -> None:
+        """Sets voltages, and keeps when they act where the device tells of that."""
+        if self._registers.clock is None:
+            self._plant.apply(volts)
+            return
+        time_s = self._plant.take(volts)
+        self._commands.append(Command(self._commands[-1].number + 1, time_s, self._plant.volts()))
 
     def _note(self, cause: str) -> None:
         change = Change(time.monotonic(), self._plant.volts(), cause)
@@ -243,6 +293,11 @@ class LabDevice:
                     (setting.address, setting.address + len(setting.encode()))
                     for setting in self._registers.settings
                 ]
+            spans += [
+                (span.address, span.address + span.count)
+                for span in (self._registers.sample_span, self._registers.command_span)
+                if span is not None and span.table == table
+            ]
             first = min((start for start, _ in spans), default=0)
             last = max((end for _, end in spans), default=1)
             blocks[table] = [
@@ -266,14 +321,22 @@ class LabDevice:
     ) -> ExcCodes | None:
         """Carries a request out, and is late with the answer where it shall be."""
         asked_s = time.monotonic()
-        values = self._plant.readings(asked_s) if written is None else {}
-        while values is None and time.monotonic() - asked_s < LONGEST_WAIT_S:
-            await asyncio.sleep(GLANCE_S)
-            values = self._plant.readings(asked_s)
-        if values is None:
+        clocked = self._registers.clock is not None
+        look = self._plant.taken if clocked else self._plant.readings
+        found: list[Sample] | dict[str, float] | None = {}
+        if written is None and (not clocked or self._shows(function, address, count)):
+            found = look(asked_s)
+            while found is None and time.monotonic() - asked_s < LONGEST_WAIT_S:
+                await asyncio.sleep(GLANCE_S)
+                found = look(asked_s)
+        if found is None:
             self.refused += 1
             return ExcCodes.DEVICE_BUSY
-        answer = self._answer(function, first, address, count, registers, written, values)
+        samples = found if isinstance(found, list) else []
+        values = samples[0].readings if isinstance(found, list) else found
+        answer = self._answer(
+            function, first, address, count, registers, written, dict(values), samples
+        )
         slow = self.faults.get("slow", time.monotonic())
         if slow is not None:
             await asyncio.sleep(slow.value)
@@ -288,6 +351,7 @@ class LabDevice:
         registers: list[int],
         written: list[int] | list[bool] | None,
         values: dict[str, float],
+        samples: list[Sample],
     ) -> ExcCodes | None:
         """Brings registers up to date before they are read; carries out what is written."""
         now_s = time.monotonic()
@@ -303,7 +367,11 @@ class LabDevice:
             return ExcCodes.ILLEGAL_FUNCTION
         self.requests += 1
         end = address + count
-        shown = self._shown(now_s, values) if written is None else {}
+        shown = self._shown(now_s, values) if values else {}
+        if samples:
+            self._show_samples(now_s, first, registers, samples)
+        if written is None:
+            self._show_commands(table, first, registers)
         volts = self._plant.volts()
         for name, channel in self._registers.channels.items():
             at = channel.address - first
@@ -313,13 +381,64 @@ class LabDevice:
             if isinstance(channel, Output):
                 registers[at : at + channel.width] = channel.encode(volts[name])
             elif written is None and name in shown:
-                raw = _saturated(channel, shown[name])
-                if self.faults.get("word_order", now_s) is not None:
-                    raw.reverse()
-                registers[at : at + channel.width] = raw
+                self._show(now_s, channel, shown[name], registers, at)
         if written is not None and table == "holding":
             return self._carry_out(first, address, [int(word) for word in written], registers)
         return None
+
+    def _shows(self, function: int, address: int, count: int) -> bool:
+        """Whether a read asks for samples."""
+        span = self._registers.sample_span
+        return (
+            span is not None
+            and span.table == _TABLES.get(function)
+            and address < span.address + span.count
+            and span.address < address + count
+        )
+
+    def _show(
+        self, now_s: float, channel: ChannelBase, value: float, registers: list[int], at: int
+    ) -> None:
+        """Puts one reading into the registers."""
+        raw = _saturated(channel, value)
+        if self.faults.get("word_order", now_s) is not None:
+            raw.reverse()
+        registers[at : at + channel.width] = raw
+
+    def _show_samples(
+        self, now_s: float, first: int, registers: list[int], samples: list[Sample]
+    ) -> None:
+        """Puts all records of samples into the registers of their table, one moment's."""
+        clock, span = self._registers.clock, self._registers.sample_span
+        assert clock is not None and span is not None
+        number0, time0_s = self._zero
+        samples = [one for one in samples if one.number >= number0] or samples[:1]
+        for place in range(clock.samples.records):
+            # A record that is not used yet repeats the oldest.
+            one = samples[min(place, len(samples) - 1)]
+            at = place * clock.samples.stride - first
+            _put(registers, clock.samples.counter, at, one.number - number0)
+            ticks = round((one.time_s - time0_s) / clock.samples.time.tick_s)
+            _put(registers, clock.samples.time, at, ticks)
+            readings = self._shown(now_s, dict(one.readings))
+            for name, tap in self._registers.taps.items():
+                self._show(now_s, tap, readings[name], registers, at + tap.address)
+
+    def _show_commands(self, table: str, first: int, registers: list[int]) -> None:
+        """Puts all records of commands into the registers of their table."""
+        clock, span = self._registers.clock, self._registers.command_span
+        if clock is None or clock.commands is None or span is None or span.table != table:
+            return
+        newest_first = list(self._commands)[::-1]
+        for place in range(clock.commands.records):
+            one = newest_first[min(place, len(newest_first) - 1)]
+            at = place * clock.commands.stride - first
+            _put(registers, clock.commands.counter, at, one.number)
+            ticks = round((one.time_s - self._zero[1]) / clock.commands.time.tick_s)
+            _put(registers, clock.commands.time, at, ticks)
+            for name, output in self._registers.outputs.items():
+                begin = at + clock.commands.values[name]
+                registers[begin : begin + output.width] = output.encode(one.volts[name])
 
     def _carry_out(
         self, first: int, address: int, written: list[int], registers: list[int]
@@ -342,8 +461,8 @@ class LabDevice:
             volts[name] = min(max(value, output.range[0]), output.range[1])
         if volts:
             before = self._plant.volts()
-            self._plant.apply(volts)
-            self._fed_s = time.monotonic()
+            self._apply(volts)
+            self._fed_s = self._plant.now_s()
             self._bitten = False
             if self._plant.volts() != before:
                 self._note("write")
@@ -373,6 +492,12 @@ class LabDevice:
         if self.faults.get("malformed", now_s) is not None:
             return self._rng.bytes(int(self._rng.integers(1, 2 * len(data))))
         return data
+
+
+def _put(registers: list[int], count: Count, at: int, number: int) -> None:
+    """Writes a whole number into the registers of its table."""
+    begin = at + count.address
+    registers[begin : begin + count.width] = count.encode(number)
 
 
 def _saturated(channel: ChannelBase, value: float) -> list[int]:

@@ -14,10 +14,11 @@ from pathlib import Path
 from pneu_hw_bridge.lab.asking import CONTROL_PORT, MODBUS_PORT
 from pneu_hw_bridge.lab.control import Control
 from pneu_hw_bridge.lab.device import LabDevice
-from pneu_hw_bridge.lab.plant import Plant
+from pneu_hw_bridge.lab.plant import Pace, Plant
 from pneu_hw_bridge.lab.sealed import open_sealed
 from pneu_hw_bridge.priority import precedence
 from pneu_hw_bridge.registers.load import load_register_map
+from pneu_hw_bridge.registers.schema import RegisterMap
 from pneu_sim.errors import InputError
 from pneu_sim.rig.load import load_rig
 
@@ -38,7 +39,11 @@ class LabOptions:
         control_port: Control port, on loopback; 0 takes a free one.
         expose: Whether an address other than loopback is allowed.
         dx_m: Cell length of the plant; None is half of the rig's.
-        sample_s: Interval at which sensors are sampled.
+        sample_s: Interval at which voltages are taken, and sensors of a device without a clock.
+        period_s: Interval at which a device with a clock samples.
+        pace: Seconds of device time per second of a device with a clock whose time waits for the
+            machine; None where it is real time.
+        standing: Whether time stands still at first, of a device that is paced.
         latency_s: Age of a reading when it becomes visible.
         noise_pa: Noise that replaces the rig's.
         quantum_pa: Quantisation that replaces the rig's.
@@ -57,6 +62,9 @@ class LabOptions:
     expose: bool = False
     dx_m: float | None = None
     sample_s: float = 1e-3
+    period_s: float = 2e-3
+    pace: float | None = None
+    standing: bool = False
     latency_s: float = 2e-3
     noise_pa: float | None = None
     quantum_pa: float | None = None
@@ -89,6 +97,7 @@ def run_lab(options: LabOptions) -> None:
         noise_pa=options.noise_pa,
         quantum_pa=options.quantum_pa,
         seed=options.seed,
+        pace=_pace(options, registers),
     )
     watchdog_s = options.watchdog_s or registers.device.watchdog_s or 0.1
     # pymodbus logs every fault that is asked for here.
@@ -97,6 +106,19 @@ def run_lab(options: LabOptions) -> None:
     # A device's own clockwork is not held up by other work of the machine that emulates it.
     with precedence():
         asyncio.run(_serve(options, plant, device))
+
+
+def _pace(options: LabOptions, registers: RegisterMap) -> Pace | None:
+    if registers.clock is None:
+        if options.pace is not None or options.standing:
+            raise InputError(
+                f"register map {registers.name!r} has no clock, so the device's time cannot be"
+                " paced; logging_plc has one"
+            )
+        return None
+    if options.standing and options.pace is None:
+        raise InputError("only the time of a lab with --paced can stand still")
+    return Pace(options.period_s, registers.clock.samples.records, options.pace, options.standing)
 
 
 def _check_address(host: str, expose: bool) -> None:

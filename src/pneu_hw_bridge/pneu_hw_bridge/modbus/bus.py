@@ -4,6 +4,10 @@
 Every cycle asks the owner for the voltages, writes them, and hands over what was read. A command
 that arrives between two cycles is written at once. A voltage that has not changed is written again
 only every `KEEP_ALIVE_S`, which keeps the device's own watchdog quiet.
+
+What was read is stamped by the middle of the exchange; but of a device that tells by its own clock
+when it took samples and commands, every new sample is handed over once, with that time in terms of
+our clock.
 """
 
 import asyncio
@@ -13,13 +17,16 @@ import math
 import selectors
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from pneu_hw_bridge.device_clock import DeviceClock
 from pneu_hw_bridge.modbus.client import Client, RequestError
+from pneu_hw_bridge.modbus.records import CommandReader, Record, SampleReader
 from pneu_hw_bridge.modbus.statistics import Statistics
-from pneu_hw_bridge.registers.batches import plan, plan_writes
+from pneu_hw_bridge.registers.batches import Batch, plan, plan_writes
 from pneu_hw_bridge.registers.schema import RegisterMap
 from pneu_sim.errors import InputError
 
@@ -32,6 +39,15 @@ KEEP_ALIVE_S = 0.02
 FIRST_BACKOFF_S = 0.02
 LONGEST_BACKOFF_S = 1.0
 
+MOST_WAITING = 256
+"""Commands kept while the device's clock is not yet compared with ours."""
+
+UNDISTURBED_S = 1e-3
+"""Two clocks that were read further apart say nothing about each other."""
+
+SET_BACK_NS = 1_000_000_000
+"""Stamps that go back by more follow a clock that was set."""
+
 
 class Owner(Protocol):
     """Whom the bus works for. Called in the thread of the bus; must return quickly."""
@@ -43,13 +59,14 @@ class Owner(Protocol):
             now_s: Steady time.
         """
 
-    def readings(self, values: Mapping[str, float], steady_s: float, stamp_ns: int) -> None:
+    def readings(self, values: Mapping[str, float], steady_s: float, stamp_ns: int | None) -> None:
         """Takes what was read in one cycle.
 
         Args:
             values: SI value per channel; may be infinite or not a number.
             steady_s: Steady time of acquisition.
-            stamp_ns: Time of acquisition by the clock given to the bus.
+            stamp_ns: Time of acquisition by the clock given to the bus; None while the device's
+                own clock is not yet compared with it.
         """
 
     def written(self, values: Mapping[str, float], stamp_ns: int) -> None:
@@ -118,7 +135,20 @@ class ModbusBus:
         self._period_s = period_s
         self._timeout_s = timeout_s
         self._clock_ns = clock_ns
-        self._reads = plan(registers.inputs, registers.batching)
+        self._samples: SampleReader | None = None
+        self._commands: CommandReader | None = None
+        self._newest: dict[str, int] = {}
+        self._waiting: deque[Record] = deque(maxlen=MOST_WAITING)
+        self.clock: DeviceClock | None = None
+        inputs = registers.inputs
+        if registers.clock is not None:
+            self.clock = DeviceClock()
+            self._samples = SampleReader(registers)
+            inputs = {n: c for n, c in inputs.items() if n not in registers.taps}
+            if registers.clock.commands is not None:
+                self._commands = CommandReader(registers)
+        self._records = self._plan_records()
+        self._reads = plan(inputs, registers.batching)
         self._writes = plan_writes(registers.outputs)
         self.statistics = Statistics()
         self.fault = "not connected yet"
@@ -224,6 +254,8 @@ class ModbusBus:
 
     async def _work(self, client: Client) -> None:
         """Cycles on one connection."""
+        if self.clock is not None and self.clock.settled:
+            self.clock.doubt()
         for setting in self._registers.settings:
             await client.write(setting.table, setting.address, setting.encode())
         tick_s = time.monotonic()
@@ -272,6 +304,8 @@ class ModbusBus:
                 self.statistics.unwritable += 1
                 raw = batch.encode(self._safe())
             await client.write(batch.table, batch.address, raw)
+        if self._commands is not None:
+            return  # the device itself will tell when it took them
         half_s = 0.5 * (time.monotonic() - begun_s)
         stamp_ns = begun_ns + round(1e9 * half_s)
         watchdog_s, before_ns = self._registers.device.watchdog_s, self._confirmed_ns
@@ -287,8 +321,71 @@ class ModbusBus:
         begun_s, begun_ns = time.monotonic(), self._clock_ns()
         for batch in self._reads:
             values.update(batch.decode(await client.read(batch)))
+        if self._samples is not None:
+            await self._read_records(client, self._samples, values)
+            return
         half_s = 0.5 * (time.monotonic() - begun_s)
         self._owner.readings(values, begun_s + half_s, begun_ns + round(1e9 * half_s))
+
+    def _plan_records(self) -> list[Batch]:
+        """Requests for samples and commands: one, where both fit."""
+        spans = [part.span for part in (self._samples, self._commands) if part is not None]
+        if len(spans) == 2 and spans[0].table == spans[1].table:
+            first = min(span.address for span in spans)
+            count = max(span.address + span.count for span in spans) - first
+            gap = count - sum(span.count for span in spans)
+            batching = self._registers.batching
+            if count <= batching.max_registers and gap <= batching.max_gap:
+                return [Batch(spans[0].table, first, count, ())]
+        return [Batch(span.table, span.address, span.count, ()) for span in spans]
+
+    async def _read_records(
+        self, client: Client, samples: SampleReader, values: Mapping[str, float]
+    ) -> None:
+        """Reads samples and commands of a device with a clock, and hands the new ones over."""
+        assert self.clock is not None
+        begun_s = time.monotonic()
+        raw = await client.read(self._records[0])
+        ended_s, ended_ns, after_s = time.monotonic(), self._clock_ns(), time.monotonic()
+        start = samples.span.address - self._records[0].address
+        news = samples.take(raw[start : start + samples.span.count])
+        if news.anew:
+            self.clock.restart(news.anew)
+            self._waiting.clear()
+            if self._commands is not None:
+                self._commands.forget()
+        self.statistics.samples += len(news.records)
+        self.statistics.samples_skipped += news.skipped
+        self.statistics.reads_without_news += not news.records
+        if news.records and after_s - ended_s < UNDISTURBED_S:
+            self.clock.observe(news.records[-1].device_ns, ended_ns, ended_s)
+        # That it is new says that it was taken lately; how lately, no more than the exchange does.
+        steady_s = 0.5 * (begun_s + ended_s)
+        for record in news.records:
+            stamp_ns = self._stamp("samples", record)
+            self._owner.readings({**values, **record.values}, steady_s, stamp_ns)
+        if self._commands is None:
+            return
+        if len(self._records) > 1:
+            raw = await client.read(self._records[1])
+        start = self._commands.span.address - self._records[-1].address
+        taken = self._commands.take(raw[start : start + self._commands.span.count])
+        self.statistics.commands_skipped += taken.skipped
+        self._waiting.extend(taken.records)
+        while self._waiting and (stamp_ns := self._stamp("commands", self._waiting[0])) is not None:
+            self._owner.written(self._waiting.popleft().values, stamp_ns)
+
+    def _stamp(self, kind: str, record: Record) -> int | None:
+        """The device time of a record by our clock, later than that of the one before."""
+        assert self.clock is not None
+        stamp_ns = self.clock.stamp(record.device_ns)
+        if stamp_ns is None:
+            return None
+        newest_ns = self._newest.get(kind)
+        if newest_ns is not None and newest_ns - SET_BACK_NS < stamp_ns <= newest_ns:
+            stamp_ns = newest_ns + 1
+        self._newest[kind] = stamp_ns
+        return stamp_ns
 
     async def _do_vent(self, client: Client) -> None:
         """Writes the safe voltages and reads them back."""

@@ -54,6 +54,10 @@ class Statistics:
         exceptions: Exception replies.
         malformed: Answers that made no sense, or were of the wrong length.
         unwritable: Outputs that the register's type could not hold.
+        samples: Samples of a device with a clock that were taken, each once.
+        samples_skipped: Samples that the device had forgotten before they were read.
+        reads_without_news: Reads that found no new sample.
+        commands_skipped: Commands of which the device no longer told when it took them.
         request: Durations of single requests.
         command: Durations from a command's arrival to its confirmation by the device.
     """
@@ -69,6 +73,10 @@ class Statistics:
     exceptions: int = 0
     malformed: int = 0
     unwritable: int = 0
+    samples: int = 0
+    samples_skipped: int = 0
+    reads_without_news: int = 0
+    commands_skipped: int = 0
     request: Durations = field(default_factory=Durations)
     command: Durations = field(default_factory=Durations)
 

@@ -1,27 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publishing readings: every tap on its own topic, and all of them as a set."""
+"""Publishing readings: every tap on its own topic, all of them as a set, and their time."""
 
 import math
 
 from pneu_msgs.msg import TapPressures
 from rclpy.node import Node
+from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import FluidPressure
 
 from pneu_hw_bridge.link import Sample
 from pneu_hw_bridge.registers.schema import Input
-from pneu_sim.nodes.common import READINGS_QOS, to_stamp
+from pneu_sim.nodes.common import CLOCK_TOPIC, COMMAND_QOS, READINGS_QOS, to_stamp
 
 
 class ReadingsPublisher:
     """Publishers of all taps; readings that cannot be true are left out, NaN in the set."""
 
-    def __init__(self, node: Node, taps: dict[str, Input], frame_id: str) -> None:
+    def __init__(
+        self, node: Node, taps: dict[str, Input], frame_id: str, with_clock: bool = False
+    ) -> None:
         """Creates the publishers.
 
         Args:
             node: The node.
             taps: The taps by name.
             frame_id: Frame of the set.
+            with_clock: Whether the time of the newest sample is published on ``/clock``.
         """
         self._node = node
         self._taps = taps
@@ -33,6 +37,19 @@ class ReadingsPublisher:
             name: node.create_publisher(FluidPressure, f"taps/{name}/pressure", READINGS_QOS)
             for name in taps
         }
+
+        self._to_clock = (
+            node.create_publisher(ClockMessage, CLOCK_TOPIC, COMMAND_QOS) if with_clock else None
+        )
+
+    def publish_clock(self, stamp_ns: int) -> None:
+        """Publishes the time of the newest sample, where that is wanted.
+
+        Args:
+            stamp_ns: The time, ns.
+        """
+        if self._to_clock is not None:
+            self._to_clock.publish(ClockMessage(clock=to_stamp(stamp_ns)))
 
     def publish(self, sample: Sample) -> None:
         """Publishes one sample.
@@ -58,5 +75,6 @@ class ReadingsPublisher:
 
     def destroy(self) -> None:
         """Destroys the publishers."""
-        for publisher in (self._to_set, *self._to_one.values()):
+        clocks = [self._to_clock] if self._to_clock is not None else []
+        for publisher in (self._to_set, *self._to_one.values(), *clocks):
             self._node.destroy_publisher(publisher)

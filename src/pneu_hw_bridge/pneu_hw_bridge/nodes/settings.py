@@ -26,6 +26,7 @@ class Settings:
         slew_v_s: Fastest change of a voltage.
         clamp_margin_v: How far beyond its range a command is clamped rather than refused.
         frame_id: Frame of the set of readings.
+        publish_clock: Whether the time of the newest sample is published on ``/clock``.
     """
 
     register_map: str
@@ -38,6 +39,7 @@ class Settings:
     slew_v_s: float
     clamp_margin_v: float
     frame_id: str
+    publish_clock: bool
 
 
 def declare_parameters(node: Node) -> None:
@@ -101,6 +103,12 @@ def declare_parameters(node: Node) -> None:
     declare(node, "frame_id", "", "frame_id of taps/pressures")
     declare(
         node,
+        "publish_clock",
+        False,
+        "publish the time of the newest sample on /clock, of a device that keeps time itself",
+    )
+    declare(
+        node,
         "autostart",
         False,
         "configure and activate at the start, where nothing manages the life cycle",
@@ -130,4 +138,5 @@ def read_parameters(node: Node) -> Settings:
         slew_v_s=value("slew_v_s"),
         clamp_margin_v=value("clamp_margin_v"),
         frame_id=value("frame_id"),
+        publish_clock=value("publish_clock"),
     )

@@ -3,9 +3,10 @@
 
 Topics: takes ``valve/command``; gives ``taps/<tap>/pressure``, ``taps/pressures``,
 ``valve/applied`` (what the device has confirmed, stamped when it took effect) and the state of the
-emergency stop, ``e_stop``. Services: ``~/e_stop`` and ``~/reset_e_stop``. Life cycle: configure
-opens the bus and reads, with the valves vented; activate lets commands through; deactivate, an
-error, and the end of the process vent, by writing to the bus and reading it back.
+emergency stop, ``e_stop``; on demand ``/clock``, from a device that keeps time itself. Services:
+``~/e_stop`` and ``~/reset_e_stop``. Life cycle: configure opens the bus and reads, with the valves
+vented; activate lets commands through; deactivate, an error, and the end of the process vent, by
+writing to the bus and reading it back.
 """
 
 import sys
@@ -23,6 +24,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from pneu_hw_bridge.device_clock import DeviceClock
 from pneu_hw_bridge.link import Link, Sample
 from pneu_hw_bridge.modbus.bus import ModbusBus
 from pneu_hw_bridge.nodes.readings import ReadingsPublisher
@@ -49,6 +51,9 @@ COMMAND_TOPIC = "valve/command"
 
 LOOK_S = 0.05
 """How often publishers of the command topic are counted."""
+
+BEHIND_S = 0.1
+"""A device's clock that has fallen behind by more is told of."""
 
 E_STOP_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -84,6 +89,7 @@ class ValveBridge(LifecycleNode):
         self._link: Link | None = None
         self._readings: ReadingsPublisher | None = None
         self._entities: list[tuple[Any, Any]] = []
+        self._skipped = 0
         self._e_stop = self.create_publisher(Bool, "e_stop", E_STOP_QOS)
         self._applied = self.create_publisher(ValveCommand, topics.APPLIED_TOPIC, READINGS_QOS)
         self.create_service(Trigger, "~/e_stop", self._on_e_stop)
@@ -114,6 +120,11 @@ class ValveBridge(LifecycleNode):
         try:
             settings = read_parameters(self)
             registers = load_register_map(settings.register_map, settings.device)
+            if settings.publish_clock and registers.clock is None:
+                raise InputError(
+                    f"publish_clock: register map {settings.register_map!r} names no clock of the"
+                    " device"
+                )
             limits = limits_of(
                 registers,
                 settings.watchdog_s,
@@ -129,6 +140,7 @@ class ValveBridge(LifecycleNode):
                 max(1, round(settings.rate_hz / settings.publish_rate_hz)),
             )
             clock = self.get_clock()
+            self._skipped = 0
             self._bus = ModbusBus(
                 registers,
                 self._link,
@@ -140,7 +152,9 @@ class ValveBridge(LifecycleNode):
             self.get_logger().error(str(error))
             self._close()
             return TransitionCallbackReturn.FAILURE
-        self._readings = ReadingsPublisher(self, registers.taps, settings.frame_id)
+        self._readings = ReadingsPublisher(
+            self, registers.taps, settings.frame_id, settings.publish_clock
+        )
         listener = self.create_subscription(
             ValveCommand, COMMAND_TOPIC, self._on_command, COMMAND_QOS
         )
@@ -275,8 +289,11 @@ class ValveBridge(LifecycleNode):
             return
         for sample in link.take_applied():
             self._say_applied(sample)
-        for sample in link.take():
+        samples = link.take()
+        for sample in samples:
             readings.publish(sample)
+        if samples:
+            readings.publish_clock(samples[-1].stamp_ns)
 
     def _say_applied(self, sample: Sample) -> None:
         """Publishes what the device has confirmed, with the time at which it took effect."""
@@ -291,6 +308,7 @@ class ValveBridge(LifecycleNode):
             return
         # By its final name: counting expands a name, but does not remap it.
         link.publishers(self.count_publishers(self.resolve_topic_name(COMMAND_TOPIC)))
+        self._say_clock()
         changes = link.take_changes()
         for state, reason in changes:
             text = f"{state.value}{': ' if reason else ''}{reason}"
@@ -302,6 +320,12 @@ class ValveBridge(LifecycleNode):
                 self.get_logger().info(text)
         if changes:
             self._diagnostics.publish()
+
+    def _say_clock(self) -> None:
+        """Logs what became of the device's clock."""
+        clock = self._bus.clock if self._bus is not None else None
+        while clock is not None and clock.told:
+            self.get_logger().warning(f"{clock.told.popleft()}: the clocks are compared anew")
 
     def _on_e_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         del request
@@ -376,7 +400,28 @@ class ValveBridge(LifecycleNode):
             "command to confirmation p99 [s]": counts.command.quantile(0.99),
         }
         level = DiagnosticStatus.ERROR if bus.fault else DiagnosticStatus.OK
-        return [safety, status(level, f"{name}: bus", bus.fault or "works", values, "modbus")]
+        lines = [safety, status(level, f"{name}: bus", bus.fault or "works", values, "modbus")]
+        return lines if bus.clock is None else [*lines, self._report_clock(bus, bus.clock)]
+
+    def _report_clock(self, bus: ModbusBus, clock: DeviceClock) -> DiagnosticStatus:
+        """How the device's clock does, and whether samples were lost since the report before."""
+        skipped = bus.statistics.samples_skipped + bus.statistics.commands_skipped
+        lost, self._skipped = skipped - self._skipped, skipped
+        told = []
+        if not clock.settled:
+            told.append("compared with this machine's, no stamps yet")
+        if clock.behind_s > BEHIND_S:
+            told.append(f"{clock.behind_s:.3f} s behind since it was compared")
+        if lost > 0:
+            told.append(f"{lost} samples or commands were forgotten before they were read")
+        values: dict[str, object] = {
+            "behind [s]": clock.behind_s,
+            "drift [ppm]": 1e6 * clock.drift,
+            "compared anew": clock.restarts,
+        }
+        level = DiagnosticStatus.WARN if told else DiagnosticStatus.OK
+        text = "; ".join(told) or "works"
+        return status(level, f"{self.get_name()}: device clock", text, values, "modbus")
 
 
 def main(args: list[str] | None = None) -> None:

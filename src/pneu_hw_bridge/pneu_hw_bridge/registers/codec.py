@@ -10,7 +10,7 @@ import struct
 from collections.abc import Sequence
 from typing import Literal
 
-NumberType = Literal["int16", "uint16", "int32", "uint32", "float32", "float64"]
+NumberType = Literal["int16", "uint16", "int32", "uint32", "uint64", "float32", "float64"]
 Order = Literal["big", "little"]
 
 _FORMATS = {
@@ -18,6 +18,7 @@ _FORMATS = {
     "uint16": ">H",
     "int32": ">i",
     "uint32": ">I",
+    "uint64": ">Q",
     "float32": ">f",
     "float64": ">d",
 }
@@ -74,8 +75,32 @@ def from_registers(
     Raises:
         ValueError: There are too many or too few registers.
     """
+    return float(_unpack(words, kind, word_order, byte_order))
+
+
+def count_from_registers(
+    words: Sequence[int], kind: NumberType, word_order: Order = "big", byte_order: Order = "big"
+) -> int:
+    """Returns the whole number that registers hold, exactly: a float has 53 bits, uint64 has 64.
+
+    Args:
+        words: As many registers as the type takes, 0 to 65535 each.
+        kind: Type of the number, a whole one.
+        word_order: ``big`` where the most significant register comes first.
+        byte_order: ``big`` where the most significant byte of each register comes first.
+
+    Raises:
+        ValueError: There are too many or too few registers.
+    """
+    return int(_unpack(words, kind, word_order, byte_order))
+
+
+def _unpack(
+    words: Sequence[int], kind: NumberType, word_order: Order, byte_order: Order
+) -> int | float:
     if len(words) != width(kind):
         raise ValueError(f"found {len(words)} registers for {kind}, needed are {width(kind)}")
     ordered = words if word_order == "big" else words[::-1]
     data = b"".join(word.to_bytes(2, byte_order) for word in ordered)
-    return float(struct.unpack(_FORMATS[kind], data)[0])
+    number: int | float = struct.unpack(_FORMATS[kind], data)[0]
+    return number

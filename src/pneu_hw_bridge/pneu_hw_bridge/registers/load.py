@@ -11,6 +11,8 @@ from pydantic import ValidationError
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
+from pneu_hw_bridge.registers.clock import Clock, Commands, Count, Records, Ticks
+from pneu_hw_bridge.registers.part import Part
 from pneu_hw_bridge.registers.schema import (
     SCHEMA_VERSION,
     Batching,
@@ -112,11 +114,18 @@ def _sentence(name: str, error: ValidationError) -> str:
 
 def _fields_at(loc: list[str]) -> list[str]:
     """Names allowed where an unknown key was found."""
-    parts: dict[str, tuple[Any, ...]] = {
+    parts: dict[str, tuple[type[Part], ...]] = {
         "channels": (Output, Input),
         "device": (Device,),
         "batching": (Batching,),
         "settings": (Setting,),
+        "clock": (Clock,),
+        "clock.samples": (Records,),
+        "clock.commands": (Commands,),
+        "clock.samples.counter": (Count,),
+        "clock.samples.time": (Ticks,),
+        "clock.commands.counter": (Count,),
+        "clock.commands.time": (Ticks,),
     }
-    models = parts.get(loc[0], (RegisterMap,)) if len(loc) > 1 else (RegisterMap,)
-    return sorted({name for model in models for name in model.model_fields})
+    models = parts.get(".".join(loc[:-1])) or parts.get(loc[0]) if len(loc) > 1 else None
+    return sorted({name for model in models or (RegisterMap,) for name in model.model_fields})

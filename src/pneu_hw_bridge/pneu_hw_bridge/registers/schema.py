@@ -6,26 +6,18 @@ offset`` converts, whatever amplifiers or transducers lie between.
 """
 
 import math
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from pneu_hw_bridge.registers.clock import Clock, Span
 from pneu_hw_bridge.registers.codec import NumberType, Order, from_registers, to_registers, width
+from pneu_hw_bridge.registers.part import MAX_READ_REGISTERS, Finite, Part, Positive
 
 SCHEMA_VERSION = 1
 
-MAX_READ_REGISTERS = 125
-"""Most registers that one read may ask for, by the Modbus application protocol 1.1b3, 6.3."""
-
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Table = Literal["holding", "input", "coil", "discrete"]
-
-
-class Part(BaseModel):
-    """Base of every part of a map: unknown keys are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Device(Part):
@@ -258,6 +250,8 @@ class RegisterMap(Part):
         batching: How adjacent registers are read together.
         settings: What is written whenever the connection comes up.
         channels: Channels, by the names that commands and taps have in the rig file.
+        clock: Where the device tells by its own clock when it took samples and commands; None where
+            it does not.
     """
 
     pneu_registers: Literal[1]
@@ -267,20 +261,76 @@ class RegisterMap(Part):
     batching: Batching = Batching()
     settings: tuple[Setting, ...] = ()
     channels: dict[str, Channel] = Field(min_length=1)
+    clock: Clock | None = None
+
+    @model_validator(mode="after")
+    def _in_one_read(self) -> "RegisterMap":
+        if self.clock is None:
+            return self
+        self.clock.check_samples(
+            {name: (tap.table, tap.address, tap.width) for name, tap in self.taps.items()},
+            self.batching.max_registers,
+        )
+        self.clock.check_commands(
+            {name: output.width for name, output in self.outputs.items()},
+            {name: output.table for name, output in self.outputs.items()},
+            self.batching.max_registers,
+        )
+        return self
 
     @model_validator(mode="after")
     def _apart(self) -> "RegisterMap":
         if not self.outputs:
             raise ValueError("channels: none has direction write, so there is nothing to command")
         taken: dict[tuple[str, int], str] = {}
-        for name, channel in self.channels.items():
-            for at in range(channel.address, channel.address + channel.width):
-                other = taken.setdefault((channel.table, at), name)
+        for name, table, address, count in self._places():
+            for at in range(address, address + count):
+                other = taken.setdefault((table, at), name)
                 if other != name:
-                    raise ValueError(
-                        f"channels: {name!r} and {other!r} both use {channel.table} {at}"
-                    )
+                    raise ValueError(f"channels: {name!r} and {other!r} both use {table} {at}")
         return self
+
+    def _places(self) -> Iterator[tuple[str, str, int, int]]:
+        """Name, table, first register and width of all that has a place."""
+        for name, channel in self.channels.items():
+            yield name, channel.table, channel.address, channel.width
+        if self.clock is None:
+            return
+        samples, commands = self.clock.samples, self.clock.commands
+        places: list[tuple[str, str, int, int]]
+        places = [("clock.samples." + n, c.table, c.address, c.width) for n, c in samples.numbers]
+        yield from places
+        # Records beyond the first lie a stride further each, the taps in them as well.
+        places += [(n, tap.table, tap.address, tap.width) for n, tap in self.taps.items()]
+        for record in range(1, samples.records):
+            for name, table, address, count in places:
+                yield f"{name} of record {record}", table, address + record * samples.stride, count
+        if commands is None:
+            return
+        places = [("clock.commands." + n, c.table, c.address, c.width) for n, c in commands.numbers]
+        for name, address in commands.values.items():
+            count = self.outputs[name].width
+            places.append((f"clock.commands.values.{name}", commands.counter.table, address, count))
+        for record in range(commands.records):
+            told = f" of record {record}" if record else ""
+            for name, table, address, count in places:
+                yield f"{name}{told}", table, address + record * commands.stride, count
+
+    @property
+    def sample_span(self) -> Span | None:
+        """Registers of all records of samples; None where the device has no clock."""
+        if self.clock is None:
+            return None
+        return self.clock.sample_span(
+            {name: (tap.table, tap.address, tap.width) for name, tap in self.taps.items()}
+        )
+
+    @property
+    def command_span(self) -> Span | None:
+        """Registers of all records of commands; None where there are none."""
+        if self.clock is None:
+            return None
+        return self.clock.command_span({n: output.width for n, output in self.outputs.items()})
 
     @property
     def outputs(self) -> dict[str, Output]:
