@@ -25,6 +25,7 @@ from pneu_sim.rig.build import build, plan_grid
 from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sim.run import add_noise, check_commands, run_rig
+from pneu_sim.signals import Signal
 
 Floats = NDArray[np.float64]
 
@@ -217,7 +218,9 @@ def simulate(
     if output.suffix == ".csv":
         _write_csv(output, time_s, commands, taps)
     elif output.suffix in ("", ".mcap"):
-        write_bag(output, loaded, rate, commands, taps)
+        volts = {name: Signal(time_s, values) for name, values in commands.items()}
+        readings = {name: Signal(time_s, values) for name, values in taps.items()}
+        write_bag(output, loaded, volts, readings)
     else:
         raise InputError(f"{output}: found suffix {output.suffix!r}, allowed are .csv, .mcap, none")
     print(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a bridge confirms is read in place of what was decided, and by the time it took effect."""
+"""What a bridge confirms is read in place of what was decided, at the time it took effect."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from pneu_sim.channels import Channel
-from pneu_sysid.records import read_recording
+from pneu_sysid.records import Signal, read_recording
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 FLOAT = "std_msgs/msg/Float64"
@@ -33,30 +33,33 @@ def bag_of(path: Path, commands: dict[str, list[tuple[float, float]]]) -> Path:
     return path
 
 
-def volts(path: Path) -> np.ndarray:
+def volts(path: Path) -> Signal:
     return read_recording(path, commands=COMMAND, pressures=TAP).commands["voltage"]
 
 
 DECIDED = {"/lab/valve/command": [(0.0, 5.0), (10.0, 9.0)]}
 
 
+def same(found: Signal, expected: list[tuple[float, float]]) -> None:
+    at, values = np.transpose(expected)
+    np.testing.assert_array_equal(found.time_s, np.rint(at * PERIOD_NS) / 1e9)
+    np.testing.assert_array_equal(found.values, values)
+
+
 def test_what_was_decided_counts_where_nothing_was_confirmed(tmp_path):
-    expected = np.where(np.arange(50) < 10, 5.0, 9.0)
-    np.testing.assert_array_equal(volts(bag_of(tmp_path / "bag", DECIDED)), expected)
+    expected = [(0.0, 5.0), (10.0, 9.0)]
+    same(volts(bag_of(tmp_path / "bag", DECIDED)), expected)
     silent = bag_of(tmp_path / "silent", {**DECIDED, "/lab/valve/applied": []})
-    np.testing.assert_array_equal(volts(silent), expected)
+    same(volts(silent), expected)
 
 
 def test_what_was_confirmed_counts_from_when_it_took_effect(tmp_path):
-    """A change between two points of the grid is spread so that its time is kept."""
+    """Changes between two readings keep their own times."""
     applied = [(0.0, 5.0), (12.25, 8.0), (30.0, 8.0), (40.5, 2.0), (40.75, 4.0)]
     found = volts(bag_of(tmp_path / "bag", {**DECIDED, "/lab/valve/applied": applied}))
-    expected = np.full(50, 5.0)
-    expected[12] = 5.0 + 0.75 * 3.0
-    expected[13:] = 8.0
-    expected[40] = 0.5 * 8.0 + 0.25 * 2.0 + 0.25 * 4.0
-    expected[41:] = 4.0
-    np.testing.assert_allclose(found, expected, rtol=1e-7)
+    same(found, applied)
+    at = np.array([12.0, 12.2, 12.3, 40.0, 40.6, 40.8]) * PERIOD_NS / 1e9
+    assert found.held(at).tolist() == [5.0, 5.0, 8.0, 8.0, 2.0, 4.0]
 
 
 def test_a_channel_needs_what_was_decided_too():

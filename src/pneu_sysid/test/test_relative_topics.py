@@ -30,7 +30,7 @@ def bag_of(path: Path, **level_of: float) -> Path:
 
 def mean(path: Path) -> float:
     recording = read_recording(path, commands={}, pressures=TAP)
-    return float(np.mean(recording.pressures["end"]))
+    return float(np.mean(recording.pressures["end"].values))
 
 
 @pytest.mark.parametrize(

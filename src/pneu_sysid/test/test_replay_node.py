@@ -19,6 +19,7 @@ from pneu_sim import bag
 from pneu_sim.errors import InputError
 from pneu_sim.nodes import common
 from pneu_sim.rig import load_rig
+from pneu_sim.signals import Signal
 from pneu_sysid.nodes.replay import ReplayNode, load_events
 
 RIG = str(Path(__file__).parents[3] / "rigs/rig_a.yaml")
@@ -44,9 +45,10 @@ def recorded(tmp_path_factory):
     """One second: taps with level and slope of their own, a command that steps."""
     rig = load_rig(RIG)
     at = np.arange(COUNT)
-    taps = {name: 2e5 + 1e4 * k + 7.0 * at for k, name in enumerate(rig.taps)}
+    time_s = at / RATE_HZ
+    taps = {n: Signal(time_s, 2e5 + 1e4 * k + 7.0 * at) for k, n in enumerate(rig.taps)}
     path = tmp_path_factory.mktemp("bags") / "bag"
-    bag.write_bag(path, rig, RATE_HZ, {"voltage": 5.0 + at // 50}, taps, START_S)
+    bag.write_bag(path, rig, {"voltage": Signal(time_s, 5.0 + at // 50)}, taps, START_S)
     return str(path)
 
 

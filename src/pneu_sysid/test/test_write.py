@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording written as a bag reads back as it was."""
+"""A recording written as a bag reads back as it was, every signal at its own times."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+from rosbags.rosbag2 import Reader
 
 from pneu_sim.errors import InputError
 from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.problem import record_for
-from pneu_sysid.records import Recording, bag_topics
+from pneu_sysid.records import Recording, Signal, bag_topics, read_recording
 from pneu_sysid.records.write import write_bag
 
-RATE = 500.0
+START_NS = 1_700_000_000_000_000_000
 
 
 @pytest.fixture
@@ -25,15 +27,23 @@ def rig() -> Rig:
 
 @pytest.fixture
 def recording(rig: Rig) -> Recording:
+    """Taps at rates and instants of their own, and a command that begins before them."""
     rng = np.random.default_rng(5)
-    time = np.arange(200) / RATE
-    return Recording(
-        name="run",
-        time_s=time,
-        commands={"voltage": np.repeat(rng.uniform(0.0, 10.0, 20), 10)},
-        pressures={tap: rng.uniform(1e5, 6e5, 200) for tap in rig.taps},
-        rate_hz=RATE,
-        start_time_s=1.7e9,
+    pressures = {}
+    for k, tap in enumerate(rig.taps):
+        steps_ns = rng.integers(2_000_000 + k, 50_000_000, 200 - k)
+        time_ns = np.cumsum(steps_ns) - steps_ns[0]
+        pressures[tap] = Signal(time_ns / 1e9, rng.uniform(1e5, 6e5, time_ns.size))
+    sent_ns = np.cumsum(rng.integers(1_000_000, 30_000_000, 100)) - 300_000_000
+    volts = Signal(sent_ns / 1e9, rng.uniform(0.0, 10.0, 100))
+    return Recording("run", {"voltage": volts}, pressures, start_time_s=START_NS / 1e9)
+
+
+def read(rig: Rig, path: Path) -> Recording:
+    return read_recording(
+        path,
+        commands={n: c.channel for n, c in rig.commands.items() if c.channel is not None},
+        pressures={n: t.channel for n, t in rig.taps.items() if t.channel is not None},
     )
 
 
@@ -41,21 +51,40 @@ def recording(rig: Rig) -> Recording:
 def test_a_bag_reads_back_as_it_was(
     rig: Rig, recording: Recording, tmp_path: Path, name: str
 ) -> None:
-    recording.pressures["end"][50] = np.nan
     path = tmp_path / name
     write_bag(path, rig, recording)
     assert [p.name for p in tmp_path.iterdir()] == [name]
     topics = bag_topics(path)
-    assert topics["/taps/end/pressure"] == ("sensor_msgs/msg/FluidPressure", 199)
-    assert topics["/valve/voltage"] == ("std_msgs/msg/Float64", 200)
-    back = record_for(rig, str(path))
-    assert back.rate_hz == pytest.approx(RATE, rel=1e-9)
-    assert back.start_time_s == pytest.approx(1.7e9, abs=1e-6)
-    for command, volts in recording.commands.items():
-        np.testing.assert_array_equal(back.commands[command], volts)
-    for tap, pressure in recording.pressures.items():
-        keep = np.isfinite(pressure)
-        np.testing.assert_array_equal(back.pressures[tap][keep], pressure[keep])
+    count = len(recording.pressures["end"])
+    assert topics["/taps/end/pressure"] == ("sensor_msgs/msg/FluidPressure", count)
+    assert topics["/valve/voltage"] == ("std_msgs/msg/Float64", 100)
+    back = read(rig, path)
+    assert back.start_time_s == START_NS / 1e9
+    assert back.commands["voltage"].time_s[0] < -0.2
+    for part, found in ((recording.commands, back.commands), (recording.pressures, back.pressures)):
+        for key, signal in part.items():
+            np.testing.assert_array_equal(found[key].time_s, signal.time_s)
+            np.testing.assert_array_equal(found[key].values, signal.values)
+
+
+def test_messages_are_in_the_order_of_time(rig: Rig, recording: Recording, tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", rig, recording)
+    with Reader(tmp_path / "bag") as reader:
+        stamps = [stamp for _, stamp, _ in reader.messages()]
+    with (tmp_path / "bag" / "bag.mcap").open("rb") as file:
+        chunks = [r for r in StreamReader(file).records if isinstance(r, Message)]
+    assert [message.log_time for message in chunks] == sorted(stamps)
+
+
+def test_values_that_are_missing_are_left_out(
+    rig: Rig, recording: Recording, tmp_path: Path
+) -> None:
+    end = recording.pressures["end"]
+    holed = np.where(np.arange(len(end)) == 50, np.nan, end.values)
+    recording.pressures["end"] = Signal(end.time_s, holed)
+    write_bag(tmp_path / "bag", rig, recording)
+    back = read(rig, tmp_path / "bag").pressures["end"]
+    np.testing.assert_array_equal(back.time_s, np.delete(end.time_s, 50))
 
 
 def test_scale_and_offset_are_undone(rig: Rig, recording: Recording, tmp_path: Path) -> None:
@@ -65,16 +94,22 @@ def test_scale_and_offset_are_undone(rig: Rig, recording: Recording, tmp_path: P
     changed = rig.model_copy(deep=True)
     changed.taps["end"].channel = gauge_bar
     write_bag(tmp_path / "bag", changed, recording)
-    raw = record_for(rig, str(tmp_path / "bag")).pressures["end"]
-    np.testing.assert_allclose(raw, (recording.pressures["end"] - 101325.0) / 1e5, rtol=1e-12)
+    raw = read(rig, tmp_path / "bag").pressures["end"].values
+    expected = (recording.pressures["end"].values - 101325.0) / 1e5
+    np.testing.assert_allclose(raw, expected, rtol=1e-12)
 
 
+@pytest.mark.parametrize("early_s", [0.0, 4.0])
 def test_a_recording_without_a_clock_keeps_its_first_sample(
-    rig: Rig, recording: Recording, tmp_path: Path
+    rig: Rig, recording: Recording, tmp_path: Path, early_s: float
 ) -> None:
+    volts = recording.commands["voltage"]
+    recording.commands["voltage"] = Signal(volts.time_s - early_s, volts.values)
     recording.start_time_s = 0.0
     write_bag(tmp_path / "bag", rig, recording)
-    assert record_for(rig, str(tmp_path / "bag")).time_s.size == 200
+    back = read(rig, tmp_path / "bag")
+    assert len(back.commands["voltage"]) == 100
+    np.testing.assert_array_equal(back.pressures["end"].time_s, recording.pressures["end"].time_s)
 
 
 def test_refusals_are_one_sentence_and_leave_nothing(
@@ -89,4 +124,10 @@ def test_refusals_are_one_sentence_and_leave_nothing(
     blind.taps["end"].channel = None
     with pytest.raises(InputError, match=r"taps\.end has no topic"):
         write_bag(tmp_path / "bag", blind, recording)
+    volts = recording.commands["voltage"]
+    recording.commands["voltage"] = Signal(volts.time_s[1:], volts.values)
+    with pytest.raises(InputError, match=r"commands\.voltage: found 99 times of 100 values"):
+        write_bag(tmp_path / "bag", rig, recording)
+    with pytest.raises(InputError, match="found no signal to write"):
+        write_bag(tmp_path / "bag", rig, Recording("empty", {}, {}))
     assert [p.name for p in tmp_path.iterdir()] == ["old"]

@@ -1,9 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of a rig: bags and text files onto one uniform grid, with what was wrong."""
+"""Recordings of a rig: bags and text files, every signal at its own times, with what was wrong."""
 
+from pneu_sim.signals import Signal
 from pneu_sysid.records.bag import bag_topics
-from pneu_sysid.records.noise import noise_floor_pa
+from pneu_sysid.records.noise import NoiseFloor, noise_floor
 from pneu_sysid.records.read import read_recording
-from pneu_sysid.records.recording import Finding, Recording
+from pneu_sysid.records.recording import Finding, Recording, even_recording
 
-__all__ = ["Finding", "Recording", "bag_topics", "noise_floor_pa", "read_recording"]
+__all__ = [
+    "Finding",
+    "NoiseFloor",
+    "Recording",
+    "Signal",
+    "bag_topics",
+    "even_recording",
+    "noise_floor",
+    "read_recording",
+]

@@ -84,7 +84,7 @@ def read_bag(
         path: rosbag2 folder (metadata.yaml and .mcap files) or bare .mcap file, either
             compressed with zstd by message, chunk or file, or not.
         commands: Held channels by name.
-        pressures: Interpolated channels by name.
+        pressures: Pressure channels by name.
 
     Returns:
         One stream per channel in file order, with ``stamp_ns`` set to the log time, and

@@ -2,17 +2,16 @@
 """Defects of one channel's samples: order, duplicates, NaN, frozen values, gaps.
 
 Each function takes a stream and returns it repaired with what was found. Time is
-judged here, too, but only described; the uniform grid is made elsewhere.
+judged here, too, but only described: samples that are left keep their stamps.
 """
 
 import numpy as np
 
 from pneu_sim.errors import InputError
-from pneu_sysid.records.noise import noise_floor_pa
+from pneu_sysid.records.noise import noise_floor
 from pneu_sysid.records.recording import Finding
-from pneu_sysid.records.stream import Stream, median_period_ns
+from pneu_sysid.records.stream import GAP_PERIODS, LONGEST_STEP, Stream, median_period_ns
 
-GAP_PERIODS = 3.0  # neighbours further apart than this leave a gap that is not bridged
 _FROZEN_SAMPLES = 100
 
 
@@ -106,7 +105,10 @@ def _drop_frozen(stream: Stream) -> tuple[Stream, list[Finding]]:
     usual = np.percentile(lengths, 99)
     long = np.flatnonzero(lengths > max(_FROZEN_SAMPLES, 10 * usual))
     # Without noise a channel may rest for long; only a noisy one that stands still is stuck.
-    if not long.size or noise_floor_pa(values) < 2e-5 * np.ptp(values):
+    if not long.size:
+        return stream, []
+    time_s = (stream.stamp_ns - stream.stamp_ns[0]) / 1e9
+    if not noise_floor(time_s, values).sigma_pa >= 2e-5 * np.ptp(values):
         return stream, []
     keep = np.ones(len(values), dtype=bool)
     for k in long:
@@ -128,20 +130,18 @@ def _describe_timing(stream: Stream) -> list[Finding]:
         return findings
     period = median_period_ns(stream.stamp_ns)
     if stream.role == "command" and not is_regular(stream):
-        note = "not sampled at a rate; each value was held until the next"
+        note = "not sampled at a rate; each value holds until the next"
         return [Finding(stream.name, "event_driven", len(stream), note)]
-    gaps = steps > (GAP_PERIODS + 0.05) * period
+    gaps = steps > LONGEST_STEP * period
     short = (steps > 1.5 * period) & ~gaps
-    bridged = "held" if stream.role == "command" else "interpolated"
-    if short.any():
+    if short.any() and is_regular(stream):
         count = int(np.rint(steps[short] / period - 1).sum())
-        findings.append(Finding(stream.name, "missing", count, f"missing sample(s) were {bridged}"))
-    if gaps.any():
-        left = "held" if stream.role == "command" else "left NaN"
+        note = f"missing sample(s), of which never more than {GAP_PERIODS - 1:g} in a row"
+        findings.append(Finding(stream.name, "missing", count, note))
+    if gaps.any() and stream.role == "command":  # those of a tap are told with the whole recording
         note = (
-            f"gap(s) longer than {GAP_PERIODS:g} sample periods, "
-            f"{steps[gaps].sum() * 1e-9:.6g} s in all, "
-            f"the longest {steps.max() * 1e-9:.6g} s; {left}"
+            f"gap(s) longer than {GAP_PERIODS:g} sample periods, {steps[gaps].sum() * 1e-9:.6g} s "
+            f"in all, the longest {steps.max() * 1e-9:.6g} s; the value before each holds"
         )
         findings.append(Finding(stream.name, "gap", int(gaps.sum()), note))
     near = steps <= 1.5 * period
@@ -150,7 +150,7 @@ def _describe_timing(stream: Stream) -> list[Finding]:
     if uneven:
         note = (
             f"step(s) off the median period of {period * 1e-6:.6g} ms by more than a tenth, "
-            f"{100 * float(np.sqrt(np.mean(jitter**2))):.3g} % rms; resampled where off the grid"
+            f"{100 * float(np.sqrt(np.mean(jitter**2))):.3g} % rms; each keeps its time"
         )
         findings.append(Finding(stream.name, "irregular", uneven, note))
     return findings

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_sim.errors import InputError
 from pneu_sysid.records.recording import Finding
 from pneu_sysid.records.stream import Stream, median_period_ns
 
@@ -18,20 +19,27 @@ _SEAM_SAMPLES = 50
 
 
 def choose_clock(
-    streams: list[Stream], wanted: dict[str, Literal["auto", "header", "log"]]
+    streams: list[Stream],
+    wanted: dict[str, Literal["auto", "header", "log"]],
+    path: str = "recording",
 ) -> tuple[list[Stream], list[Finding]]:
     """Stamp each stream by its header where there is one, else by the log time.
 
     Header stamps that are all zero (never filled in) count as absent. Where
     header-stamped and log-stamped channels share no time at all, as with simulated time
-    in the headers, the log time is used for all that leave the choice open.
+    in the headers, the log time is used for all that leave the choice open, as it is
+    for one whose header stamps run backwards.
 
     Args:
         streams: Streams in order of arrival.
         wanted: Clock asked for, by channel name.
+        path: Recording, for messages.
 
     Returns:
         The streams with ``stamp_ns`` set, and the findings.
+
+    Raises:
+        InputError: The clock of a channel runs backwards.
     """
     findings: list[Finding] = []
     chosen: list[Stream] = []
@@ -50,6 +58,12 @@ def choose_clock(
                 note = "sample(s) with a zero header stamp were dropped"
                 findings.append(Finding(stream.name, "no_header_stamp", count, note))
                 stream = stream.pick(filled)
+        if use and wanted[stream.name] == "auto":
+            assert stream.header_ns is not None
+            if runs_backwards(stream.header_ns) and not runs_backwards(stream.log_ns):
+                use = False
+                note = "the header stamps run backwards; the log time was used"
+                findings.append(Finding(stream.name, "clock_jump", len(stream), note))
         if use:
             assert stream.header_ns is not None
             stream = replace(stream, stamp_ns=stream.header_ns)
@@ -74,9 +88,31 @@ def choose_clock(
                 by_header[i] = False
                 findings.append(Finding(stream.name, "clock_offset", len(stream), note))
     for stream, use in zip(chosen, by_header, strict=True):
+        if runs_backwards(stream.stamp_ns):
+            steps = np.diff(stream.stamp_ns)
+            raise InputError(
+                f"{path}: {stream.label}: its {'header stamps' if use else 'times'} run backwards "
+                f"in {int((steps < 0).sum())} of {steps.size} steps, a clock that runs forward is "
+                "needed"
+            )
         if use:
             findings += _compare_with_log(stream)
     return chosen, findings
+
+
+def runs_backwards(stamp_ns: NDArray[np.int64]) -> bool:
+    """Return whether a clock runs backwards or to and fro, rather than jumping at times.
+
+    Args:
+        stamp_ns: (n,) stamps in the order of arrival, ns.
+    """
+    if len(stamp_ns) < 3:
+        return False
+    lag = _REORDER_SAMPLES + 1  # what is reordered only is not behind by so many
+    if len(stamp_ns) <= 2 * lag:
+        return bool(np.all(np.diff(stamp_ns) < 0))
+    falls = np.diff(stamp_ns) < -_REORDER_SAMPLES * median_period_ns(stamp_ns)
+    return bool(np.mean(stamp_ns[lag:] < stamp_ns[:-lag]) > 0.4 or np.mean(falls) > 0.05)
 
 
 def _overlap(a: Stream, b: Stream) -> bool:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One call from a bag or a text file to a recording on a uniform grid."""
+"""One call from a bag or a text file to a recording, each signal at its own times."""
 
 from pathlib import Path
 
@@ -7,15 +7,17 @@ import numpy as np
 
 from pneu_sim.channels import Channel, TextFormat
 from pneu_sim.errors import InputError
+from pneu_sim.signals import Signal
 from pneu_sysid.records.bag import read_bag
-from pneu_sysid.records.clean import clean
+from pneu_sysid.records.clean import clean, is_regular
 from pneu_sysid.records.clock import choose_clock, mend_clock_jumps
-from pneu_sysid.records.grid import hold, interpolate, make_grid
-from pneu_sysid.records.recording import Recording
+from pneu_sysid.records.recording import Finding, Recording
+from pneu_sysid.records.stream import GAP_PERIODS, LONGEST_STEP, Stream, median_period_ns
 from pneu_sysid.records.text import read_text
 
 MIN_SAMPLES = 20
 _MCAP_MAGIC = b"\x89MCAP"
+_APART_NS = 3_600_000_000_000  # an hour between two channels: different clocks, not a pause
 
 
 def read_recording(
@@ -28,18 +30,21 @@ def read_recording(
     start_s: float | None = None,
     end_s: float | None = None,
 ) -> Recording:
-    """Read commands and pressures of a recording onto one uniform grid.
+    """Read commands and pressures of a recording, each at its own times; nothing is resampled.
 
-    Samples that stand on the grid within 5 % of a period are taken unaltered. Elsewhere
-    commands are held and pressures interpolated, with NaN in gaps longer than three
-    sample periods. A lower ``rate_hz`` than recorded picks samples and does not filter.
+    Time 0 is the first reading of any tap from which on every command is known. Readings
+    before it are left out, as are those after the end of a command that is sampled at a
+    rate. Commands keep their history before time 0, at negative times, because a valve
+    answers to it. Times are differences of stamps in ns, so a common offset does not touch
+    them. Gaps are readings that are not there.
 
     Args:
         path: rosbag2 MCAP folder, .mcap file, or text file.
         commands: Held channels by name; may be empty.
         pressures: Pressure channels by tap, at least one.
         text: Layout of the rows, if the file is text.
-        rate_hz: Grid rate; the median rate of the pressures if not given.
+        rate_hz: Readings per second of a tap that has more are thinned to this rate, by
+            picking the first after each even beat, without a filter; all are kept if not given.
         start_s: Start of the part to keep, in s after the start of the recording.
         end_s: End of the part to keep, in s after the start of the recording.
 
@@ -47,8 +52,8 @@ def read_recording(
         The recording, with all that was detected and handled in ``report``.
 
     Raises:
-        InputError: The recording is missing, damaged or without a mapped channel, or a
-            channel has too few usable samples.
+        InputError: The recording is missing, damaged or without a mapped channel, a clock of
+            it runs backwards, or a channel has too few usable samples.
     """
     path = Path(path)
     _check_arguments(path, commands, pressures, rate_hz, start_s, end_s)
@@ -61,7 +66,7 @@ def read_recording(
             raise InputError(f"{path}: {stream.label} has no samples")
 
     wanted = {name: channel.stamp for name, channel in {**commands, **pressures}.items()}
-    streams, found = choose_clock(streams, wanted)
+    streams, found = choose_clock(streams, wanted, str(path))
     findings += found
     streams, found = mend_clock_jumps(streams)
     findings += found
@@ -78,34 +83,134 @@ def read_recording(
             )
         cleaned.append(stream)
 
-    grid, found = make_grid(str(path), cleaned, rate_hz)
+    first_ns, last_ns, found = _common_time(str(path), cleaned)
     findings += found
-    first = 0 if start_s is None else max(round(start_s / grid.period_s), 0)
-    last = grid.count if end_s is None else min(round(end_s / grid.period_s) + 1, grid.count)
-    part = slice(first, last)
+    held = [s for s in cleaned if s.role == "command"]
+    taps = [s for s in cleaned if s.role == "pressure"]
+    begin_ns = first_ns if start_s is None else first_ns + max(round(start_s * 1e9), 0)
+    end_ns = last_ns if end_s is None else min(first_ns + round(end_s * 1e9), last_ns)
+    kept = [s.pick((s.stamp_ns >= begin_ns) & (s.stamp_ns <= end_ns)) for s in taps]
+    for stream, whole in zip(kept, taps, strict=True):
+        if len(stream) < MIN_SAMPLES:
+            raise InputError(
+                f"{path}: {stream.label} has {len(stream)} usable sample(s) in the part read "
+                f"(of {len(whole)}), at least {MIN_SAMPLES} are needed"
+            )
+    origin_ns = min(int(s.stamp_ns[0]) for s in kept)
+    until_ns = max(int(s.stamp_ns[-1]) for s in kept)
     recording = Recording(
         name=path.name.removesuffix(".zstd").rsplit(".", 1)[0] if path.is_file() else path.name,
-        time_s=grid.period_s * np.arange(max(last - first, 0), dtype=np.float64),
-        commands={},
+        commands={s.name: _signal(s.pick(s.stamp_ns <= until_ns), origin_ns) for s in held},
         pressures={},
-        rate_hz=1.0 / grid.period_s,
         report=findings,
-        start_time_s=grid.origin_ns * 1e-9 + grid.start_s + first * grid.period_s,
+        start_time_s=origin_ns / 1e9,
     )
-    for stream in cleaned:
-        if stream.role == "command":
-            recording.commands[stream.name] = hold(stream, grid)[part]
-            continue
-        values, found = interpolate(stream, grid)
-        findings += found
-        recording.pressures[stream.name] = values[part]
-        usable = int(np.isfinite(values[part]).sum())
-        if usable < MIN_SAMPLES:
-            raise InputError(
-                f"{path}: {stream.label} has {usable} usable sample(s) in the part read "
-                f"({len(recording.time_s)} grid points), at least {MIN_SAMPLES} are needed"
-            )
+    for stream in kept:
+        findings += _describe_gaps(stream, origin_ns, until_ns)
+        if rate_hz is not None:
+            stream, found = _thin(str(path), stream, origin_ns, rate_hz)
+            findings += found
+        recording.pressures[stream.name] = _signal(stream, origin_ns)
     return recording
+
+
+def _signal(stream: Stream, origin_ns: int) -> Signal:
+    """Samples of a channel in s after an origin; the difference is exact in integers."""
+    return Signal((stream.stamp_ns - origin_ns) / 1e9, stream.values)
+
+
+def _common_time(path: str, streams: list[Stream]) -> tuple[int, int, list[Finding]]:
+    """First and last stamp between which readings and every command are there.
+
+    Args:
+        path: Recording, for messages.
+        streams: Clean streams, at least one of them a pressure.
+
+    Raises:
+        InputError: Channels have no time in common.
+    """
+    taps = [s for s in streams if s.role == "pressure"]
+    held = [s for s in streams if s.role == "command"]
+    latest = max(streams, key=lambda s: s.stamp_ns[0])
+    earliest = min(streams, key=lambda s: s.stamp_ns[-1])
+    apart_ns = int(latest.stamp_ns[0]) - int(earliest.stamp_ns[-1])
+    # A command sent on events holds, and a tap may fall silent where another begins.
+    lasting = (earliest.role == "command" and not is_regular(earliest)) or (
+        earliest.role == latest.role == "pressure"
+    )
+    if apart_ns > (_APART_NS if lasting else 0):
+        raise InputError(
+            f"{path}: no time in common: {earliest.label} ends {apart_ns * 1e-9:.6g} s before "
+            f"{latest.label} begins"
+        )
+    findings = []
+    first_ns = min(int(s.stamp_ns[0]) for s in taps)
+    last_ns = max(int(s.stamp_ns[-1]) for s in taps)
+    if held:
+        known = max(held, key=lambda s: s.stamp_ns[0])
+        known_ns = int(known.stamp_ns[0])
+        if early := sum(int(np.count_nonzero(s.stamp_ns < known_ns)) for s in taps):
+            note = (
+                f"reading(s) in the {(known_ns - first_ns) * 1e-9:.6g} s before its first sample "
+                "were left out"
+            )
+            findings.append(Finding(known.name, "cropped", early, note))
+            first_ns = min(
+                (int(s.stamp_ns[s.stamp_ns >= known_ns][0]) for s in taps if _reaches(s, known_ns)),
+                default=known_ns,
+            )
+    pace_ns = float(np.median([median_period_ns(s.stamp_ns) for s in taps]))
+    for stream in held:
+        end_ns = int(stream.stamp_ns[-1])
+        grace_ns = GAP_PERIODS * max(median_period_ns(stream.stamp_ns), pace_ns)
+        if is_regular(stream) and last_ns > end_ns + grace_ns:
+            late = sum(int(np.count_nonzero(s.stamp_ns > end_ns)) for s in taps)
+            note = (
+                f"reading(s) in the {(last_ns - end_ns) * 1e-9:.6g} s after its last sample were "
+                "left out"
+            )
+            findings.append(Finding(stream.name, "cropped", late, note))
+            last_ns = end_ns
+    return first_ns, last_ns, findings
+
+
+def _reaches(stream: Stream, stamp_ns: int) -> bool:
+    return int(stream.stamp_ns[-1]) >= stamp_ns
+
+
+def _describe_gaps(stream: Stream, begin_ns: int, end_ns: int) -> list[Finding]:
+    """Tell how much of a recording a tap misses."""
+    edges = np.concatenate(([begin_ns], stream.stamp_ns, [end_ns]))
+    steps = np.diff(edges)
+    gaps = steps[steps > LONGEST_STEP * median_period_ns(stream.stamp_ns)]
+    if not gaps.size:
+        return []
+    note = (
+        f"gap(s) longer than {GAP_PERIODS:g} sample periods, {gaps.sum() * 1e-9:.6g} s or "
+        f"{100.0 * gaps.sum() / (end_ns - begin_ns):.2g} % of the recording in all, the longest "
+        f"{gaps.max() * 1e-9:.6g} s; nothing stands in for what is missing"
+    )
+    return [Finding(stream.name, "gap", int(gaps.size), note)]
+
+
+def _thin(
+    path: str, stream: Stream, origin_ns: int, rate_hz: float
+) -> tuple[Stream, list[Finding]]:
+    """Pick the first reading of each beat of a rate."""
+    # A reading on the beat may be a rounding error before it.
+    beat = np.floor((stream.stamp_ns - origin_ns) * (rate_hz * 1e-9) + 1e-6)
+    picked = np.flatnonzero(np.concatenate(([True], np.diff(beat) > 0.0)))
+    if picked.size == len(stream):
+        return stream, []
+    if picked.size < MIN_SAMPLES:
+        raise InputError(
+            f"{path}: {stream.label} has {picked.size} reading(s) left at rate_hz {rate_hz:g} of "
+            f"{len(stream)}, at least {MIN_SAMPLES} are needed (choose a higher rate)"
+        )
+    note = f"reading(s) were left out to keep at most {rate_hz:g} per second, without a filter"
+    return stream.pick(picked), [
+        Finding(stream.name, "thinned", len(stream) - int(picked.size), note)
+    ]
 
 
 def _check_arguments(

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording on one uniform time grid, and the findings made while it was read."""
+"""A recording: every signal at its own times, and the findings made while it was read."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
+
+from pneu_sim.signals import Signal
 
 
 @dataclass(frozen=True)
@@ -16,8 +19,8 @@ class Finding:
         kind: One of ``truncated``, ``no_metadata``, ``no_definition``, ``no_header_stamp``,
             ``clock_offset``, ``clock_rate``, ``clock_jump``, ``out_of_order``,
             ``duplicate``, ``not_finite``, ``unreadable``, ``short_row``, ``irregular``,
-            ``missing``, ``gap``, ``event_driven``, ``interpolated``, ``frozen``,
-            ``constant``, ``cropped``, ``suspicious_unit``.
+            ``missing``, ``gap``, ``event_driven``, ``frozen``, ``constant``, ``cropped``,
+            ``thinned``, ``suspicious_unit``.
         count: Number of samples, gaps or rows concerned.
         action: What was found in figures and what was done, in one sentence.
     """
@@ -34,22 +37,51 @@ class Finding:
 
 @dataclass
 class Recording:
-    """Signals of one recording on a common uniform grid, in SI units.
+    """Signals of one recording, each at its own times, in SI units.
 
     Attributes:
         name: File or folder name without suffix.
-        time_s: Grid of shape (T,), uniform, from 0.
-        commands: Valve commands by name, each of shape (T,), held between samples; no NaN.
-        pressures: Absolute pressures in Pa by tap, each of shape (T,), NaN where missing.
-        rate_hz: Grid rate.
+        commands: Valve commands by name; each begins at or before time 0.
+        pressures: Absolute pressures in Pa by tap.
         report: What was detected while reading, and how it was handled.
-        start_time_s: Clock time of ``time_s[0]`` (Unix time for stamped bags).
+        start_time_s: Clock time of time 0 (Unix time for stamped bags).
     """
 
     name: str
-    time_s: NDArray[np.float64]
-    commands: dict[str, NDArray[np.float64]]
-    pressures: dict[str, NDArray[np.float64]]
-    rate_hz: float
+    commands: dict[str, Signal]
+    pressures: dict[str, Signal]
     report: list[Finding] = field(default_factory=list)
     start_time_s: float = 0.0
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last reading, s."""
+        return max((float(s.time_s[-1]) for s in self.pressures.values() if len(s)), default=0.0)
+
+
+def even_recording(
+    name: str,
+    time_s: ArrayLike,
+    commands: Mapping[str, ArrayLike],
+    pressures: Mapping[str, ArrayLike],
+) -> Recording:
+    """A recording whose signals share their times, as a simulation gives them.
+
+    Args:
+        name: Its name.
+        time_s: (T,) times, s.
+        commands: Per command its (T,) volts.
+        pressures: Per tap its (T,) readings, Pa; one that is NaN is missing.
+    """
+    time = np.asarray(time_s, dtype=float)
+
+    def signal(values: ArrayLike) -> Signal:
+        series = np.asarray(values, dtype=float)
+        good = np.isfinite(series)
+        return Signal(time[good], series[good])
+
+    return Recording(
+        name,
+        {key: signal(value) for key, value in commands.items()},
+        {key: signal(value) for key, value in pressures.items()},
+    )

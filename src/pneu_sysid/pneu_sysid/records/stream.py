@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 # Damaged stamps may hold any 64 bits; within this, differences of stamps do not overflow.
 STAMP_LIMIT_NS = 2**62
 
+GAP_PERIODS = 3.0
+"""Sample periods between neighbours above which there is a gap between them."""
+LONGEST_STEP = GAP_PERIODS + 0.05
+"""The same with what clocks jitter."""
+
 
 @dataclass(frozen=True)
 class Stream:
@@ -17,7 +22,7 @@ class Stream:
 
     Attributes:
         name: Name of the command or tap.
-        role: Whether the channel is held (command) or interpolated (pressure).
+        role: Whether the channel is held from sample to sample (command) or read (pressure).
         source: Where it comes from, worded for messages.
         arrival: Position in the file of each sample, shape (n,), increasing.
         log_ns: Recorder's clock in ns, shape (n,).

@@ -27,7 +27,7 @@ def read_text(
     Args:
         path: Text file, one sample of all channels per line.
         commands: Held channels by name.
-        pressures: Interpolated channels by name.
+        pressures: Pressure channels by name.
         layout: How the rows are laid out.
 
     Returns:

@@ -11,8 +11,9 @@ from pneu_sysid.records.recording import Recording
 def write_bag(path: str | Path, rig: Rig, recording: Recording) -> None:
     """Writes a recording as a bag on the topics of its rig, whole or not at all.
 
-    Pressures carry header stamps, commands have the log time alone. NaN samples are left out. A
-    recording without a clock time begins at ``pneu_sim.bag.FIRST_STAMP_S``.
+    Every signal is written at its own times. Pressures carry header stamps, commands have the log
+    time alone. A recording without a clock time begins at ``pneu_sim.bag.FIRST_STAMP_S``, or later
+    by as much as a command reaches back.
 
     Args:
         path: Folder of the bag, or a file that ends in ``.mcap``; must not exist yet.
@@ -23,11 +24,4 @@ def write_bag(path: str | Path, rig: Rig, recording: Recording) -> None:
         InputError: The path exists or cannot be written, or a signal has no topic or a message type
             that is not written.
     """
-    bag.write_bag(
-        path,
-        rig,
-        recording.rate_hz,
-        recording.commands,
-        recording.pressures,
-        recording.start_time_s,
-    )
+    bag.write_bag(path, rig, recording.commands, recording.pressures, recording.start_time_s)
