@@ -1225,6 +1225,107 @@ def _ends(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _at_tap(w, t, j, tap_slot, tap_weight, X, ch_p):
+    """Return the pressure of the gas at tap t of lane j."""
+    sl = tap_slot[t, j]
+    if sl < 0:
+        return ch_p[-1 - sl, j]
+    a = tap_weight[t, j]
+    return (1.0 - a) * X[L.W_P, sl * w + j] + a * X[L.W_P, (sl + 1) * w + j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _read(
+    w,
+    step,
+    tap_slot,
+    tap_weight,
+    X,
+    ch_p,
+    sensor,
+    read_t,
+    read_p,
+    read_gain,
+    next_read,
+    shown,
+    felt,
+    error,
+    read_out,
+):
+    """Read the taps that are due since the last step; return whether the state is to be corrected.
+
+    Between two steps a reading is linear. ``error`` gets what each tap asks of the state, in Pa.
+    """
+    corrected = False
+    m = read_t.shape[1]
+    for t in range(read_t.shape[0]):
+        for j in range(w):
+            i = next_read[t, j]
+            error[t, j] = 0.0
+            # A sensor that does not lag need not be looked at until a reading is near.
+            if sensor[t, L.SENSE_KEEP, j] == 0.0 and (i >= m or read_t[t, i, j] > step + 1):
+                continue
+            p = _at_tap(w, t, j, tap_slot, tap_weight, X, ch_p)
+            before = shown[t, j]
+            if math.isnan(before):
+                before = p
+                shown[t, j] = p
+            else:
+                # First-order lag, exact for a pressure that is linear between steps.
+                shown[t, j] = (
+                    sensor[t, L.SENSE_KEEP, j] * before
+                    + sensor[t, L.SENSE_OLD, j] * felt[t, j]
+                    + sensor[t, L.SENSE_NEW, j] * p
+                )
+            felt[t, j] = p
+            while i < m and read_t[t, i, j] <= step:
+                f = min(max(read_t[t, i, j] - (step - 1), 0.0), 1.0)
+                value = before + f * (shown[t, j] - before)
+                gain = sensor[t, L.SENSE_GAIN, j]
+                value = gain * value + sensor[t, L.SENSE_BIAS, j]
+                read_out[t, i, j] = value
+                # One in doubt (not a number) asks for nothing.
+                asked = read_gain[t, i, j] * (read_p[t, i, j] - value) / gain
+                if asked > 0.0 or asked < 0.0:
+                    error[t, j] += asked
+                    corrected = True
+                i += 1
+            next_read[t, j] = i
+    return corrected
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _correct(slots, w, gamma, error, spread_slot, spread_chamber, P, S, X, ch_p, ch_state):
+    """Correct the gas by what the taps ask, spread over lines and chambers.
+
+    Gas is added or taken at its own temperature and velocity: what a model gets wrong that lasts is
+    mass, and the wall keeps the temperature.
+    """
+    rho, mom, ene = S[L.RHO], S[L.MOM], S[L.ENE]
+    n_taps = error.shape[0]
+    for i in range(slots):
+        if P[L.INV_VOLUME, i * w] <= 0.0:
+            continue
+        for j in range(w):
+            d = 0.0
+            for t in range(n_taps):
+                d += spread_slot[i, t] * error[t, j]
+            q = i * w + j
+            grow = 1.0 + max(d / X[L.W_P, q], -0.5)
+            rho[q] *= grow
+            mom[q] *= grow
+            ene[q] *= grow
+    for c in range(ch_p.shape[0]):
+        for j in range(w):
+            d = 0.0
+            for t in range(n_taps):
+                d += spread_chamber[c, t] * error[t, j]
+            grow = 1.0 + max(d / ch_p[c, j], -0.5)
+            ch_state[c, 0, j] *= grow
+            ch_state[c, 1, j] *= grow
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def advance(
     n_out,
     n_sub,
@@ -1259,11 +1360,18 @@ def advance(
     ambient,
     tap_slot,
     tap_weight,
-    nudge_n,
-    nudge_rate,
-    nudge_p,
-    nudge_field,
-    nudge_chamber,
+    read_t,
+    read_p,
+    read_gain,
+    sensor,
+    spread_slot,
+    spread_chamber,
+    first_step,
+    closing,
+    next_read,
+    shown,
+    felt,
+    read_out,
     tap_out,
     flow_out,
     chamber_out,
@@ -1305,11 +1413,20 @@ def advance(
         ambient: (2, lanes) room pressure and temperature.
         tap_slot: (n_taps, lanes) slot left of each tap, or -1 - chamber.
         tap_weight: (n_taps, lanes) weight of the next slot.
-        nudge_n: Samples during which the state is drawn to measured taps (assimilation).
-        nudge_rate: Rate of that pull, 1/s.
-        nudge_p: (nudge_n + 1, n_taps, lanes) measured pressures, NaN where there are none.
-        nudge_field: (slots, n_taps) how an error at the taps spreads over the slots.
-        nudge_chamber: (n_chambers, n_taps) the same for the chambers.
+        read_t: (n_taps, m, lanes) when each tap is read, in steps since the start, increasing; inf
+            beyond the last reading.
+        read_p: (n_taps, m, lanes) what was measured then, Pa; NaN where nothing was.
+        read_gain: (n_taps, m, lanes) share of the difference by which the state is corrected then.
+        sensor: (n_taps, SENSOR_ROWS, lanes) what each sensor makes of the pressure, see ``layout``.
+        spread_slot: (slots, n_taps) how a correction at the taps spreads over the slots.
+        spread_chamber: (n_chambers, n_taps) the same for the chambers.
+        first_step: Steps since the start that earlier calls have made.
+        closing: Whether this call is the last, so that the taps are read at its very end too.
+        next_read: (n_taps, lanes) the next reading, kept from call to call.
+        shown: (n_taps, lanes) what the sensors make of the pressure before gain and bias, Pa,
+            likewise; NaN has them at rest.
+        felt: (n_taps, lanes) the pressure behind that, Pa, likewise.
+        read_out: (n_taps, m, lanes) what the sensors read then, Pa.
         tap_out: (n_out, n_taps, lanes) recorded pressures.
         flow_out: (n_out, n_ports, lanes) recorded port flows, kg/s.
         chamber_out: (n_out, n_chambers, lanes) recorded chamber pressures.
@@ -1324,7 +1441,10 @@ def advance(
     port_net = np.zeros((n_ends, w))
     port_h = np.zeros((n_ends, w))
     port_push = np.zeros((n_ends, w))
-    error = np.zeros((tap_out.shape[1], w))
+    n_taps = tap_out.shape[1]
+    error = np.zeros((n_taps, w))
+    reading = read_t.shape[1] > 0
+    corrected = False
     end_u = np.zeros((n_ends, w))
     joint = np.zeros((n_ends, 6, w))
     joints = False
@@ -1361,7 +1481,7 @@ def advance(
                     soft[2],
                     soft[3],
                 )
-            if step == 0 or compliant or k <= nudge_n:  # else `_conserve` has left it
+            if step == 0 or compliant or corrected:  # else `_conserve` has left it
                 _inverse(n, rho, X[L.W_RI])
             _primitive(
                 n,
@@ -1385,17 +1505,29 @@ def advance(
                     ch_p[c, j] = pr
                     vol += com * (pr - ch_par[c, L.C_REST_P, j])
                     ch_t[c, j] = pr * vol / (ch_state[c, 0, j] * r_gas)
+            corrected = False
+            if reading and (closing or k < n_out - 1):
+                corrected = _read(
+                    w,
+                    first_step + step,
+                    tap_slot,
+                    tap_weight,
+                    X,
+                    ch_p,
+                    sensor,
+                    read_t,
+                    read_p,
+                    read_gain,
+                    next_read,
+                    shown,
+                    felt,
+                    error,
+                    read_out,
+                )
             if s == 0:
-                for t in range(tap_out.shape[1]):
+                for t in range(n_taps):
                     for j in range(w):
-                        sl = tap_slot[t, j]
-                        if sl < 0:
-                            tap_out[k, t, j] = ch_p[-1 - sl, j]
-                        else:
-                            a = tap_weight[t, j]
-                            tap_out[k, t, j] = (1.0 - a) * X[L.W_P, sl * w + j] + a * X[
-                                L.W_P, (sl + 1) * w + j
-                            ]
+                        tap_out[k, t, j] = _at_tap(w, t, j, tap_slot, tap_weight, X, ch_p)
                 for q in range(n_ports):
                     for j in range(w):
                         flow_out[k, q, j] = port_m[q, 0, j]
@@ -1415,7 +1547,7 @@ def advance(
 
             if joints:
                 _joints(w, gamma, 1, ends, P, S, X, joint)
-            vessels = order == 2 or s == n_sub - 1 or k < nudge_n
+            vessels = order == 2 or s == n_sub - 1 or reading
             _fill_ghosts(
                 w, gamma, r_gas, vessels, ends, end_u, joint, S, X, res_par, res_p, ch_p, ch_t
             )
@@ -1701,37 +1833,7 @@ def advance(
                 )
             if compliant:
                 _give_back(n, rho, mom, ene, soft[1], soft[2], soft[3])
-            if k < nudge_n:
-                # The error at the taps, spread over the lines as the initial state is: a correction
-                # that does not depend on the cell size, isentropic, at unchanged velocity.
-                f = (s + 0.5) / n_sub
-                for t in range(tap_out.shape[1]):
-                    for j in range(w):
-                        goal = (1.0 - f) * nudge_p[k, t, j] + f * nudge_p[k + 1, t, j]
-                        sl = tap_slot[t, j]
-                        a = tap_weight[t, j]
-                        if sl < 0:
-                            p = ch_p[-1 - sl, j]
-                        else:
-                            p = (1.0 - a) * X[L.W_P, sl * w + j] + a * X[L.W_P, (sl + 1) * w + j]
-                        error[t, j] = dt * nudge_rate * (goal - p) if goal > 0.0 else 0.0
-                for i in range(n // w):
-                    if P[L.INV_VOLUME, i * w] > 0.0:
-                        for j in range(w):
-                            d = 0.0
-                            for t in range(tap_out.shape[1]):
-                                d += nudge_field[i, t] * error[t, j]
-                            q = i * w + j
-                            dr = rho[q] * d / (gamma * X[L.W_P, q])
-                            v = mom[q] / rho[q]
-                            rho[q] += dr
-                            mom[q] += dr * v
-                            ene[q] += d / (gamma - 1.0) + 0.5 * v * v * dr
-                for c in range(n_ch):
-                    for j in range(w):
-                        d = 0.0
-                        for t in range(tap_out.shape[1]):
-                            d += nudge_chamber[c, t] * error[t, j]
-                        grow = 1.0 + d / (gamma * ch_p[c, j])
-                        ch_state[c, 0, j] *= grow
-                        ch_state[c, 1, j] *= 1.0 + d / ch_p[c, j]
+            if corrected:
+                _correct(
+                    n // w, w, gamma, error, spread_slot, spread_chamber, P, S, X, ch_p, ch_state
+                )

@@ -123,6 +123,14 @@ C_WALL_T: Final = 3
 C_REST_P: Final = 4
 CHAMBER_PARAMS: Final = 5
 
+# --- sensor rows ----------------------------------------------------------------------------------
+SENSE_KEEP: Final = 0  # share of its last reading that a lagging sensor keeps over a step
+SENSE_OLD: Final = 1  # weight of the pressure one step ago
+SENSE_NEW: Final = 2  # weight of the present pressure
+SENSE_GAIN: Final = 3  # reading per pressure
+SENSE_BIAS: Final = 4  # reading at no pressure, Pa
+SENSOR_ROWS: Final = 5
+
 # --- schemes --------------------------------------------------------------------------------------
 HLLC: Final = 0
 EXACT: Final = 1

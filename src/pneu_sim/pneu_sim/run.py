@@ -10,7 +10,8 @@ from pneu_sim import lumped, sensors
 from pneu_sim.errors import InputError
 from pneu_sim.rig.build import plan_grid
 from pneu_sim.rig.schema import Rig
-from pneu_sim.simulate import initial_field
+from pneu_sim.signals import Signal
+from pneu_sim.simulate import Course, rest
 from pneu_sim.simulator import Simulator
 
 Floats = NDArray[np.float64]
@@ -56,17 +57,19 @@ def run_rig(rig: Rig, commands: Mapping[str, Floats], sample_s: float) -> dict[s
     if rig.model == "pde":
         return Simulator(rig).run((samples - 1) * sample_s, commands, sample_s).taps
     plan = plan_grid(rig)
-    nothing = np.full((samples, len(rig.taps)), np.nan)
-    out = lumped.rollouts(
-        [lumped.build(rig, plan)],
-        initial_field(rig, plan),
-        dict(commands),
-        sample_s,
-        [0],
-        samples,
+    time = sample_s * np.arange(samples, dtype=np.float64)
+    nothing = np.full((len(rig.taps), samples), np.nan)
+    course = Course(
+        {name: Signal(time, np.asarray(volts, dtype=float)) for name, volts in commands.items()},
+        0.0,
+        float(time[-1]),
+        np.tile(time, (len(rig.taps), 1)),
         nothing,
+        np.zeros_like(nothing),
+        rest(rig, plan),
     )
-    return {name: out.readings[0, 0, :, t] for t, name in enumerate(rig.taps)}
+    out = lumped.predict([[lumped.build(rig, plan)]], [course])[0]
+    return {name: out.readings[0, t] for t, name in enumerate(rig.taps)}
 
 
 def add_noise(

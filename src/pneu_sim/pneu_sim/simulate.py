@@ -1,26 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Running models: one rig along a recording, or many parameter sets over many roll-outs at once."""
+"""Running models along recordings: many parameter sets at once, read at the sensors' own times."""
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim import layout as L
-from pneu_sim import sensors
-from pneu_sim.rig.build import Model, Plan
-from pneu_sim.rig.schema import Rig
-from pneu_sim.tile import advance, fill_chambers, fill_pipes, lanes, pack
-from pneu_sim.valve import KNOTS_PER_SAMPLE, openings
+from pneu_sim.errors import InputError
+from pneu_sim.rig.build import (
+    S_BIAS,
+    S_GAIN,
+    S_LAG,
+    S_OFFSET,
+    Model,
+    Plan,
+    reservoir_of_pipes,
+)
+from pneu_sim.rig.schema import CLOSED, Rig
+from pneu_sim.signals import Signal
+from pneu_sim.tile import Tile, Watch, advance, fill_chambers, fill_pipes, lanes, pack
+from pneu_sim.valve import openings_along
 
 Floats = NDArray[np.float64]
 
 TILE = 8
 """Rigs advanced together: one vector register of doubles, and a working set that stays in cache."""
+TICK_S = 2e-3
+"""Flows are told, and steps counted, from tick to tick; readings have their own times between."""
+KNOTS = 16
+"""Openings per tick: a spool that leaves its seat is between two of them for an eighth of a
+millisecond, and linear there."""
+CHUNK = 2000
+"""Ticks that are run at once: what must be in memory does not grow with the recording."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +57,7 @@ class InitialField:
     chamber_constant: Floats
 
 
-def initial_field(rig: Rig, plan: Plan) -> InitialField:
+def initial_field(rig: Rig, plan: Plan, through_orifices: bool = True) -> InitialField:
     """Linear interpolation of tap readings along each pipe, as thesis 8.1.2 starts its roll-outs.
 
     A reservoir's pressure counts as known at its pipe end. A pipe without any known point takes the
@@ -49,11 +66,12 @@ def initial_field(rig: Rig, plan: Plan) -> InitialField:
     Args:
         rig: The rig.
         plan: Its grid.
+        through_orifices: Whether a neighbour behind an orifice counts: at rest they share one
+            pressure, but what corrects the one says nothing of the other.
     """
     n_taps = len(rig.taps)
     weight = np.zeros((plan.slots, n_taps))
     constant = np.zeros(plan.slots)
-    names = list(rig.pipes)
     known: dict[str, list[tuple[float, Floats, float]]] = {}
     tap_names = list(rig.taps)
     for name, pipe in rig.pipes.items():
@@ -72,17 +90,15 @@ def initial_field(rig: Rig, plan: Plan) -> InitialField:
             if node in rig.reservoirs:
                 points.append((x, np.zeros(n_taps), rig.reservoirs[node].pressure_pa))
         known[name] = sorted(points, key=lambda point: point[0])
-    for _ in names:  # spread to neighbours that share a node
-        for name, pipe in rig.pipes.items():
-            if known[name]:
-                continue
-            for other, neighbour in rig.pipes.items():
-                shared = {pipe.from_node, pipe.to_node} & {neighbour.from_node, neighbour.to_node}
-                if other != name and known[other] and shared - {"closed"}:
-                    at_start = neighbour.from_node in shared
-                    point = known[other][0 if at_start else -1]
-                    known[name] = [(0.0, point[1], point[2])]
-                    break
+    # spread to neighbours that share a node, then to those behind an orifice
+    _spread_known(rig, known, {})
+    if through_orifices:
+        for _ in rig.orifices:
+            beyond: dict[str, set[str]] = {}
+            for orifice in rig.orifices.values():
+                beyond.setdefault(orifice.from_node, set()).add(orifice.to_node)
+                beyond.setdefault(orifice.to_node, set()).add(orifice.from_node)
+            _spread_known(rig, known, beyond)
     for name, pipe in rig.pipes.items():
         first, n = plan.pipes[name]
         points = known[name] or [(0.0, np.zeros(n_taps), rig.ambient.pressure_pa)]
@@ -112,175 +128,319 @@ def initial_field(rig: Rig, plan: Plan) -> InitialField:
     return InitialField(weight, constant, chamber_weight, chamber_constant)
 
 
+def _spread_known(
+    rig: Rig, known: dict[str, list[tuple[float, Floats, float]]], beyond: dict[str, set[str]]
+) -> None:
+    """Gives pipes without a known point that of a neighbour; ``beyond`` leads through orifices."""
+    for _ in rig.pipes:
+        for name, pipe in rig.pipes.items():
+            if known[name]:
+                continue
+            nodes = {pipe.from_node, pipe.to_node} - {CLOSED}
+            nodes |= {far for node in list(nodes) for far in beyond.get(node, ())}
+            for other, neighbour in rig.pipes.items():
+                shared = nodes & {neighbour.from_node, neighbour.to_node}
+                if other != name and known[other] and shared:
+                    at_start = neighbour.from_node in shared
+                    point = known[other][0 if at_start else -1]
+                    known[name] = [(0.0, point[1], point[2])]
+                    break
+
+
 @dataclass(frozen=True)
-class Rollouts:
-    """What a batch of roll-outs predicts.
+class Start:
+    """The gas and the spools as a run begins, at rest.
 
     Attributes:
-        readings: (n_models, n_starts, n_samples, n_taps) sensor readings, Pa.
-        flows: (n_models, n_starts, n_samples, n_ports) port flows, kg/s.
-        chambers: (n_models, n_starts, n_samples, n_chambers) pressures, Pa.
+        pressure: (slots,) Pa.
+        chamber_pressure: (n_chambers,) Pa.
+        temperature: (slots,) K, or None for the room's.
+        chamber_temperature: (n_chambers,) K, or None for its wall's.
+        at_null: Whether the spools stand closed, else where the first command has them.
+    """
+
+    pressure: Floats
+    chamber_pressure: Floats
+    temperature: Floats | None = None
+    chamber_temperature: Floats | None = None
+    at_null: bool = False
+
+
+def rest(rig: Rig, plan: Plan) -> Start:
+    """A rig at rest: lines open to a reservoir at its pressure, all else at the room's.
+
+    Args:
+        rig: The rig.
+        plan: Its grid.
+    """
+    room = rig.ambient.pressure_pa
+    pressure = np.full(plan.slots, room)
+    for name, k in reservoir_of_pipes(rig, plan).items():
+        first, n = plan.pipes[name]
+        reservoir = rig.reservoirs.get(plan.reservoirs[k])
+        if reservoir is not None:
+            pressure[first - 1 : first + n + 1] = reservoir.pressure_pa
+    return Start(pressure, np.full(len(plan.chambers), room), at_null=True)
+
+
+@dataclass(frozen=True)
+class Course:
+    """A recording as models follow it: what drives them, and when they are read.
+
+    Attributes:
+        commands: Volts per command, each held until the next.
+        begin_s: Time at which the run begins, s.
+        end_s: Time that it reaches at least, s.
+        time_s: (n_taps, m) when each tap is read, s, increasing; inf beyond its last reading.
+        measured_pa: (n_taps, m) what was read, Pa; NaN where nothing was.
+        gain: (n_taps, m) share of measured minus predicted by which the gas is corrected then; 0
+            lets the model run free.
+        start: How it begins.
+    """
+
+    commands: dict[str, Signal]
+    begin_s: float
+    end_s: float
+    time_s: Floats
+    measured_pa: Floats
+    gain: Floats
+    start: Start
+
+    @property
+    def ticks(self) -> int:
+        """Number of ticks of the run, both ends counted."""
+        return max(2, math.ceil((self.end_s - self.begin_s) / TICK_S - 1e-6) + 1)
+
+
+def even_course(
+    field: InitialField,
+    commands: Mapping[str, Floats],
+    dt_s: float,
+    taps_pa: Floats,
+    gain: float = 0.0,
+) -> Course:
+    """A course whose taps are read together, at the instants of the commands.
+
+    Args:
+        field: Map from taps to the pressures at the start.
+        commands: Per command its (T,) volts.
+        dt_s: Sample interval, s.
+        taps_pa: (T, n_taps) readings; the first fill the rig, all that is finite draws its gas.
+        gain: Share of measured minus predicted by which the gas is corrected at each.
+    """
+    samples, taps = taps_pa.shape
+    time = dt_s * np.arange(samples, dtype=np.float64)
+    start = Start(
+        field.weight @ taps_pa[0] + field.constant,
+        field.chamber_weight @ taps_pa[0] + field.chamber_constant,
+    )
+    return Course(
+        {
+            name: Signal(time, np.asarray(volts, dtype=np.float64))
+            for name, volts in commands.items()
+        },
+        0.0,
+        float(time[-1]),
+        np.tile(time, (taps, 1)),
+        np.ascontiguousarray(taps_pa.T, dtype=np.float64),
+        np.full((taps, samples), gain),
+        start,
+    )
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a batch of models predicts along one course.
+
+    Attributes:
+        readings: (n_models, n_taps, m) sensor readings at their own times, Pa.
+        tick_s: (ticks,) times of what follows, s.
+        flows: (n_models, ticks, n_ports) port flows, kg/s; empty where not asked for.
+        chambers: (n_models, ticks, n_chambers) pressures, Pa; likewise.
+        taps: (n_models, ticks, n_taps) pressures of the gas at the taps, Pa; likewise.
     """
 
     readings: Floats
+    tick_s: Floats
     flows: Floats
     chambers: Floats
+    taps: Floats
 
 
-def _tile_width(count: int) -> int:
-    return TILE if count > 2 else count
+def shares(count: int, workers: int) -> list[slice]:
+    """Parts of a batch that are run together: few enough for the cache, enough for all workers.
+
+    Args:
+        count: Models.
+        workers: Threads.
+    """
+    parts = max(math.ceil(count / TILE), min(workers, count))
+    edges = [round(k * count / parts) for k in range(parts + 1)]
+    return [slice(a, b) for a, b in pairwise(edges) if b > a]
 
 
-def rollouts(
-    models: Sequence[Model],
+def predict(
+    models: Sequence[Sequence[Model]],
+    courses: Sequence[Course],
     field: InitialField,
-    commands: dict[str, Floats],
-    dt_s: float,
-    starts: Sequence[int],
-    samples: int,
-    taps_pa: Floats,
-    warm_up: int = 0,
-    nudge_s: float = 0.002,
+    starts: Sequence[Sequence[Start]] | None = None,
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
     strict: bool = True,
-) -> Rollouts:
-    """Rolls every model out from every start, in one batch.
+    flows: bool = False,
+) -> list[Prediction]:
+    """Runs every model along every recording, in one batch.
 
-    Each roll-out begins at rest with pressures interpolated from the taps (thesis 8.1.2). In its
-    first ``warm_up`` samples the state is drawn to the measured taps, so that velocities and
-    temperatures settle to what the recorded history implies; after that it runs free.
+    Each reading is predicted at the time at which the sensor took it. The gas may be corrected by
+    the readings as it goes (see `Course`), spread over lines and chambers as the field has it.
 
     Args:
-        models: Parameter sets on one common plan.
-        field: Map from taps to the initial pressures.
-        commands: Per command its (T,) volts.
-        dt_s: Sample interval, s.
-        starts: First sample of each roll-out, warm-up included.
-        samples: Samples per roll-out, warm-up included.
-        taps_pa: (T, n_taps) measured pressures, smoothed, for the initial state and the warm-up;
-            NaN where there are none.
-        warm_up: Samples of warm-up.
-        nudge_s: Time constant of the pull to the taps.
+        models: (n_courses, n_models) parameter sets, all on one common plan.
+        courses: The recordings.
+        field: How readings spread over lines and chambers.
+        starts: (n_courses, n_models) where each begins; None is the course's own start.
         workers: Threads; None is one per core.
         progress: Called with the fraction done.
-        strict: Whether an unstable roll-out is an error; else its predictions are not finite.
+        strict: Whether an unstable run is an error; else its predictions are not finite.
+        flows: Whether flows, chamber and tap pressures are kept from tick to tick.
 
     Returns:
-        The predictions.
+        The predictions, one per course.
 
     Raises:
         InputError: A prediction is not finite, and ``strict``.
     """
-    plan = models[0].plan
-    n_models, n_starts = len(models), len(starts)
-    count = n_models * n_starts
-    width = _tile_width(count)
-    # A rig without valves still has orifices, open for the length of the recording.
-    volts = commands or {"": np.zeros(taps_pa.shape[0])}
-    opened = [openings(model, volts, dt_s) for model in models]
-    n_sub = max(1, math.ceil(dt_s / plan.dt_s - 1e-9))
-    taps = np.empty((n_models, n_starts, samples, len(plan.taps)))
-    flows = np.empty((n_models, n_starts, samples, plan.ports.shape[0]))
-    chambers = np.empty((n_models, n_starts, samples, len(plan.chambers)))
-    order = [(m, s) for s in range(n_starts) for m in range(n_models)]
-    tiles = [order[i : i + width] for i in range(0, count, width)]
-    compliant = any(model.compliant for model in models)
-    memory = any(model.memory for model in models)
+    plan, count = models[0][0].plan, len(models[0])
+    threads = workers or os.cpu_count() or 1
+    out = []
+    for course in courses:
+        kept = course.ticks if flows else 0
+        out.append(
+            Prediction(
+                np.full((count, *course.time_s.shape), np.nan),
+                course.begin_s + TICK_S * np.arange(course.ticks, dtype=np.float64),
+                np.empty((count, kept, plan.ports.shape[0])),
+                np.empty((count, kept, len(plan.chambers))),
+                np.empty((count, kept, len(plan.taps))),
+            )
+        )
+    tasks = [(c, part) for c in range(len(courses)) for part in shares(count, threads)]
+    total = sum(courses[c].ticks for c, _ in tasks)
     done = [0]
 
-    def run(tile: list[tuple[int, int]]) -> None:
-        padded = tile + [tile[-1]] * (width - len(tile))
-        chosen = [models[m] for m, _ in padded]
-        begin = [starts[s] for _, s in padded]
-        out = _run_tile(
-            chosen,
-            begin,
-            [opened[m] for m, _ in padded],
-            field,
-            taps_pa,
-            samples,
-            n_sub,
-            dt_s / n_sub,
-            compliant,
-            memory,
-            warm_up,
-            1.0 / nudge_s,
-            strict,
-        )
-        for j, (m, s) in enumerate(tile):
-            taps[m, s] = out[0][:, :, j]
-            flows[m, s] = out[1][:, :, j]
-            chambers[m, s] = out[2][:, :, j]
-        done[0] += 1
+    def tell(ticks: int) -> None:
+        done[0] += ticks
         if progress is not None:
-            progress(done[0] / len(tiles))
+            progress(done[0] / total)
 
-    threads = workers or os.cpu_count() or 1
-    if threads > 1 and len(tiles) > 1:
+    def run(task: tuple[int, slice]) -> None:
+        c, part = task
+        of = [courses[c].start] * count if starts is None else list(starts[c])
+        _run(models[c][part], of[part], courses[c], field, part, out[c], strict, tell)
+
+    if threads > 1 and len(tasks) > 1:
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(run, tiles))
+            list(pool.map(run, tasks))
     else:
-        for tile in tiles:
-            run(tile)
-    readings = np.empty_like(taps)
-    for m, model in enumerate(models):
-        shaped = np.moveaxis(taps[m], 0, -1)  # (samples, taps, starts)
-        readings[m] = np.moveaxis(sensors.read(model, shaped, dt_s), -1, 0)
-    return Rollouts(readings, flows, chambers)
+        for task in tasks:
+            run(task)
+    return out
 
 
-def _run_tile(
-    models: list[Model],
-    starts: list[int],
-    opened: list[Floats],
+def _run(
+    models: Sequence[Model],
+    starts: Sequence[Start],
+    course: Course,
     field: InitialField,
-    taps_pa: Floats,
-    samples: int,
-    n_sub: int,
-    dt: float,
-    compliant: bool,
-    memory: bool,
-    warm_up: int,
-    nudge_rate: float,
+    part: slice,
+    out: Prediction,
     strict: bool,
-) -> tuple[Floats, Floats, Floats]:
-    """Runs one tile of roll-outs; see `rollouts`."""
-    tile = pack(models, compliant, memory)
-    w, knots = tile.lanes, KNOTS_PER_SAMPLE
-    opening = lanes(
-        [o[s * knots : (s + samples - 1) * knots + 1] for o, s in zip(opened, starts, strict=True)]
-    )
-    at_start = np.stack([_filled(taps_pa, s, models[0].ambient[0]) for s in starts], axis=-1)
-    fill_pipes(tile, field.weight @ at_start + field.constant[:, None], tile.ambient[1])
-    fill_chambers(
+    tell: Callable[[int], None],
+) -> None:
+    """Runs some models along a course, chunk by chunk, into their part of the prediction."""
+    plan = models[0].plan
+    n_sub = max(1, math.ceil(TICK_S / plan.dt_s - 1e-9))
+    dt = TICK_S / n_sub
+    tile = pack(models)
+    fill_pipes(
         tile,
-        field.chamber_weight @ at_start + field.chamber_constant[:, None],
-        tile.chamber[:, L.C_WALL_T],
+        lanes([s.pressure for s in starts]),
+        _temperatures(tile, [s.temperature for s in starts]),
     )
-    nudged = min(warm_up, samples - 1)
-    nudge = np.full((nudged + 1, len(tile.plan.taps), w), np.nan)
-    if nudged:
-        for j, s in enumerate(starts):
-            nudge[:, :, j] = taps_pa[s : s + nudged + 1]
-    return advance(
-        tile,
-        samples,
-        n_sub,
-        dt,
-        opening,
-        nudge,
-        nudge_rate,
-        (field.weight, field.chamber_weight),
-        strict,
-    )
+    walls = tile.chamber[:, L.C_WALL_T]
+    warm = [
+        walls[:, j] if s.chamber_temperature is None else s.chamber_temperature
+        for j, s in enumerate(starts)
+    ]
+    fill_chambers(tile, lanes([s.chamber_pressure for s in starts]), lanes(warm))
+    watch = _watch(models, course, field, dt)
+    memory = np.full((len(models), len(plan.valves), 4), np.nan)
+    ticks = course.ticks
+    for first in range(0, ticks - 1, CHUNK):
+        samples = min(CHUNK, ticks - 1 - first) + 1
+        knots = (samples - 1) * KNOTS + 1
+        opening = lanes(
+            [
+                openings_along(
+                    model,
+                    course.commands,
+                    course.begin_s + first * TICK_S,
+                    TICK_S / KNOTS,
+                    knots,
+                    memory[j],
+                    starts[j].at_null,
+                )
+                for j, model in enumerate(models)
+            ]
+        )
+        closing = first + samples >= ticks
+        taps, flows, chambers = advance(
+            tile, samples, n_sub, dt, opening, watch, closing, KNOTS, strict
+        )
+        if out.flows.shape[1]:
+            span = slice(first, first + samples)
+            out.flows[part, span] = np.moveaxis(flows, -1, 0)
+            out.chambers[part, span] = np.moveaxis(chambers, -1, 0)
+            out.taps[part, span] = np.moveaxis(taps, -1, 0)
+        tell(samples - 1 if not closing else samples)
+    out.readings[part] = np.moveaxis(watch.readings_pa, -1, 0)
+    if strict and not np.isfinite(out.readings[part][:, np.isfinite(course.time_s)]).all():
+        raise InputError("the simulation became unstable; lower grid.cfl")
 
 
-def _filled(taps_pa: Floats, sample: int, room: float) -> Floats:
-    """Tap readings at one sample; a missing one takes the next there is, else the room's."""
-    row = taps_pa[sample].copy()
-    for t in np.flatnonzero(~np.isfinite(row)):
-        later = taps_pa[sample:, t]
-        later = later[np.isfinite(later)]
-        row[t] = later[0] if later.size else room
-    return row
+def _temperatures(tile: Tile, given: Sequence[Floats | None]) -> Floats:
+    """(slots, lanes) temperatures at the start, the room's where none is given."""
+    room = tile.ambient[1]
+    columns = [np.full(tile.plan.slots, room[j]) if t is None else t for j, t in enumerate(given)]
+    return lanes(columns)
+
+
+def _watch(models: Sequence[Model], course: Course, field: InitialField, dt: float) -> Watch:
+    """The readings of a course, as each model's sensors take them."""
+    w = len(models)
+    sensor = np.empty((len(models[0].plan.taps), L.SENSOR_ROWS, w))
+    late = np.empty((w, sensor.shape[0]))
+    for j, model in enumerate(models):
+        lag, gain = model.sensor[:, S_LAG], model.sensor[:, S_GAIN]
+        lags = lag > 0.0
+        r = dt / np.where(lags, lag, 1.0)
+        keep = np.where(lags, np.exp(-r), 0.0)
+        mean = np.where(lags, (1.0 - np.exp(-r)) / r, 0.0)
+        sensor[:, L.SENSE_KEEP, j] = keep
+        sensor[:, L.SENSE_OLD, j] = np.where(lags, mean - keep, 0.0)
+        sensor[:, L.SENSE_NEW, j] = 1.0 - mean
+        sensor[:, L.SENSE_GAIN, j] = gain
+        sensor[:, L.SENSE_BIAS, j] = (1.0 - gain) * model.ambient[0] + model.sensor[:, S_BIAS]
+        late[j] = model.sensor[:, S_OFFSET]
+    time = (course.time_s[None] - late[:, :, None] - course.begin_s) / dt
+    # A clock that is ahead asks for what lies beyond the end: it gets the end.
+    last = (course.ticks - 1) * round(TICK_S / dt)
+    time = np.where(np.isfinite(time), np.minimum(time, last), np.inf)
+    return Watch(
+        lanes(list(time)),
+        lanes([course.measured_pa] * w),
+        lanes([course.gain] * w),
+        sensor,
+        field.weight,
+        field.chamber_weight,
+    )

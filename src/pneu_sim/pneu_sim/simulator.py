@@ -71,7 +71,7 @@ class Simulator:
         self.reset()
 
     def reset(self, pressures_pa: Mapping[str, float | ArrayLike] | None = None) -> None:
-        """Fills the rig with gas at rest at the room's temperature and sets time to zero.
+        """Fills the rig with gas at rest at the room's temperature, valves closed, at time zero.
 
         Args:
             pressures_pa: Pressures of pipes and chambers, a number or one per rig. A pipe that is
@@ -90,7 +90,8 @@ class Simulator:
                     f"initial pressure of {name!r}: the rig has no such part ({known})"
                 )
         self._tile = tiles.pack(self._models)
-        self._spools = [SpoolState() for _ in self.rigs]
+        # At rest with the room: a valve that stood open would not leave the rig at rest.
+        self._spools = [SpoolState(at_null=True) for _ in self.rigs]
         self._history: Floats | None = None
         self._history_dt = 0.0
         self.time_s = 0.0

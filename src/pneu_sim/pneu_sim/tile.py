@@ -2,7 +2,7 @@
 """A batch of rigs on one grid, as the arrays that the kernel works on, and stepping it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,15 +180,72 @@ def fill_chambers(tile: Tile, pressure: Floats, temperature: Floats) -> None:
     )
 
 
+@dataclass
+class Watch:
+    """How the taps of a batch are read at times of their own, and its gas corrected by them.
+
+    Attributes:
+        time_steps: (n_taps, m, lanes) when each tap is read, in steps since the start; inf beyond.
+        measured_pa: (n_taps, m, lanes) what was measured then; NaN where nothing was.
+        gain: (n_taps, m, lanes) share of the difference by which the gas is corrected then.
+        sensor: (n_taps, SENSOR_ROWS, lanes) see ``layout``.
+        spread: (slots, n_taps) how a correction at the taps spreads over the slots.
+        spread_chamber: (n_chambers, n_taps) likewise over the chambers.
+        readings_pa: (n_taps, m, lanes) what the sensors read; NaN before it is reached.
+        step: Steps since the start.
+        next_read: (n_taps, lanes) next reading of each tap.
+        shown: (n_taps, lanes) present reading before gain and bias.
+        felt: (n_taps, lanes) pressure one step ago.
+    """
+
+    time_steps: Floats
+    measured_pa: Floats
+    gain: Floats
+    sensor: Floats
+    spread: Floats
+    spread_chamber: Floats
+    readings_pa: Floats = field(init=False)
+    step: int = 0
+    next_read: Ints = field(init=False)
+    shown: Floats = field(init=False)
+    felt: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Nothing is read yet."""
+        taps, _, w = self.time_steps.shape
+        self.readings_pa = np.full(self.time_steps.shape, np.nan)
+        self.next_read = np.zeros((taps, w), dtype=np.int64)
+        self.shown = np.full((taps, w), np.nan)
+        self.felt = np.full((taps, w), np.nan)
+
+
+def unwatched(tile: Tile) -> Watch:
+    """Taps that are not read.
+
+    Args:
+        tile: The batch.
+    """
+    taps = len(tile.plan.taps)
+    none = np.zeros((taps, 0, tile.lanes))
+    return Watch(
+        none,
+        none,
+        none,
+        np.zeros((taps, L.SENSOR_ROWS, tile.lanes)),
+        np.zeros((tile.plan.slots, taps)),
+        np.zeros((len(tile.plan.chambers), taps)),
+    )
+
+
 def advance(
     tile: Tile,
     samples: int,
     n_sub: int,
     dt_s: float,
     opening: Floats,
-    nudge_p: Floats | None = None,
-    nudge_rate: float = 0.0,
-    nudge_field: tuple[Floats, Floats] | None = None,
+    watch: Watch | None = None,
+    closing: bool = True,
+    knots: int = KNOTS_PER_SAMPLE,
     strict: bool = True,
 ) -> tuple[Floats, Floats, Floats]:
     """Advances a batch in place.
@@ -198,11 +255,10 @@ def advance(
         samples: Recorded samples; the first is the present state.
         n_sub: Steps between samples.
         dt_s: Step, s.
-        opening: ((samples - 1) * KNOTS_PER_SAMPLE + 1, n_ports, lanes) openings.
-        nudge_p: (n, n_taps, lanes) measured pressures to which the state is drawn during the first
-            n - 1 samples.
-        nudge_rate: Rate of that pull, 1/s.
-        nudge_field: (slots, n_taps) and (n_chambers, n_taps) weights that spread the taps' errors.
+        opening: ((samples - 1) * knots + 1, n_ports, lanes) openings.
+        watch: Taps that are read at times of their own, brought up to the new state.
+        closing: Whether they are read at the very end too, no further call taking up from here.
+        knots: Openings per sample interval.
         strict: Whether an unstable lane is an error; else its predictions are not finite.
 
     Returns:
@@ -216,12 +272,12 @@ def advance(
     tap_out = np.zeros((samples, len(plan.taps), w))
     flow_out = np.zeros((samples, plan.ports.shape[0], w))
     chamber_out = np.zeros((samples, len(plan.chambers), w))
-    nudge = np.full((1, len(plan.taps), w), np.nan) if nudge_p is None else nudge_p
+    watch = watch or unwatched(tile)
     kernel.advance(
         samples,
         n_sub,
         dt_s,
-        KNOTS_PER_SAMPLE,
+        knots,
         w,
         first.gas.gamma,
         first.gas.r_specific,
@@ -252,14 +308,23 @@ def advance(
         tile.ambient,
         tile.tap_slot,
         tile.tap_weight,
-        nudge.shape[0] - 1,
-        nudge_rate,
-        nudge,
-        *(nudge_field or (np.zeros((plan.slots, 0)), np.zeros((len(plan.chambers), 0)))),
+        watch.time_steps,
+        watch.measured_pa,
+        watch.gain,
+        watch.sensor,
+        watch.spread,
+        watch.spread_chamber,
+        watch.step,
+        closing,
+        watch.next_read,
+        watch.shown,
+        watch.felt,
+        watch.readings_pa,
         tap_out,
         flow_out,
         chamber_out,
     )
+    watch.step += (samples - 1) * n_sub
     if strict and not np.isfinite(tap_out).all():
         raise InputError(
             f"the simulation became unstable at a time step of {dt_s:.3g} s; raise"

@@ -2,6 +2,7 @@
 """From commanded volts to port openings: delay, backlash, spool motion, overlap, opening curve."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pneu_sim.rig import build as B
+from pneu_sim.signals import Signal
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -25,6 +27,74 @@ def _zoh_integral(command: Floats, cumulative: Floats, dt: float, t: float) -> f
     last = command.size - 1
     i = min(int(t / dt), last)
     return cumulative[i] + command[i] * (t - i * dt)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _follow(
+    mean: Floats, first: float, rest: float, h: float, row: Floats, memory: Floats, out: Floats
+) -> None:
+    """Spool position at every knot from the mean command between knots.
+
+    Args:
+        mean: (K,) volts; of a spool that follows at once (no bandwidth) each mean is about a knot.
+        first: Command at the first knot, volts.
+        rest: Where a spool without a past stands, volts.
+        h: Interval of the knots, s.
+        row: Valve parameters.
+        memory: (4,) see `spool_positions`.
+        out: (K + 1,) positions.
+    """
+    w = row[0]
+    zeta = row[1]
+    ki = row[2]
+    limit = row[3]
+    half = 0.5 * row[5]
+    target, x, v, acc = memory
+    if math.isnan(target):
+        target = x = rest
+        v = acc = 0.0
+    if w <= 0.0:
+        target = x = min(max(target, first - half), first + half)
+    out[0] = x
+    linear = ki == 0.0 and limit == math.inf
+    sub = max(1, math.ceil(h * max(w, 1.0) / 0.05))
+    hs = h / sub
+    # exact response of the linear spool over one knot interval
+    a11 = a12 = a21 = a22 = 0.0
+    if w > 0.0 and linear:
+        if zeta < 1.0:
+            wd = w * math.sqrt(1.0 - zeta * zeta)
+            e = math.exp(-zeta * w * h)
+            c = math.cos(wd * h)
+            s = math.sin(wd * h) / wd
+        else:
+            wd = w * math.sqrt(max(zeta * zeta - 1.0, 1e-12))
+            e = math.exp(-zeta * w * h)
+            c = math.cosh(wd * h)
+            s = math.sinh(wd * h) / wd
+        a11 = e * (c + zeta * w * s)
+        a12 = e * s
+        a21 = -e * w * w * s
+        a22 = e * (c - zeta * w * s)
+    for k in range(1, out.size):
+        target = min(max(target, mean[k - 1] - half), mean[k - 1] + half)
+        if w <= 0.0:
+            x = target
+        elif linear:
+            d = x - target
+            x = target + a11 * d + a12 * v
+            v = a21 * d + a22 * v
+        else:
+            for _ in range(sub):
+                acc += ki * w * w * (target - x) * hs
+                f = w * w * (target - x) - 2.0 * zeta * w * v + acc
+                v += hs * min(max(f, -limit), limit)
+                x += hs * v
+        out[k] = x
+    memory[0] = target
+    memory[1] = x
+    memory[2] = v
+    memory[3] = acc
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -48,65 +118,21 @@ def spool_positions(
             NaN first has the spool at rest on the first command.
         out: ((T - 1) * knots + 1,) positions.
     """
-    w = row[0]
-    zeta = row[1]
-    ki = row[2]
-    limit = row[3]
-    delay = row[4]
-    half = 0.5 * row[5]
     h = dt / knots
     cumulative = np.zeros(command.size)
     for i in range(1, command.size):
         cumulative[i] = cumulative[i - 1] + command[i - 1] * dt
-    origin = past * dt - delay
+    origin = past * dt - row[4]
+    first = command[min(max(int(origin / dt + 1e-6), 0), command.size - 1)]
+    # What follows at once is given the mean about its knot, what lags the one since the last.
+    origin += 0.5 * h if row[0] <= 0.0 else 0.0
     before = _zoh_integral(command, cumulative, dt, origin)
-    target, x, v, acc = memory
-    if math.isnan(target):
-        target = x = command[past]
-        v = acc = 0.0
-    out[0] = x
-    linear = ki == 0.0 and limit == math.inf
-    sub = max(1, math.ceil(h * max(w, 1.0) / 0.05))
-    hs = h / sub
-    # exact response of the linear spool over one knot interval
-    a11 = a12 = a21 = a22 = 0.0
-    if w > 0.0 and linear:
-        if zeta < 1.0:
-            wd = w * math.sqrt(1.0 - zeta * zeta)
-            e = math.exp(-zeta * w * h)
-            c = math.cos(wd * h)
-            s = math.sin(wd * h) / wd
-        else:
-            wd = w * math.sqrt(max(zeta * zeta - 1.0, 1e-12))
-            e = math.exp(-zeta * w * h)
-            c = math.cosh(wd * h)
-            s = math.sinh(wd * h) / wd
-        a11 = e * (c + zeta * w * s)
-        a12 = e * s
-        a21 = -e * w * w * s
-        a22 = e * (c - zeta * w * s)
-    for k in range(1, out.size):
-        now = _zoh_integral(command, cumulative, dt, origin + k * h)
-        mean = (now - before) / h
+    mean = np.empty(out.size - 1)
+    for k in range(mean.size):
+        now = _zoh_integral(command, cumulative, dt, origin + (k + 1) * h)
+        mean[k] = (now - before) / h
         before = now
-        target = min(max(target, mean - half), mean + half)
-        if w <= 0.0:
-            x = target
-        elif linear:
-            d = x - target
-            x = target + a11 * d + a12 * v
-            v = a21 * d + a22 * v
-        else:
-            for _ in range(sub):
-                acc += ki * w * w * (target - x) * hs
-                f = w * w * (target - x) - 2.0 * zeta * w * v + acc
-                v += hs * min(max(f, -limit), limit)
-                x += hs * v
-        out[k] = x
-    memory[0] = target
-    memory[1] = x
-    memory[2] = v
-    memory[3] = acc
+    _follow(mean, first, command[past], h, row, memory, out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -181,11 +207,13 @@ class SpoolState:
         memory: Per valve, see `spool_positions`.
         past: Per valve the latest commands, volts.
         dt_s: Interval of those.
+        at_null: Whether spools without a past stand closed, else where the first command has them.
     """
 
     memory: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     past: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     dt_s: float = 0.0
+    at_null: bool = False
 
     def before(self, valve: str, delay_s: float, dt_s: float) -> NDArray[np.float64]:
         """Commands at intervals of ``dt_s`` that reach back over a delay.
@@ -236,13 +264,65 @@ def openings(
         valve, delay_s = plan.valves[v], float(model.spool[v, B.V_DELAY])
         past = spools.before(valve, delay_s, dt_s)
         series = np.concatenate([past, commands[name]])
-        memory = spools.memory.setdefault(valve, np.full(4, np.nan))
+        if valve not in spools.memory:
+            null = float(model.spool[v, B.V_NULL])
+            at_rest = [null, null, 0.0, 0.0] if spools.at_null else [np.nan] * 4
+            spools.memory[valve] = np.array(at_rest)
+        memory = spools.memory[valve]
         spool_positions(series, dt_s, knots, model.spool[v], past.size, memory, x)
         positions[v] = x
         # The last command only begins at the last sample.
         held = series[:-1] if series.size > 1 else series
         spools.past[valve] = held[-(math.ceil(delay_s / dt_s) + 2) :]
     spools.dt_s = dt_s
+    for q, v in enumerate(plan.port_valve):
+        if v >= 0:
+            out = np.empty(count)
+            lo, hi = model.curve_v[q]
+            _port_openings(positions[v], model.spool[v], lo, hi, model.curve[q], out)
+            result[:, q] = out
+    return result
+
+
+def openings_along(
+    model: "B.Model",
+    commands: Mapping[str, Signal],
+    begin_s: float,
+    step_s: float,
+    count: int,
+    memory: Floats,
+    at_null: bool = False,
+) -> Floats:
+    """Opening fraction of every port along commands that each have times of their own.
+
+    Args:
+        model: The rig.
+        commands: Per command its volts, each held until the next.
+        begin_s: Time of the first opening, s.
+        step_s: Interval of the openings, s.
+        count: How many.
+        memory: (n_valves, 4) where the spools stand, brought up to the last opening; NaN has them
+            at rest. See `spool_positions`.
+        at_null: Whether spools at rest stand closed, else where the command has them.
+
+    Returns:
+        (count, n_ports) openings, dimensionless.
+    """
+    plan = model.plan
+    result = np.ones((count, plan.ports.shape[0]))
+    edges = begin_s + step_s * np.arange(count)
+    positions: dict[int, Floats] = {}
+    for v, name in enumerate(plan.commands):
+        row = model.spool[v]
+        signal = commands[name]
+        at = edges - row[B.V_DELAY]
+        first = float(signal.held(at[0]))
+        if row[B.V_FREQUENCY] <= 0.0:
+            at = at + 0.5 * step_s
+        mean = signal.mean_between(at)
+        rest = float(row[B.V_NULL]) if at_null else first
+        positions[v] = np.empty(count)
+        _follow(mean, first, rest, step_s, row, memory[v], positions[v])
     for q, v in enumerate(plan.port_valve):
         if v >= 0:
             out = np.empty(count)

@@ -11,7 +11,7 @@ from pneu_sim.gas import AIR
 from pneu_sim.rig import Rig, load_rig
 from pneu_sim.rig.build import build, plan_grid
 from pneu_sim.rig.schema import AttachedEffect, Chamber, Opening
-from pneu_sim.simulate import Rollouts, initial_field, rollouts
+from pneu_sim.simulate import Prediction, even_course, initial_field, predict
 from pneu_sim.valve import KNOTS_PER_SAMPLE, openings
 
 HOUSE = Path(__file__).parents[3]
@@ -69,19 +69,23 @@ def attach(rig: Rig, effect: str, place: str, **parameters: float) -> Rig:
     return copy
 
 
-def run(rigs: list[Rig], volts: np.ndarray, start_pa: list[float], dt_s: float = DT_S) -> Rollouts:
+def run(
+    rigs: list[Rig], volts: np.ndarray, start_pa: list[float], dt_s: float = DT_S
+) -> Prediction:
     """Rolls rigs out from rest, all on the grid of the first."""
     plan = plan_grid(rigs[0])
     models = [build(r, plan) for r in rigs]
     commands = {name: volts for name in rigs[0].commands}
     start = np.tile(start_pa, (volts.size, 1))
-    return rollouts(models, initial_field(rigs[0], plan), commands, dt_s, [0], volts.size, start)
+    field = initial_field(rigs[0], plan)
+    course = even_course(field, commands, dt_s, start)
+    return predict([models], [course], field, flows=True)[0]
 
 
 def rig_a(rigs: list[Rig], volts: np.ndarray, tube_pa: float = ROOM_PA) -> tuple[np.ndarray, ...]:
     """Readings (rigs, samples, taps) and port flows of rig A and its variants."""
     out = run(rigs, volts, [SUPPLY_PA, tube_pa, tube_pa, tube_pa, ROOM_PA])
-    return out.readings[:, 0], out.flows[:, 0]
+    return np.moveaxis(out.readings, 1, 2), out.flows
 
 
 def hold(volts: float, seconds: float, rest_s: float = 0.02) -> np.ndarray:
@@ -111,9 +115,7 @@ def test_slow_spool_lags_a_ramp_by_the_lag(rig: Rig) -> None:
         slow = attach(rig, "spool_bandwidth", "valve", lag_s=6e-3)
         plain, lagging = (openings(build(r), {"voltage": ramp}, DT_S)[:, FILL] for r in (rig, slow))
         behind = np.mean((plain - lagging)[-100 * KNOTS_PER_SAMPLE :])
-        # An instant spool stands at the mean command of the knot interval, half of it late.
-        half_knot = 0.5 * DT_S / KNOTS_PER_SAMPLE if bandwidth is None else 0.0
-        assert behind / (2.0 / 5.0) == pytest.approx(6e-3 - half_knot, rel=1e-3)
+        assert behind / (2.0 / 5.0) == pytest.approx(6e-3, rel=1e-3)
 
 
 def test_nothing_flows_inside_the_dead_band(rig: Rig) -> None:
@@ -228,8 +230,8 @@ def test_what_sits_along_the_tube_echoes_after_its_distance(
 def steady_drop(rig: Rig) -> tuple[float, float]:
     """Pressure drop between the taps of the blow-through rig at steady flow, and that flow."""
     out = run([rig], np.zeros(400), [ROOM_PA + 1e3, ROOM_PA])
-    near, far = out.readings[0, 0, -1]
-    return near - far, float(out.flows[0, 0, -1, 0])
+    near, far = out.readings[0, :, -1]
+    return near - far, float(out.flows[0, -1, 0])
 
 
 def test_choked_source_sets_the_flow(blow_through: Rig) -> None:
@@ -357,7 +359,7 @@ def arrival_s(rig: Rig, tap: int, tube_pa: float) -> float:
     # Over before its echo from the end comes by the middle.
     pulse = np.repeat([5.3, 5.0], [10, 60 if tap == END else 26])
     start = [SUPPLY_PA, tube_pa, tube_pa, tube_pa, ROOM_PA]
-    y = run([rig], pulse, start, fine_s).readings[0, 0, :, tap]
+    y = run([rig], pulse, start, fine_s).readings[0, tap]
     level = y[0] + 0.5 * (np.max(y) - y[0])
     k = int(np.argmax(y > level))
     return (k - (y[k] - level) / (y[k] - y[k - 1])) * fine_s
@@ -475,7 +477,7 @@ def test_warm_room_warms_the_supply_too(blow_through: Rig) -> None:
 def test_barometer_moves_what_is_open_to_the_room(rig: Rig) -> None:
     low = attach(rig, "ambient_pressure", "room", offset_pa=-3e3)
     out = run([rig, low], hold(1.0, 1.5), [SUPPLY_PA, 3e5, 3e5, 3e5, ROOM_PA])
-    shift = out.readings[1, 0, -1] - out.readings[0, 0, -1]
+    shift = out.readings[1, :, -1] - out.readings[0, :, -1]
     np.testing.assert_allclose(shift[[VALVE_OUT, MIDDLE, END, EXHAUST]], -3e3, rtol=0.05)
     assert shift[SUPPLY] == pytest.approx(0.0, abs=1.0)
 

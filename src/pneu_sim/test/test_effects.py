@@ -16,7 +16,7 @@ from pneu_sim.errors import InputError
 from pneu_sim.rig import Rig, load_rig
 from pneu_sim.rig.build import build, plan_grid
 from pneu_sim.rig.schema import AttachedEffect, Chamber
-from pneu_sim.simulate import initial_field, rollouts
+from pneu_sim.simulate import even_course, initial_field, predict
 
 HOUSE = Path(__file__).parents[3]
 DT_S = 0.002
@@ -70,8 +70,8 @@ def readings(base: Rig, rigs: list[Rig]) -> np.ndarray:
     start = np.tile([635e3, 3e5, 3e5, 3e5, 101e3], (command.size, 1))
     models = [build(r, plan) for r in rigs]
     field = initial_field(base, plan)
-    out = rollouts(models, field, {"voltage": command}, DT_S, [0], command.size, start)
-    return out.readings[:, 0]
+    course = even_course(field, {"voltage": command}, DT_S, start)
+    return np.moveaxis(predict([models], [course], field)[0].readings, 1, 2)
 
 
 def base_for(effect: Effect, rig: Rig) -> Rig:

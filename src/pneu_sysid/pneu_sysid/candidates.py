@@ -65,8 +65,8 @@ class Score:
         site: The candidate.
         strength: One-step estimate.
         explained: Fraction of the squared residual it would explain.
-        t: Estimate over its jackknife standard error, roll-outs left out one at a time.
-        sensitivity: (n_starts, m) change of the prediction per unit strength, in noise units.
+        t: Estimate over its jackknife standard error, stretches left out one at a time.
+        sensitivity: (n_stretches, m) change of the prediction per unit strength, in noise units.
     """
 
     site: Site
@@ -88,7 +88,7 @@ class Refit:
         held_out: The same on the part kept aside.
         t: Significance by the score's jackknife.
         score_explained: The score's explained fraction.
-        change: (n_starts, m) change of the prediction, in noise units.
+        change: (n_stretches, m) change of the prediction, in noise units.
         rig: Rig with the effect.
     """
 
@@ -119,20 +119,20 @@ def all_sites(rig: Rig, positions: int = 8) -> list[Site]:
 
 
 def residual_matrix(problem: Problem, readings: Floats) -> Floats:
-    """(n_starts, m) residual of one rig in noise units.
+    """(n_stretches, m) residual of one rig in noise units.
 
     Args:
         problem: The problem.
-        readings: (n_starts, horizon, n_taps) predictions.
+        readings: (n_stretches, horizon, n_taps) predictions.
     """
-    return problem.residual(readings).reshape(len(problem.starts), -1)
+    return problem.residual(readings).reshape(problem.stretches, -1)
 
 
 def score(
     problem: Problem,
     rig: Rig,
     sites: Sequence[Site],
-    nuisance: Floats | None = None,
+    project: Callable[[Floats], Floats] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Floats, list[Score]]:
     """Scores candidates by the simulator's own sensitivities, all in one batched call.
@@ -141,11 +141,11 @@ def score(
         problem: The problem.
         rig: Rig without them.
         sites: The candidates.
-        nuisance: (n_starts, m, P) sensitivities to what is uncertain anyway; projected out.
+        project: Takes out of a residual what is uncertain anyway.
         progress: Called with the fraction done.
 
     Returns:
-        (n_starts, m) residual and the scores, in the order of the sites.
+        (n_stretches, m) residual and the scores, in the order of the sites.
     """
     steps = [SECANT * site.effect.strength.typical for site in sites]
     rigs = [rig] + [
@@ -155,7 +155,7 @@ def score(
     noise = problem.noise_pa
     missing = ~np.isfinite(problem.target())
     residual = residual_matrix(problem, y[0])
-    project = _projector(nuisance)
+    project = project or (lambda x: x)
     r = project(residual)
     total = float(np.sum(r * r))
     out = []
@@ -167,14 +167,6 @@ def score(
         a, b = np.sum(m * r, axis=1), np.sum(m * m, axis=1)
         out.append(_score_of(site, s, a, b, total))
     return residual, out
-
-
-def _projector(nuisance: Floats | None) -> Callable[[Floats], Floats]:
-    if nuisance is None or nuisance.shape[-1] == 0:
-        return lambda x: x
-    flat = nuisance.reshape(-1, nuisance.shape[-1])
-    q, _ = np.linalg.qr(flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300))
-    return lambda x: (x.ravel() - q @ (q.T @ x.ravel())).reshape(x.shape)
 
 
 def _score_of(site: Site, s: Floats, a: Floats, b: Floats, total: float) -> Score:
@@ -213,6 +205,7 @@ def refit(
     rig: Rig,
     base: Floats,
     candidate: Score,
+    project: Callable[[Floats], Floats] | None = None,
     iterations: int = REFIT_ITERATIONS,
 ) -> Refit:
     """Fits strength and position of one candidate on the part that is not held out.
@@ -220,8 +213,9 @@ def refit(
     Args:
         problem: The problem.
         rig: Rig without the candidate.
-        base: (n_starts, m) residual of that rig.
+        base: (n_stretches, m) residual of that rig.
         candidate: The candidate with its one-step estimate.
+        project: Takes out of a residual what is uncertain anyway.
         iterations: Gauss-Newton iterations.
     """
     site = candidate.site
@@ -244,7 +238,16 @@ def refit(
         return Site(site.effect, site.place, shape)
 
     used = ~problem.held_out
-    residuals = residual_function(problem, used, lambda x: placed(x).attached(rig, float(x[0])))
+    raw = residual_function(
+        problem,
+        used if project is None else np.ones_like(used),
+        lambda x: placed(x).attached(rig, float(x[0])),
+    )
+
+    def residuals(points: Sequence[Floats]) -> Floats:
+        found = raw(points)
+        return found if project is None else np.stack([project(r)[used] for r in found])
+
     # whatever else is wrong in the recording must not bend the estimate
     estimate = minimise(residuals, variables, iterations, tolerance=3e-3, robust=True)
     if position is not None:
@@ -259,6 +262,8 @@ def refit(
     fitted = placed(estimate.values)
     better = fitted.attached(rig, float(estimate.values[0]))
     residual = residual_matrix(problem, problem.predict([better])[0])
+    if project is not None:
+        base, residual = project(base), project(residual)
     return Refit(
         site=fitted,
         strength=float(estimate.values[0]),
@@ -281,8 +286,8 @@ def cosine(a: Floats, b: Floats) -> float:
     """Cosine between two changes of the prediction.
 
     Args:
-        a: (n_starts, m).
-        b: (n_starts, m).
+        a: (n_stretches, m).
+        b: (n_stretches, m).
     """
     norm = float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(np.sum(a * b)) / norm if norm > 0.0 else 0.0

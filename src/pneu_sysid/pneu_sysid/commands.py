@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Subcommands of `pneu` that work on a recording: fit, compare, diagnose, add, learn."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -14,15 +14,16 @@ from rich.table import Table
 
 from pneu_sim.effects import load_effect_file
 from pneu_sim.errors import InputError
-from pneu_sim.rig import get_parameter, load_rig, save_rig
+from pneu_sim.rig import load_rig, save_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.compare import compare as run_compare
-from pneu_sysid.compare import compare_table
+from pneu_sysid.compare import compare_table, recordings_table
 from pneu_sysid.diagnose import Diagnosis, result_of_diagnosis
-from pneu_sysid.diagnose import diagnose as run_diagnose
+from pneu_sysid.diagnose import diagnose_apart as run_diagnose
 from pneu_sysid.fit import FitOutcome, fit_rig, pairs_above
 from pneu_sysid.learn import add_effect, result_of_learning
 from pneu_sysid.learn import learn as run_learn
+from pneu_sysid.parameters import value_of
 from pneu_sysid.problem import make_problem, record_for
 from pneu_sysid.records import Recording
 from pneu_sysid.report import write_report
@@ -37,8 +38,11 @@ from pneu_sysid.results import (
     write_json,
 )
 
-BagPath = Annotated[
-    Path, typer.Argument(metavar="BAG", help="rosbag2 folder, .mcap, or text recording.")
+BagPaths = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="BAG...", help="rosbag2 folders, .mcap files, or text recordings, of one rig."
+    ),
 ]
 RigPath = Annotated[Path, typer.Option("--rig", help="Rig file (YAML).", show_default=False)]
 JsonPath = Annotated[
@@ -114,15 +118,34 @@ def _progress() -> Iterator[Progress]:
         yield bar
 
 
-def _read(bag: Path, rig: Rig, console: Console) -> Recording:
-    recording = record_for(rig, str(bag))
-    for finding in recording.report:
-        console.print(f"[yellow]{escape(str(finding))}[/yellow]")
-    return recording
+def _read(bags: list[Path], rig: Rig, console: Console) -> list[Recording]:
+    recordings = [record_for(rig, str(bag)) for bag in bags]
+    names = [recording.name for recording in recordings]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"recording {name!r} was given {names.count(name)} times; recordings are told by"
+                " their names, so each is needed once and under another"
+            )
+    for recording in recordings:
+        head = f"{recording.name}: " if len(recordings) > 1 else ""
+        for finding in recording.report:
+            console.print(f"[yellow]{escape(head + str(finding))}[/yellow]")
+    return recordings
 
 
-def _findings(recording: Recording) -> list[str]:
-    return [str(f) for f in recording.report]
+def read_findings(recordings: Sequence[Recording]) -> list[str]:
+    """What was found while recordings were read, one line each.
+
+    Args:
+        recordings: The recordings.
+    """
+    several = len(recordings) > 1
+    return [f"{r.name}: {f}" if several else str(f) for r in recordings for f in r.report]
+
+
+def _titled(recordings: Sequence[Recording]) -> str:
+    return ", ".join(recording.name for recording in recordings)
 
 
 def _error_table(title: str, columns: dict[str, dict[str, float | None]]) -> Table:
@@ -142,7 +165,7 @@ def _error_table(title: str, columns: dict[str, dict[str, float | None]]) -> Tab
 
 
 def fit(
-    bag: BagPath,
+    bag: BagPaths,
     rig: RigPath,
     output: Annotated[Path, typer.Option("-o", "--output", help="Fitted rig file.")],
     robust: Annotated[bool, typer.Option(help="Huber loss, for recordings with outliers.")] = False,
@@ -153,30 +176,30 @@ def fit(
     report: HtmlPath = None,
     workers: Workers = None,
 ) -> None:
-    """Fit a rig's base parameters to a recording."""
+    """Fit a rig's base parameters to recordings."""
     console = _console()
     for path in (output, json_path, report):
         _writable(path)
     if effects is not None:
         load_effect_file(effects)
     start = load_rig(rig)
-    recording = _read(bag, start, console)
+    recordings = _read(bag, start, console)
     with _progress() as bar:
         task = bar.add_task("fitting", total=None)
         outcome = fit_rig(
             start,
-            recording,
+            recordings,
             robust=robust,
             hold_out=hold_out,
             iterations=iterations,
             workers=workers,
             progress=lambda stage, i, cost: bar.update(
-                task, description=f"roll-outs of {stage}, step {i}, cost {cost:.4g}"
+                task, description=f"horizon of {stage}, step {i}, cost {cost:.4g}"
             ),
         )
     save_rig(outcome.rig, output)
-    result = fit_result(str(rig), str(output), recording, outcome)
-    table = Table(title=f"{start.name} fitted to {recording.name}")
+    result = fit_result(str(rig), str(output), recordings, outcome)
+    table = Table(title=f"{start.name} fitted to {_titled(recordings)}")
     for column, side in (
         ("parameter", "left"),
         ("start", "right"),
@@ -188,7 +211,8 @@ def fit(
     for p in result.parameters:
         note = "at bound" if p.at_bound else "" if p.identified else "not identified"
         error = "-" if p.std_error is None else f"{p.std_error:.2g}"
-        table.add_row(p.path, f"{p.start:.5g}", f"{p.value:.5g}", error, note)
+        name = p.path if p.recording is None else f"{p.path} in {p.recording}"
+        table.add_row(name, f"{p.start:.5g}", f"{p.value:.5g}", error, note)
     console.print(table)
     columns = {"noise": result.noise_floor_pa, "fitted": result.rmse_pa}
     if result.held_out_rmse_pa:
@@ -201,21 +225,22 @@ def fit(
 
 
 def fit_result(
-    rig: str, output: str | None, recording: Recording, outcome: FitOutcome
+    rig: str, output: str | None, recordings: Sequence[Recording], outcome: FitOutcome
 ) -> FitResult:
     """The JSON result of a fit.
 
     Args:
         rig: Rig file the fit started from.
         output: Rig file written.
-        recording: The recording.
+        recordings: The recordings.
         outcome: The outcome.
     """
     estimate = outcome.estimate
     parameters = [
         FittedParameter(
             path=p.path,
-            value=get_parameter(outcome.rig, p.path),
+            recording=p.recording,
+            value=value_of(outcome.rig, p),
             start=start,
             std_error=p.std_error,
             at_bound=bool(bound),
@@ -232,11 +257,12 @@ def fit_result(
     assert calibration is not None
     return FitResult(
         pneu_version=pneu_version(),
-        recording=recording.name,
+        recording=_titled(recordings),
+        recordings=[recording.name for recording in recordings],
         rigs=[outcome.rig.name],
         taps=list(outcome.rig.taps),
         noise_floor_pa=dict(calibration.noise_floor_pa),
-        findings=_findings(recording),
+        findings=read_findings(recordings),
         rig=rig,
         output=output,
         parameters=parameters,
@@ -253,25 +279,25 @@ def fit_result(
 
 
 def compare(
-    bag: BagPath,
+    bag: BagPaths,
     rig: Annotated[list[Path], typer.Option("--rig", help="Rig file; repeat to compare several.")],
     refine: Annotated[bool, typer.Option(help="Run the first model on a finer grid too.")] = True,
     effects: EffectsPath = None,
     json_path: JsonPath = None,
     report: HtmlPath = None,
 ) -> None:
-    """Show how far models are from a recording, and where."""
+    """Show how far models are from recordings, and where."""
     console = _console()
     for path in (json_path, report):
         _writable(path)
     if effects is not None:
         load_effect_file(effects)
     rigs = [load_rig(path) for path in rig]
-    recording = _read(bag, rigs[0], console)
+    recordings = _read(bag, rigs[0], console)
     with _progress() as bar:
         task = bar.add_task("comparing", total=1.0)
         result = run_compare(
-            recording,
+            recordings,
             [(_model_name(r, path), r, str(path)) for r, path in zip(rigs, rig, strict=True)],
             refine=refine,
             progress=lambda done: bar.update(task, completed=done),
@@ -285,7 +311,7 @@ def _model_name(rig: Rig, path: Path) -> str:
 
 
 def diagnose(
-    bag: BagPath,
+    bag: BagPaths,
     rig: RigPath,
     refine: Annotated[bool, typer.Option(help="Check the grid first.")] = True,
     effects: EffectsPath = None,
@@ -300,13 +326,15 @@ def diagnose(
     if effects is not None:
         load_effect_file(effects)
     loaded = load_rig(rig)
-    recording = _read(bag, loaded, console)
+    recordings = _read(bag, loaded, console)
     with _progress() as bar:
         tell = _stages(bar)
-        found = run_diagnose(loaded, recording, refine=refine, workers=workers, progress=tell)
+        found = run_diagnose(loaded, recordings, refine=refine, workers=workers, progress=tell)
     console.print(diagnosis_table(found))
     console.print(f"[bold]{escape(found.sentence)}[/bold]")
-    result = result_of_diagnosis(loaded.name, found, _findings(recording))
+    for statement in found.statements:
+        console.print(escape(statement))
+    result = result_of_diagnosis(loaded.name, found, read_findings(recordings))
     if result.numerics.discretisation:
         console.print(f"[yellow]{escape(result.numerics.sentence)}[/yellow]")
     _finish(result, json_path, report, console, diagnose=result.as_dict())
@@ -359,7 +387,9 @@ def add(
         ),
     ],
     rig: RigPath,
-    bag: Annotated[Path, typer.Option("--bag", help="Recording to refit on.")],
+    bag: Annotated[
+        list[Path], typer.Option("--bag", help="Recording to refit on; repeat for several.")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Better rig file.")],
     effects: EffectsPath = None,
     json_path: JsonPath = None,
@@ -380,22 +410,23 @@ def add(
             f"effect {effect!r}: position {position!r} is no number of metres"
         ) from None
     loaded = load_rig(rig)
-    recording = _read(bag, loaded, console)
-    better, before, after = add_effect(loaded, recording, name, place or None, at, workers)
+    recordings = _read(bag, loaded, console)
+    better, before, after = add_effect(loaded, recordings, name, place or None, at, workers)
     save_rig(better, output)
     console.print(step_table([before, after]))
     console.print(f"wrote {output}")
     if json_path is not None:
-        problem = make_problem(better, recording)
+        problem = make_problem(better, recordings)
         write_json(
             json_path,
             LearnResult(
                 pneu_version=pneu_version(),
-                recording=recording.name,
+                recording=_titled(recordings),
+                recordings=[recording.name for recording in recordings],
                 rigs=[loaded.name],
                 taps=problem.taps,
                 noise_floor_pa=dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True)),
-                findings=_findings(recording),
+                findings=read_findings(recordings),
                 steps=[before, after],
                 verdict="effect",
                 sentence=f"{name} added at {after.place}.",
@@ -432,7 +463,7 @@ def step_table(steps: list[Step]) -> Table:
 
 
 def learn(
-    bag: BagPath,
+    bag: BagPaths,
     rig: RigPath,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")],
     effects: EffectsPath = None,
@@ -446,13 +477,14 @@ def learn(
     if effects is not None:
         load_effect_file(effects)
     loaded = load_rig(rig)
-    recording = _read(bag, loaded, console)
+    recordings = _read(bag, loaded, console)
     with _progress() as bar:
-        learned = run_learn(loaded, recording, out=output, workers=workers, progress=_stages(bar))
+        learned = run_learn(loaded, recordings, out=output, workers=workers, progress=_stages(bar))
     console.print(step_table(learned.steps))
     console.print(f"[bold]{escape(learned.sentence)}[/bold]")
-    problem = make_problem(learned.rig, recording)
-    result = result_of_learning(loaded.name, learned, problem, _findings(recording), str(output))
+    problem = make_problem(learned.rig, recordings)
+    findings = read_findings(recordings)
+    result = result_of_learning(loaded.name, learned, problem, findings, str(output))
     save_rig(learned.rig, output / "rig.yaml")
     write_json(output / "learn.json", result)
     if json_path is not None:
@@ -460,14 +492,16 @@ def learn(
     names: list[tuple[str, Rig, str | None]] = [("before", learned.rigs[0], None)]
     if len(learned.rigs) > 1:
         names.append(("after", learned.rigs[-1], str(output / "rig.yaml")))
-    compared = run_compare(recording, names, refine=False)
-    first = result_of_diagnosis(loaded.name, learned.diagnoses[0], _findings(recording))
+    compared = run_compare(recordings, names, refine=False)
+    if len(recordings) > 1:
+        console.print(recordings_table(compared))
+    first = result_of_diagnosis(loaded.name, learned.diagnoses[0], findings)
     path = write_report(
         output / "report.html",
         compare=compared.as_dict(),
         diagnose=first.as_dict(),
         learn=result.as_dict(),
-        title=f"{loaded.name}: {recording.name}",
+        title=f"{loaded.name}: {_titled(recordings)}",
     )
     console.print(f"report: {path}")
 

@@ -5,7 +5,6 @@ Errors are measured minus predicted, the sign of what the rig has and the model 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +12,13 @@ from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.table import Table
 
+from pneu_sim import sensors
 from pneu_sim.errors import InputError
+from pneu_sim.rig import rig_in_recording
+from pneu_sim.rig.build import build, plan_grid
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.problem import Problem, make_problem
+from pneu_sim.simulate import TICK_S
+from pneu_sysid.problem import Problem, Rollouts, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.regimes import FEWEST, Operation, frequency_shares, operation
 from pneu_sysid.results import (
@@ -28,7 +31,7 @@ from pneu_sysid.results import (
     TapError,
     pneu_version,
 )
-from pneu_sysid.shift import estimate_shift
+from pneu_sysid.shift import Shift, estimate_shift
 
 Floats = NDArray[np.float64]
 
@@ -36,7 +39,10 @@ ATM_PA = 101325.0
 BLOCK_S = 0.05
 """Worst stretches are made of blocks of this length."""
 STRETCHES = 5
-SERIES_POINTS = 6000
+SERIES_POINTS = 30000
+"""Readings of all taps together that are kept for plotting."""
+GAP_PERIODS = 3.5
+"""Readings further apart than this many periods have a gap between them."""
 DISCRETISATION = 0.5
 """Part of the error above noise that the grid's own error must exceed to be called its cause."""
 AT_NOISE = 1.2
@@ -44,18 +50,19 @@ AT_NOISE = 1.2
 
 
 def compare(
-    source: Problem | Recording,
+    source: Problem | Recording | Sequence[Recording],
     rigs: Sequence[tuple[str, Rig, str | None]],
     refine: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> CompareResult:
-    """Rolls models out along a recording and takes their errors apart.
+    """Runs models along recordings and takes their errors apart.
 
-    All models see the same roll-outs, those of the first. What the rig was doing (flow direction,
-    choking, opening) is the first model's word too, so that a regime is the same samples for all.
+    All models are asked for the same readings, in the stretches of the first. What the rig was
+    doing (flow direction, choking, opening) is the first model's word too, so that a regime is the
+    same readings for all.
 
     Args:
-        source: The recording, or the first rig's problem on it.
+        source: The recordings, or the first rig's problem on them.
         rigs: Name, rig and file of each model.
         refine: Whether to run the first model that has a grid again on cells of half the length.
         progress: Called with the fraction done.
@@ -69,10 +76,10 @@ def compare(
     """
     if not rigs:
         raise InputError("compare: no rig was given, at least one is needed")
-    recording = source.recording if isinstance(source, Problem) else source
+    recordings = _recordings(source)
     names = _distinct(rigs)
     models = [rig for _, rig, _ in rigs]
-    taps = _common_taps(recording, names, models)
+    taps = _common_taps(recordings, names, models)
     problems = _problems(source, models)
     first = problems[0]
     kinds = [str(getattr(rig, "model", "pde")) for rig in models]
@@ -87,7 +94,7 @@ def compare(
         return lambda fraction: progress(float(done[k] + fraction * (done[k + 1] - done[k])))
 
     outs = [
-        problem.simulate([rig], progress=part(k))
+        problem.simulate([rig], progress=part(k), flows=True)
         for k, (problem, rig) in enumerate(zip(problems, models, strict=True))
     ]
     readings = [
@@ -95,13 +102,12 @@ def compare(
         for out, problem in zip(outs, problems, strict=True)
     ]
     work = operation(first, models[0], outs[0])
-    measured = dict(zip(first.taps, np.moveaxis(first.target(), 2, 0), strict=True))
     noise = {tap: float(first.noise_pa[first.taps.index(tap)]) for tap in taps}
     entries = [
-        _model_error(
-            name, kind, file, {tap: measured[tap] for tap in taps}, predicted, noise, first, work
+        _model_error(name, kind, file, noise, taps, problem, rig, out, work)
+        for name, kind, (_, rig, file), problem, out in zip(
+            names, kinds, rigs, problems, outs, strict=True
         )
-        for name, kind, (_, _, file), predicted in zip(names, kinds, rigs, readings, strict=True)
     ]
     if gridded is None:
         reason = "The grid was not checked." if not refine else "No model here has a grid."
@@ -116,19 +122,20 @@ def compare(
         progress(1.0)
     return CompareResult(
         pneu_version=pneu_version(),
-        recording=recording.name,
+        recording=first.name,
+        recordings=[r.name for r in recordings],
         rigs=names,
         taps=taps,
         noise_floor_pa=dict(noise),
-        findings=[str(finding) for finding in recording.report]
+        findings=findings_of(first)
         + [
             f"{tap}: not every rig has this tap, so it was left out"
-            for tap in recording.pressures
+            for tap in dict.fromkeys(tap for r in recordings for tap in r.pressures)
             if tap not in taps and any(tap in rig.taps for rig in models)
         ],
         models=entries,
         numerics=numerics,
-        series=_series(first, taps, names, readings, entries),
+        series=_series(problems, taps, names, readings, entries),
     )
 
 
@@ -145,51 +152,63 @@ def _distinct(rigs: Sequence[tuple[str, Rig, str | None]]) -> list[str]:
     return out
 
 
-def _common_taps(recording: Recording, names: list[str], rigs: Sequence[Rig]) -> list[str]:
-    """Taps that the recording and every rig have."""
-    for name, rig in zip(names, rigs, strict=True):
-        for valve in rig.valves.values():
-            if valve.command not in recording.commands:
-                raise InputError(
-                    f"rig {name!r}: command {valve.command!r} is not in recording"
-                    f" {recording.name!r} ({', '.join(recording.commands) or 'no commands'})"
-                )
-    taps = [
-        tap
-        for tap in rigs[0].taps
-        if all(tap in rig.taps for rig in rigs)
-        and tap in recording.pressures
-        and np.isfinite(recording.pressures[tap]).any()
+def _recordings(source: Problem | Recording | Sequence[Recording]) -> list[Recording]:
+    if isinstance(source, Problem):
+        return source.recordings
+    return [source] if isinstance(source, Recording) else list(source)
+
+
+def findings_of(problem: Problem) -> list[str]:
+    """What was found while reading recordings, and what is to be said of the sensors' noise.
+
+    Args:
+        problem: The problem.
+    """
+    several = len(problem.recordings) > 1
+    out = [
+        f"{recording.name}: {finding}" if several else str(finding)
+        for recording in problem.recordings
+        for finding in recording.report
     ]
+    return out + [f"{tap}: noise: {words}" for tap, words in problem.noise_words.items()]
+
+
+def _common_taps(
+    recordings: Sequence[Recording], names: list[str], rigs: Sequence[Rig]
+) -> list[str]:
+    """Taps that the recordings and every rig have."""
+    for recording in recordings:
+        for name, rig in zip(names, rigs, strict=True):
+            for valve in rig.valves.values():
+                if valve.command not in recording.commands:
+                    raise InputError(
+                        f"rig {name!r}: command {valve.command!r} is not in recording"
+                        f" {recording.name!r} ({', '.join(recording.commands) or 'no commands'})"
+                    )
+    recorded = {tap for r in recordings for tap, signal in r.pressures.items() if len(signal)}
+    taps = [tap for tap in rigs[0].taps if all(tap in rig.taps for rig in rigs) and tap in recorded]
     if not taps:
         raise InputError(
-            f"recording {recording.name!r}: no tap is in it and in every rig"
-            f" (recorded: {', '.join(recording.pressures) or 'none'};"
+            f"recording {recordings[0].name!r}: no tap is in it and in every rig"
+            f" (recorded: {', '.join(sorted(recorded)) or 'none'};"
             f" rig {names[0]!r}: {', '.join(rigs[0].taps)})"
         )
     return taps
 
 
-def _problems(source: Problem | Recording, rigs: Sequence[Rig]) -> list[Problem]:
-    """A problem per rig, on the roll-outs of the first."""
+def _problems(
+    source: Problem | Recording | Sequence[Recording], rigs: Sequence[Rig]
+) -> list[Problem]:
+    """A problem per rig, on the stretches of the first."""
     if isinstance(source, Problem) and source.taps == list(rigs[0].taps):
         first = source
     else:
-        recording = source.recording if isinstance(source, Problem) else source
-        first = make_problem(rigs[0], recording)
+        first = make_problem(rigs[0], _recordings(source))
     out = [first]
     for rig in rigs[1:]:
         same_cut = rig.model_copy(update={"fit": rigs[0].fit})
-        other = make_problem(same_cut, first.recording, workers=first.workers)
-        out.append(
-            replace(
-                other,
-                starts=first.starts,
-                warm_up=first.warm_up,
-                horizon=first.horizon,
-                nudge_s=first.nudge_s,
-            )
-        )
+        other = make_problem(same_cut, first.recordings, pull_s=first.pull_s, workers=first.workers)
+        out.append(other)
     return out
 
 
@@ -203,21 +222,21 @@ def _model_error(
     name: str,
     kind: str,
     file: str | None,
-    measured: dict[str, Floats],
-    predicted: dict[str, Floats],
     noise: dict[str, float],
+    names: list[str],
     problem: Problem,
+    rig: Rig,
+    out: Rollouts,
     work: Operation,
 ) -> ModelError:
-    taps = {
-        tap: _tap_error(measured[tap], predicted[tap], noise[tap], tap, problem, work)
-        for tap in measured
-    }
-    regimes = [
-        regime
-        for tap in measured
-        for regime in _regimes(measured[tap] - predicted[tap], noise[tap], tap, problem.dt_s, work)
-    ]
+    taps: dict[str, TapError] = {}
+    regimes: list[Regime] = []
+    for tap in names:
+        t = problem.taps.index(tap)
+        error = problem.measured[:, :, t] - out.readings[0, :, :, t]
+        shift = _shift(problem, rig, out, t)
+        taps[tap] = _tap_error(error, noise[tap], tap, problem, shift, work)
+        regimes += _regimes(error, noise[tap], tap, problem, work)
     return ModelError(
         name=name,
         model=kind,
@@ -226,13 +245,37 @@ def _model_error(
         regimes=sorted(regimes, key=lambda r: -(r.times_noise or 0.0)),
         rmse_pa=_rms(np.array([t.rmse_pa for t in taps.values()], dtype=float)),
         times_noise=_rms(np.array([t.times_noise for t in taps.values()], dtype=float)),
+        by_recording={
+            recording.name: _rms(
+                np.concatenate(
+                    [
+                        (
+                            (problem.measured - out.readings[0])[problem.of == c][
+                                :, :, problem.taps.index(tap)
+                            ]
+                            / noise[tap]
+                        ).ravel()
+                        for tap in names
+                    ]
+                )
+            )
+            for c, recording in enumerate(problem.recordings)
+        },
     )
 
 
+def _shift(problem: Problem, rig: Rig, out: Rollouts, t: int) -> Shift | None:
+    """How much later the measurement of a tap is than the prediction, and how much larger."""
+    dense = []
+    for recording, along in zip(problem.recordings, out.along, strict=True):
+        model = build(rig_in_recording(rig, recording.name), plan_grid(rig, problem.dx_m))
+        dense.append((along.tick_s, sensors.read(model, along.taps[0], TICK_S)[:, t]))
+    return estimate_shift(problem.measured[:, :, t], problem.time_s[:, :, t], dense, problem.of)
+
+
 def _tap_error(
-    measured: Floats, predicted: Floats, noise: float, tap: str, problem: Problem, work: Operation
+    error: Floats, noise: float, tap: str, problem: Problem, shift: Shift | None, work: Operation
 ) -> TapError:
-    error = measured - predicted
     good = np.isfinite(error)
     if not good.any():
         return TapError(
@@ -247,8 +290,7 @@ def _tap_error(
             worst=[],
         )
     rmse = _rms(error)
-    spread = float(np.std(measured[good]))
-    shift = estimate_shift(measured, predicted, problem.dt_s)
+    spread = float(np.std(problem.measured[:, :, problem.taps.index(tap)][good]))
     return TapError(
         rmse_pa=rmse,
         rmse_atm=rmse / ATM_PA,
@@ -262,7 +304,9 @@ def _tap_error(
     )
 
 
-def _regimes(error: Floats, noise: float, tap: str, dt_s: float, work: Operation) -> list[Regime]:
+def _regimes(
+    error: Floats, noise: float, tap: str, problem: Problem, work: Operation
+) -> list[Regime]:
     """Error of one tap by regime."""
     good = np.isfinite(error)
     square = np.where(good, error, 0.0) ** 2
@@ -288,7 +332,8 @@ def _regimes(error: Floats, noise: float, tap: str, dt_s: float, work: Operation
                 times_noise=rmse / noise,
             )
         )
-    for label, share, white in frequency_shares(np.where(good, error, 0.0), dt_s):
+    time = problem.time_s[:, :, problem.taps.index(tap)]
+    for label, share, white in frequency_shares(error, time):
         rmse = float(np.sqrt(share * total / count))
         out.append(
             Regime(
@@ -306,35 +351,45 @@ def _regimes(error: Floats, noise: float, tap: str, dt_s: float, work: Operation
 
 def _worst(error: Floats, tap: str, problem: Problem, work: Operation) -> list[Stretch]:
     """The worst blocks of a tap's error, neighbours merged."""
-    good = np.isfinite(error)
-    block = np.floor(work.time_s / BLOCK_S + 1e-6).astype(np.int64)  # edges are whole samples
-    count = np.bincount(block[good])
-    square = np.bincount(block[good], weights=error[good] ** 2)
-    mean = np.divide(square, count, out=np.zeros_like(square), where=count > 0)
-    overall = float(square.sum() / count.sum())
-    order = np.argsort(-mean)[: 3 * STRETCHES]
-    chosen = np.sort(order[(mean[order] > 2.0 * overall) | (np.arange(order.size) == 0)])
-    stretches = []
-    for run in np.split(chosen, np.flatnonzero(np.diff(chosen) > 1) + 1):
-        inside = (block >= run[0]) & (block <= run[-1])
-        times = work.time_s[inside]
-        stretches.append(
-            Stretch(
-                start_s=float(times.min()),
-                end_s=float(times.max()) + problem.dt_s,
-                rmse_pa=_rms(error[inside]),
-                doing=_doing(problem, tap, inside, work),
+    t = problem.taps.index(tap)
+    time = problem.time_s[:, :, t]
+    period = float(problem.periods_s()[t])
+    length = max(BLOCK_S, 4.0 * period)
+    found = []
+    for c, recording in enumerate(problem.recordings):
+        mine = np.isfinite(error) & (problem.of == c)[:, None]
+        if not mine.any():
+            continue
+        block = np.where(mine, np.floor(np.nan_to_num(time) / length + 1e-6), 0).astype(np.int64)
+        count = np.bincount(block[mine])
+        square = np.bincount(block[mine], weights=error[mine] ** 2)
+        mean = np.divide(square, count, out=np.zeros_like(square), where=count > 0)
+        overall = float(square.sum() / count.sum())
+        order = np.argsort(-mean)[: 3 * STRETCHES]
+        chosen = np.sort(order[(mean[order] > 2.0 * overall) | (np.arange(order.size) == 0)])
+        for run in np.split(chosen, np.flatnonzero(np.diff(chosen) > 1) + 1):
+            inside = mine & (block >= run[0]) & (block <= run[-1])
+            found.append(
+                Stretch(
+                    recording=recording.name if len(problem.recordings) > 1 else None,
+                    start_s=float(time[inside].min()),
+                    end_s=float(time[inside].max()) + period,
+                    rmse_pa=_rms(error[inside]),
+                    doing=_doing(recording, tap, inside, time, work),
+                )
             )
-        )
-    return sorted(stretches, key=lambda s: -s.rmse_pa)[:STRETCHES]
+    return sorted(found, key=lambda s: -s.rmse_pa)[:STRETCHES]
 
 
-def _doing(problem: Problem, tap: str, inside: NDArray[np.bool_], work: Operation) -> str:
-    """What the valves did during some samples, in words."""
+def _doing(
+    recording: Recording, tap: str, inside: NDArray[np.bool_], time: Floats, work: Operation
+) -> str:
+    """What the valves did during some readings, in words."""
     words = []
-    samples = problem.windows()[inside]
-    for name, volts in problem.recording.commands.items():
-        low, high = float(volts[samples].min()), float(volts[samples].max())
+    begin, end = float(time[inside].min()), float(time[inside].max())
+    for name, signal in recording.commands.items():
+        volts = np.append(signal.within(begin, end).values, signal.held(begin))
+        low, high = float(volts.min()), float(volts.max())
         words.append(f"{name} {low:.2f} V" if low == high else f"{name} {low:.2f} to {high:.2f} V")
     for kind in ("flow_direction", "opening"):
         sets = [s for s in work.sets(tap) if s.kind == kind]
@@ -355,7 +410,7 @@ def grid_check(
     Args:
         problem: The roll-outs.
         rig: The model.
-        readings: Per tap its (n_starts, horizon) predictions on the present grid, Pa.
+        readings: Per tap its (n_stretches, horizon) predictions on the present grid, Pa.
         progress: Called with the fraction done.
 
     Returns:
@@ -415,49 +470,100 @@ def grid_check(
 
 
 def _series(
-    problem: Problem,
+    problems: list[Problem],
     taps: list[str],
     names: list[str],
     readings: list[dict[str, Floats]],
     entries: list[ModelError],
 ) -> Series:
-    """Signals for plotting: all of them, or the worst stretches and a thinned rest."""
-    windows = problem.windows()
-    time = problem.recording.time_s[windows]
-    flat = windows.ravel()
-    worst = np.zeros(flat.size, dtype=bool)
-    if flat.size > SERIES_POINTS:
-        stretches = [(s.rmse_pa, s) for e in entries for t in e.taps.values() for s in t.worst]
-        for _, s in sorted(stretches, key=lambda pair: -pair[0]):
-            mask = worst | ((time.ravel() >= s.start_s) & (time.ravel() < s.end_s))
-            if mask.sum() <= SERIES_POINTS // 2:
-                worst = mask
-        room = SERIES_POINTS - int(worst.sum())
-        regular = np.zeros_like(worst)
-        regular[:: int(np.ceil(flat.size / room))] = True
-        keep = np.flatnonzero(worst | regular)
-    else:
-        keep = np.arange(flat.size)
+    """Signals for plotting: all readings, or those of the worst stretches and a thinned rest.
 
-    def pascals(x: Floats) -> list[float | None]:
-        return np.round(x.ravel()[keep], 1).tolist()
+    The recordings follow one another, each as long after the one before as ``begins_s`` says.
+    """
+    first = problems[0]
+    begins, at = [], 0.0
+    for recording in first.recordings:
+        begins.append(round(at, 9))
+        at += np.ceil(recording.end_s + 1.0)
+    since = np.array(begins)[first.of][:, None]
+    share = SERIES_POINTS // len(taps)
+    times: list[Floats] = []
+    kept: dict[str, NDArray[np.bool_]] = {}
+    gaps: dict[str, float | None] = {}
+    for tap in taps:
+        t = first.taps.index(tap)
+        time = first.time_s[:, :, t]
+        there = np.isfinite(first.measured[:, :, t])
+        keep = there.copy()
+        stride = 1
+        if there.sum() > share:
+            keep = _worst_of(there, time, first, entries, share // 2)
+            rest = np.flatnonzero((there & ~keep).ravel())
+            stride = int(np.ceil(rest.size / max(share - int(keep.sum()), 1)))
+            keep.ravel()[rest[::stride]] = True
+        kept[tap] = keep
+        gaps[tap] = float(GAP_PERIODS * stride * first.periods_s()[t])
+        times.append((time + since)[keep])
+    shown = np.unique(np.round(np.concatenate(times), 9))
 
-    measured = problem.target()
+    def pascals(values: Floats, tap: str) -> list[float | None]:
+        out = np.full(shown.size, np.nan)
+        k = taps.index(tap)
+        out[np.searchsorted(shown, np.round(times[k], 9))] = values
+        return np.round(out, 1).tolist()
+
+    commands: dict[str, list[float | None]] = {}
+    of = np.clip(np.searchsorted(begins, shown, side="right") - 1, 0, len(begins) - 1)
+    for name in first.recordings[0].commands:
+        volts = np.full(shown.size, np.nan)
+        for c, recording in enumerate(first.recordings):
+            if name in recording.commands:
+                mine = of == c
+                volts[mine] = recording.commands[name].held(shown[mine] - begins[c])
+        commands[name] = np.round(volts, 6).tolist()
+    edges = first.span_s + since
     return Series(
-        time_s=np.round(time.ravel()[keep], 9).tolist(),
-        command={
-            name: np.round(volts[flat][keep], 6).tolist()
-            for name, volts in problem.recording.commands.items()
+        time_s=shown.tolist(),
+        command=commands,
+        measured={
+            tap: pascals(first.measured[:, :, first.taps.index(tap)][kept[tap]], tap)
+            for tap in taps
         },
-        measured={tap: pascals(measured[:, :, problem.taps.index(tap)]) for tap in taps},
         model={
-            name: {tap: pascals(predicted[tap]) for tap in taps}
+            name: {tap: pascals(_like(predicted[tap], kept[tap])[kept[tap]], tap) for tap in taps}
             for name, predicted in zip(names, readings, strict=True)
         },
-        segments=[
-            (round(float(row[0]), 9), round(float(row[-1]) + problem.dt_s, 9)) for row in time
-        ],
+        gap_s=gaps,
+        begins_s=begins,
+        segments=[(round(float(a), 9), round(float(b), 9)) for a, b in edges],
     )
+
+
+def _like(values: Floats, mask: NDArray[np.bool_]) -> Floats:
+    """Predictions of a model that may have been asked for fewer readings a stretch."""
+    out = np.full(mask.shape, np.nan)
+    out[:, : values.shape[1]] = values[:, : mask.shape[1]]
+    return out
+
+
+def _worst_of(
+    there: NDArray[np.bool_],
+    time: Floats,
+    problem: Problem,
+    entries: list[ModelError],
+    most: int,
+) -> NDArray[np.bool_]:
+    """Readings in the worst stretches of all models, no more than some number."""
+    names = [recording.name for recording in problem.recordings]
+    chosen = np.zeros_like(there)
+    stretches = [s for e in entries for t in e.taps.values() for s in t.worst]
+    for s in sorted(stretches, key=lambda s: -s.rmse_pa):
+        of = names.index(s.recording) if s.recording is not None else 0
+        with np.errstate(invalid="ignore"):
+            mask = there & (time >= s.start_s) & (time < s.end_s) & (problem.of == of)[:, None]
+        if (chosen | mask).sum() <= most:
+            chosen |= mask
+    return chosen
 
 
 # ---- for people ----------------------------------------------------------------------------
@@ -536,10 +642,30 @@ def compare_table(result: CompareResult) -> RenderableType:
                 f"{s.start_s:.2f}",
                 f"{s.end_s:.2f}",
                 f"{s.rmse_pa:.0f}",
-                s.doing,
+                s.doing if s.recording is None else f"{s.recording}: {s.doing}",
                 end_section=i == len(named) - 1,
             )
-    return Group(errors, where, worst, result.numerics.sentence)
+    parts: list[RenderableType] = [errors, where, worst]
+    if len(result.recordings) > 1:
+        parts.insert(1, recordings_table(result))
+    return Group(*parts, result.numerics.sentence)
+
+
+def recordings_table(result: CompareResult) -> Table:
+    """How every model does on every recording, in multiples of the noise.
+
+    Args:
+        result: The comparison.
+    """
+    table = Table(
+        title="every model on every recording, x noise over all taps", title_justify="left"
+    )
+    table.add_column("recording")
+    for model in result.models:
+        table.add_column(model.name, justify="right")
+    for name in result.recordings:
+        table.add_row(name, *(_figure(m.by_recording.get(name), ".2f") for m in result.models))
+    return table
 
 
 def _merged(model: ModelError, noise: dict[str, float | None]) -> list[tuple[Stretch, list[str]]]:
@@ -549,7 +675,8 @@ def _merged(model: ModelError, noise: dict[str, float | None]) -> list[tuple[Str
     out: list[tuple[Stretch, list[str]]] = []
     for s, tap in stretches:
         for other, taps in out:
-            if s.start_s < other.end_s and other.start_s < s.end_s:
+            together = s.recording == other.recording
+            if together and s.start_s < other.end_s and other.start_s < s.end_s:
                 if tap not in taps:
                     taps.append(tap)
                 break

@@ -14,24 +14,31 @@ WORTH = 0.02
 """Cross-validated gain below which a variable is not named."""
 
 
-def _variables(problem: Problem, tap: int) -> dict[str, Floats]:
-    """(n_starts, horizon) series a residual may be a function of."""
-    w = problem.windows()
-    p = problem.smooth[:, tap]
-    rate = np.gradient(p) / problem.dt_s
-    out = {"pressure": p[w], "rate of pressure": rate[w]}
-    for name, series in problem.recording.commands.items():
-        out[f"command {name}"] = series[w]
-        step = np.concatenate([[0.0], np.diff(series)])
-        # time since the command last moved by more than a hundredth of its range
-        moved = np.abs(step) > 0.01 * (np.ptp(series) + 1e-12)
-        index = np.arange(series.size)
-        last = np.maximum.accumulate(np.where(moved, index, 0))
-        out[f"time since {name} moved"] = ((index - last) * problem.dt_s)[w]
-    out["time"] = (w * problem.dt_s).astype(float)
-    out["time in roll-out"] = np.broadcast_to(
-        np.arange(problem.horizon) * problem.dt_s, w.shape
-    ).copy()
+def _variables(problem: Problem, tap: int, predicted: Floats) -> dict[str, Floats]:
+    """(n_stretches, horizon) series a residual may be a function of; NaN where there is none."""
+    time = problem.time_s[:, :, tap]
+    period = float(problem.periods_s()[tap])
+    rate = np.full(time.shape, np.nan)
+    if time.shape[1] > 2:
+        # the last readings of a stretch may be missing, and their rate with them
+        with np.errstate(invalid="ignore", divide="ignore"):
+            rate[:, 1:-1] = (predicted[:, 2:] - predicted[:, :-2]) / (time[:, 2:] - time[:, :-2])
+            rate[:, 0] = (predicted[:, 1] - predicted[:, 0]) / (time[:, 1] - time[:, 0])
+    out = {"pressure": predicted, "rate of pressure": rate}
+    for name in problem.recordings[0].commands:
+        value, since = np.full(time.shape, np.nan), np.full(time.shape, np.nan)
+        for c, recording in enumerate(problem.recordings):
+            mine = (problem.of == c)[:, None] & np.isfinite(time)
+            signal = recording.commands[name]
+            value[mine] = signal.held(time[mine])
+            # when the command last moved by more than a hundredth of its range
+            step = np.abs(np.diff(signal.values)) > 0.01 * (np.ptp(signal.values) + 1e-12)
+            moved = np.concatenate([signal.time_s[:1], signal.time_s[1:][step]])
+            last = np.searchsorted(moved, time[mine] + 0.5 * min(period, 1e-6), side="right") - 1
+            since[mine] = time[mine] - moved[np.maximum(last, 0)]
+        out[f"command {name}"] = value
+        out[f"time since {name} moved"] = since
+    out["time"] = time
     return out
 
 
@@ -44,20 +51,24 @@ def dependences(problem: Problem, residual: Floats) -> list[tuple[str, str, floa
 
     Args:
         problem: The problem.
-        residual: (n_starts, horizon * n_taps) in noise units.
+        residual: (n_stretches, horizon * n_taps) in noise units.
 
     Returns:
         (variable, tap, gain), largest first; only gains worth naming.
     """
-    r = residual.reshape(len(problem.starts), problem.horizon, len(problem.taps))
-    fold = np.arange(len(problem.starts)) % FOLDS
+    r = residual.reshape(problem.measured.shape)
+    fold = np.arange(problem.stretches) % FOLDS
     found = []
     for t, tap in enumerate(problem.taps):
         e = r[:, :, t]
         total = float(np.sum(e**2))
-        if total <= 1.5 * e.size:
+        there = np.isfinite(problem.measured[:, :, t])
+        if total <= 1.5 * there.sum():
             continue
-        for name, x in _variables(problem, t).items():
+        predicted = problem.measured[:, :, t] - e * problem.noise_pa[t]
+        for name, x in _variables(problem, t, predicted).items():
+            if not np.isfinite(x).any():
+                continue
             edges = np.unique(np.nanquantile(x, np.linspace(0.0, 1.0, BINS + 1)[1:-1]))
             which = np.searchsorted(edges, np.nan_to_num(x))
             left = 0.0

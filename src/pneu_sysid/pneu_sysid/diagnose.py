@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is missing in a model: candidates ranked, and one honest verdict."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +24,7 @@ from pneu_sysid.candidates import (
 from pneu_sysid.compare import grid_check
 from pneu_sysid.dependence import dependences
 from pneu_sysid.fit import tap_rmse
-from pneu_sysid.gauss_newton import jacobian
-from pneu_sysid.parameters import default_parameters, rig_at, variables_of
+from pneu_sysid.nuisance import nuisance_of
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.results import (
@@ -34,29 +35,32 @@ from pneu_sysid.results import (
     Verdict,
     pneu_version,
 )
+from pneu_sysid.standing import (
+    WITHIN_FLOOR,
+    Standing,
+    against_noise,
+    since_calibration,
+    standing_of,
+)
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-SCORE_EVERY = 3
-"""Scores are taken on every third roll-out: enough to rank, at a third of the cost."""
-SCORE_LEAST = 8
-"""Roll-outs that must be left to a score; of fewer it takes all."""
 FINALISTS = 6
 """Candidates that are refitted."""
 WORTH = 0.10
 """A held-out gain below this fraction of the squared residual is not worth a parameter."""
 BEYOND_CALIBRATION = 0.25
 """... nor is one below this fraction of what the calibration itself left over."""
-WITHIN_FLOOR = 3.0
-"""Squared error, as a multiple of the floor, that needs no explanation: operating points that the
-calibration never visited cost that much."""
 SIGNIFICANT = 3.0
 """Jackknife t below which a candidate is not believed."""
 ALIKE = 0.95
 """Cosine above which two effects change the prediction alike."""
 EQUALLY_GOOD = 1.25
 """A rival is as good if it leaves at most this multiple of what the best leaves, held out."""
+REFIT_CELLS, SCORE_CELLS = 2.0, 3.0
+"""Candidates are refitted and scored on cells so many times as long: only what they change of the
+prediction counts."""
 CONTENDER = 0.35
 """Only candidates with this fraction of the best score are refitted, but at least three."""
 MOST = 0.5
@@ -78,6 +82,9 @@ class Diagnosis:
         left_over: The same after the best candidate.
         numerics: Whether the grid is to blame.
         problem: The problem it was made on.
+        standing: How the model stood before.
+        statements: Of a change since the calibration, and of the noise, a sentence each.
+        unchanged: Recordings that the verdict is not about, the model explaining them as it is.
     """
 
     verdict: Verdict
@@ -90,6 +97,9 @@ class Diagnosis:
     left_over: float
     numerics: Numerics | None
     problem: Problem = field(repr=False)
+    standing: Standing = field(repr=False)
+    statements: list[str] = field(default_factory=list)
+    unchanged: list[str] = field(default_factory=list)
 
     def alike(self, k: int) -> list[str]:
         """Labels of finalists that the recording cannot tell from finalist ``k``.
@@ -107,64 +117,9 @@ class Diagnosis:
         ]
 
 
-def floor_of(rig: Rig, problem: Problem) -> Floats:
-    """(n_taps,) what the model cannot be blamed for, in noise units: noise, or calibration's rest.
-
-    Args:
-        rig: The rig; its calibration tells how well it did on its own recording.
-        problem: The problem.
-    """
-    floor = np.ones(len(problem.taps))
-    if rig.calibration is not None:
-        for k, tap in enumerate(problem.taps):
-            left = rig.calibration.rmse_pa.get(tap)
-            if left is not None:
-                floor[k] = max(1.0, left / problem.noise_pa[k])
-    return floor
-
-
-def nuisance_of(rig: Rig, problem: Problem) -> Floats | None:
-    """Sensitivities to base parameters fitted on this very recording, which may hide an effect.
-
-    A rig calibrated on another recording is trusted as it is.
-
-    Args:
-        rig: The rig.
-        problem: The problem.
-
-    Returns:
-        (n_starts, m, P), or None.
-    """
-    if rig.calibration is not None and rig.calibration.recording != problem.recording.name:
-        return None
-    parameters = rig.fit.parameters or default_parameters(rig)
-    if not parameters:
-        return None
-    variables = variables_of(rig, parameters)
-    x = np.array([v.value for v in variables])
-    starts = len(problem.starts)
-
-    def residuals(points: list[Floats]) -> Floats:
-        y = problem.predict([rig_at(rig, parameters, p) for p in points])
-        return np.stack([residual_matrix(problem, y[k]) for k in range(len(points))]).reshape(
-            len(points), starts, -1
-        )
-
-    _, j = jacobian(residuals, x, variables)  # type: ignore[arg-type]
-    # A parameter whose prior range moves the prediction by less than the noise hides nothing.
-    spread = np.array([min(v.std, v.upper - v.lower) for v in variables])
-    felt = np.linalg.norm(j.reshape(-1, x.size), axis=0) * spread
-    return j[..., felt > 1.0]
-
-
-def _stride(problem: Problem) -> int:
-    """Scores take every so-many-th roll-out, but all of few: their jackknife needs some."""
-    return SCORE_EVERY if len(problem.starts) >= SCORE_LEAST * SCORE_EVERY else 1
-
-
 def diagnose(
     rig: Rig,
-    recording: Recording,
+    recording: Recording | Sequence[Recording],
     finalists: int = FINALISTS,
     refine: bool = True,
     workers: int | None = None,
@@ -172,8 +127,8 @@ def diagnose(
 ) -> Diagnosis:
     """Ranks every candidate effect and place, and says what is missing.
 
-    Scores come from one batched call on cells twice as long; the best are refitted there on two
-    thirds of the roll-outs and judged on the rest.
+    Scores come from one batched call; the best are refitted on two
+    thirds of the stretches and judged on the rest.
 
     Args:
         rig: The rig, usually fitted to a recording without the fault.
@@ -187,53 +142,100 @@ def diagnose(
         The diagnosis.
     """
     tell = progress or (lambda stage, done: None)
-    coarse = 2.0 * rig.grid.dx_m if rig.model == "pde" else None
-    problem = make_problem(rig, recording, dx_m=coarse, workers=workers)
     tell("base", 0.0)
-    nuisance = nuisance_of(rig, problem)
-    base = residual_matrix(problem, problem.predict([rig])[0])
-    stride = _stride(problem)
-    part = problem.every(stride)
-    if nuisance is not None:
-        nuisance = nuisance[::stride]
-    _, scores = score(part, rig, all_sites(rig), nuisance, lambda f: tell("scores", f))
+    own = make_problem(rig, recording, workers=workers)
+    readings = own.predict([rig])[0]
+    rmse = tap_rmse(own, readings, np.ones(own.stretches, dtype=bool))
+    base = residual_matrix(own, readings)
+    problem = rough = own
+    if rig.model == "pde":
+        problem = own.coarsened(rig, REFIT_CELLS, readings)
+        rough = own.coarsened(rig, SCORE_CELLS, readings)
+    nuisance = nuisance_of(rig, rough)
+    project = None if nuisance is None else nuisance.without(~own.held_out)
+    _, scores = score(rough, rig, all_sites(rig), project, lambda f: tell("scores", f))
     best = best_per_place(scores)
     chosen = [
         s
         for k, s in enumerate(best[:finalists])
         if s.explained > 0.0 and (k < 3 or s.explained >= CONTENDER * best[0].explained)
     ]
-    refits = []
-    for k, candidate in enumerate(chosen):
-        tell("refits", k / max(len(chosen), 1))
-        refits.append(refit(problem, rig, base, candidate))
-    tell("refits", 1.0)
-    refits.sort(key=lambda r: (-round(r.held_out, 3), r.site.effect.order))
-    own = make_problem(rig, recording, workers=workers)
-    readings = own.predict([rig])[0]
-    rmse = tap_rmse(own, readings, np.ones(len(own.starts), dtype=bool))
-    # What the coarse cells of this search add to the error is not the model's to answer for.
-    of_grid = np.zeros(len(own.taps))
-    if coarse is not None:
-        change = (base.reshape(readings.shape) - own.residual(readings)) ** 2
-        # (Richardson: halving the cells of a second-order scheme removes three quarters of it)
-        of_grid = 4.0 / 3.0 * np.sqrt(np.mean(change, axis=(0, 1)))
+    # Side by side, each in a thread of its own: a refit asks for two or three models at a time.
+    threads = workers or os.cpu_count() or 1
+    alone = replace(problem, workers=1) if threads > 1 else problem
+    refits: list[Refit] = []
+
+    def try_out(candidate: Score) -> None:
+        refits.append(refit(alone, rig, base, candidate, project))
+        tell("refits", len(refits) / len(chosen))
+
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(try_out, chosen))
+    refits.sort(key=lambda r: (-round(r.held_out, 3), r.site.effect.order, r.site.label))
     numerics = None
     if refine and rig.model == "pde":
         tell("grid", 0.0)
         compared = {
             tap: readings[:, :, k]
             for k, tap in enumerate(own.taps)
-            if np.isfinite(own.measured[:, k]).any()
+            if np.isfinite(own.measured[:, :, k]).any()
         }
         numerics = grid_check(own, rig, compared, lambda f: tell("grid", f))
-    floor = np.hypot(floor_of(rig, problem), of_grid)
-    return _judge(problem, floor, base, refits, best, rmse, numerics)
+    standing = standing_of(rig, own, base)
+    judged = base if project is None else project(base)
+    result = _judge(problem, standing, judged, refits, best, rmse, numerics)
+    names = [r.name for r in own.recordings]
+    found = result.verdict in ("effect", "ambiguous", "unknown")
+    result.statements = [since_calibration(standing, names, found), against_noise(standing)]
+    return result
+
+
+def diagnose_apart(
+    rig: Rig,
+    recordings: Sequence[Recording],
+    finalists: int = FINALISTS,
+    refine: bool = True,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Diagnoses recordings together, or those alone that differ from the rest.
+
+    A leak that began on Tuesday is in the recordings since; with those from before, it would only
+    be half as large.
+
+    Args:
+        rig: The rig.
+        recordings: The recordings.
+        finalists: Candidates to refit.
+        refine: Check the grid.
+        workers: Threads of a batch.
+        progress: Called with a stage's name and the fraction done.
+
+    Returns:
+        The diagnosis, its problem on the recordings that it is about.
+    """
+    if len(recordings) > 1:
+        problem = make_problem(rig, recordings, workers=workers)
+        base = residual_matrix(problem, problem.predict([rig])[0])
+        whole = standing_of(rig, problem, base)
+        if whole.changed and len(whole.changed) < len(recordings):
+            differ = [r for r in recordings if r.name in whole.changed]
+            found = diagnose(rig, differ, finalists, refine, workers, progress)
+            names = [r.name for r in recordings]
+            found.statements[0] = since_calibration(whole, names, True)
+            found.statements.append(
+                f"The verdict is of {', '.join(whole.changed)}; the model without it explains"
+                f" {', '.join(n for n in names if n not in whole.changed)}."
+            )
+            found.unchanged = [n for n in names if n not in whole.changed]
+            found.sentence = f"In {', '.join(whole.changed)} alone: {found.sentence}"
+            return found
+    return diagnose(rig, recordings, finalists, refine, workers, progress)
 
 
 def _judge(
     problem: Problem,
-    floor: Floats,
+    standing: Standing,
     base: Floats,
     refits: list[Refit],
     scores: list[Score],
@@ -242,7 +244,7 @@ def _judge(
 ) -> Diagnosis:
     held = problem.held_out if problem.held_out.any() else np.ones(base.shape[0], dtype=bool)
     weight = np.isfinite(problem.target()[held]).sum(axis=(0, 1))
-    floor_sum = float(np.sum(weight * floor**2))
+    floor_sum = float(np.sum(weight * standing.floor**2))
     held_sum = float(np.sum(base[held] ** 2))
     excess = held_sum / max(floor_sum, 1e-300)
     credible = [
@@ -266,6 +268,7 @@ def _judge(
         left_over=left,
         numerics=numerics,
         problem=problem,
+        standing=standing,
     )
     over = held_sum - floor_sum
     rest = left * floor_sum - floor_sum
@@ -276,10 +279,7 @@ def _judge(
         result.sentence = _sentence(result, top, alike, alone)
     elif excess <= WITHIN_FLOOR:
         result.verdict = "nothing_missing"
-        result.sentence = (
-            "Nothing is missing: the model explains the recording as well as its calibration"
-            " and the sensor noise allow."
-        )
+        result.sentence = _nothing_sentence(standing)
     if result.verdict == "unknown":
         change = top.change if top is not None else np.zeros_like(base)
         result.depends_on = dependences(problem, base - change)
@@ -287,11 +287,26 @@ def _judge(
     return result
 
 
+def _nothing_sentence(standing: Standing) -> str:
+    """Nothing was found: of a change since the calibration, or of the noise."""
+    if standing.explains:
+        return "Nothing is missing: the model explains the recording to the sensor noise."
+    if standing.calibrated and not standing.own:
+        return (
+            "Nothing changed since the calibration: the model explains the recording as well as"
+            " the one it was calibrated on."
+        )
+    return (
+        "No effect of the catalogue explains what the model leaves, which is little:"
+        f" {standing.times_noise:.2f} times the noise."
+    )
+
+
 def _second_helps(problem: Problem, base: Floats, top: Refit, scores: list[Score]) -> bool:
     """Whether a second effect of the catalogue explains much of what the best one leaves."""
-    rest = (base - top.change)[:: _stride(problem)]
+    rest = base - top.change
     total = float(np.sum(rest**2))
-    noise = float(rest.size)
+    noise = float(np.isfinite(problem.measured).sum())
     best = 0.0
     for item in scores:
         if item.site.effect.name == top.site.effect.name and item.site.place == top.site.place:
@@ -390,13 +405,17 @@ def result_of_diagnosis(name: str, found: Diagnosis, findings: list[str]) -> Dia
     problem = found.problem
     return DiagnoseResult(
         pneu_version=pneu_version(),
-        recording=problem.recording.name,
+        recording=problem.name,
+        recordings=[r.name for r in problem.recordings],
         rigs=[name],
         taps=problem.taps,
         noise_floor_pa=dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True)),
         findings=findings,
         verdict=found.verdict,
         sentence=found.sentence,
+        statements=found.statements,
+        unchanged=found.unchanged,
+        times_noise=found.standing.times_noise,
         rmse_pa=dict(found.rmse_pa),
         candidates=candidates,
         depends_on=[

@@ -11,14 +11,21 @@ from numpy.typing import NDArray
 from pneu_sim.errors import InputError
 from pneu_sim.rig.schema import Calibration, FitParameter, Rig
 from pneu_sysid.gauss_newton import Estimate, Variable, minimise
-from pneu_sysid.parameters import curve_ties, default_parameters, rig_at, variables_of
+from pneu_sysid.parameters import (
+    curve_ties,
+    default_parameters,
+    joined,
+    one_each,
+    rig_at,
+    variables_of,
+)
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 
 Floats = NDArray[np.float64]
 
 STAGES_S = (0.1, 0.25)
-"""Short roll-outs come first: over them the response is closer to linear in the parameters."""
+"""Short horizons come first: over them the response is closer to linear in the parameters."""
 COARSEN = 2.0
 """The short stages run on cells this much longer."""
 UNSTABLE = 1e4
@@ -50,12 +57,12 @@ class FitOutcome:
 
 
 def tap_rmse(problem: Problem, readings: Floats, chosen: NDArray[np.bool_]) -> dict[str, float]:
-    """Root mean square error per tap over chosen roll-outs, Pa.
+    """Root mean square error per tap over chosen stretches, Pa.
 
     Args:
         problem: The problem.
-        readings: (n_starts, horizon, n_taps) predictions.
-        chosen: (n_starts,) roll-outs to count.
+        readings: (n_stretches, horizon, n_taps) predictions.
+        chosen: (n_stretches,) stretches to count.
     """
     if not chosen.any():
         return {}
@@ -70,29 +77,28 @@ def tap_rmse(problem: Problem, readings: Floats, chosen: NDArray[np.bool_]) -> d
 def residual_function(
     problem: Problem, chosen: NDArray[np.bool_], rig_of: Callable[[Floats], Rig]
 ) -> Callable[[Sequence[Floats]], Floats]:
-    """Batched residuals over chosen roll-outs for `gauss_newton.minimise`.
+    """Batched residuals over chosen stretches for `gauss_newton.minimise`.
 
     Args:
         problem: The problem.
-        chosen: (n_starts,) roll-outs to use.
+        chosen: (n_stretches,) stretches to use.
         rig_of: Rig at a parameter vector.
     """
-    starts = [s for s, use in zip(problem.starts, chosen, strict=True) if use]
     target = problem.target()[chosen]
 
     def residuals(points: Sequence[Floats]) -> Floats:
-        y = problem.simulate([rig_of(x) for x in points], starts=starts, strict=False).readings
+        y = problem.simulate([rig_of(x) for x in points], strict=False).readings[:, chosen]
         r = np.where(np.isfinite(target), (target - y) / problem.noise_pa, 0.0)
         # a trial that no longer can be simulated is only a bad one
         r[~(np.abs(r) < UNSTABLE)] = UNSTABLE
-        return r.reshape(len(points), len(starts), -1)
+        return r.reshape(len(points), target.shape[0], -1)
 
     return residuals
 
 
 def fit_rig(
     rig: Rig,
-    recording: Recording,
+    recording: Recording | Sequence[Recording],
     parameters: list[FitParameter] | None = None,
     hold_out: bool = False,
     robust: bool = False,
@@ -101,15 +107,16 @@ def fit_rig(
     workers: int | None = None,
     progress: Callable[[str, int, float], None] | None = None,
 ) -> FitOutcome:
-    """Fits a rig to a recording by bounded Gauss-Newton over roll-outs (thesis 8.1.1, 8.1.2).
+    """Fits a rig to recordings by bounded Gauss-Newton on its predictions (thesis 8.1.1, 8.1.2).
 
     Args:
         rig: Start values; its ``fit.parameters`` say what may change, else the default list.
-        recording: The recording.
+        recording: The recording, or several: parameters are shared but those that have one value
+            each.
         parameters: Replaces the list.
-        hold_out: Keep every third roll-out aside.
+        hold_out: Keep every third stretch aside; of three recordings or more every third one.
         robust: Huber loss.
-        stages_s: Roll-out lengths of the preliminary stages.
+        stages_s: Horizons of the preliminary stages.
         iterations: Gauss-Newton iterations of the last stage.
         workers: Threads of a batch.
         progress: Called with stage, iteration and cost.
@@ -126,6 +133,9 @@ def fit_rig(
             f"rig {rig.name!r}: fit.parameters is empty and a {rig.model} model of this rig has no"
             " parameters by default, at least one is needed"
         )
+    recordings = [recording] if isinstance(recording, Recording) else list(recording)
+    listed_before = chosen_parameters
+    chosen_parameters = one_each(chosen_parameters, [r.name for r in recordings])
     first = variables_of(rig, chosen_parameters)
     start = [
         float(np.exp(v.value)) if p.log else v.value
@@ -140,19 +150,23 @@ def fit_rig(
     plan.append((None, None, iterations if len(plan) == 0 else max(3, iterations // 2)))
     now = rig
     estimate: Estimate | None = None
-    problem = make_problem(rig, recording, workers=workers)
+    problem = make_problem(rig, recordings, workers=workers)
     for horizon_s, dx_m, steps in plan:
-        problem = make_problem(rig, recording, horizon_s=horizon_s, dx_m=dx_m, workers=workers)
-        used = ~problem.held_out if hold_out else np.ones(len(problem.starts), dtype=bool)
-        if horizon_s is not None and horizon is not None:
-            used &= _thinned(len(problem.starts), rig.fit.warm_up_s, horizon_s, horizon)
+        problem = make_problem(
+            rig,
+            recordings,
+            pull_s=None if horizon_s is None else horizon_s / np.sqrt(3.0),
+            dx_m=dx_m,
+            workers=workers,
+        )
+        used = ~problem.held_out if hold_out else np.ones(problem.stretches, dtype=bool)
         at = now
         # The datasheet stays the centre of the prior through all stages.
         variables = [
             Variable(v.name, v.value, v.lower, v.upper, v.step, v.std, centre=f.value)
             for v, f in zip(variables_of(at, chosen_parameters), first, strict=True)
         ]
-        label = f"{horizon_s or horizon or recording.time_s[-1]:g} s"
+        label = f"{horizon_s or horizon or recordings[0].end_s:g} s"
         estimate = minimise(
             residual_function(problem, used, partial(rig_at, at, chosen_parameters)),
             variables,
@@ -164,7 +178,7 @@ def fit_rig(
         now = rig_at(at, chosen_parameters, estimate.values)
     assert estimate is not None
     readings = problem.predict([now])[0]
-    used = ~problem.held_out if hold_out else np.ones(len(problem.starts), dtype=bool)
+    used = ~problem.held_out if hold_out else np.ones(problem.stretches, dtype=bool)
     rmse = tap_rmse(problem, readings, used)
     held = tap_rmse(problem, readings, ~used)
     std_errors = [
@@ -177,9 +191,10 @@ def fit_rig(
     ]
     now = now.model_copy(
         update={
-            "fit": now.fit.model_copy(update={"parameters": listed}),
+            "fit": now.fit.model_copy(update={"parameters": joined(listed, listed_before)}),
             "calibration": Calibration(
-                recording=recording.name,
+                recording=recordings[0].name,
+                recordings=[r.name for r in recordings],
                 rmse_pa=rmse,
                 noise_floor_pa={
                     tap: float(n) for tap, n in zip(problem.taps, problem.noise_pa, strict=True)
@@ -197,17 +212,6 @@ def fit_rig(
         rmse_pa=rmse,
         held_out_rmse_pa=held,
     )
-
-
-def _thinned(count: int, warm_up_s: float, horizon_s: float, full_s: float) -> NDArray[np.bool_]:
-    """Roll-outs of a preliminary stage: as many as cost no more than a pass over the recording.
-
-    Each begins with a warm-up, however short it is.
-    """
-    cost = (warm_up_s + horizon_s) / horizon_s / ((warm_up_s + full_s) / full_s)
-    keep = np.zeros(count, dtype=bool)
-    keep[:: max(1, round(cost))] = True
-    return keep
 
 
 def warnings_of(parameters: list[FitParameter], estimate: Estimate) -> list[str]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole loop: name what is missing, add it, refit, until nothing more is worth adding."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,13 +14,15 @@ from pneu_sim.errors import InputError
 from pneu_sim.rig import save_rig, with_parameters
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sysid.candidates import all_sites, best_per_place, residual_matrix, score
-from pneu_sysid.diagnose import EQUALLY_GOOD, FINALISTS, WORTH, Diagnosis, diagnose, floor_of
+from pneu_sysid.compare import findings_of
+from pneu_sysid.diagnose import EQUALLY_GOOD, FINALISTS, WORTH, Diagnosis, diagnose, diagnose_apart
 from pneu_sysid.fit import fit_rig, residual_function, tap_rmse
 from pneu_sysid.gauss_newton import Estimate, Variable, huber_cost, minimise
 from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.results import LearnResult, Step, Verdict, pneu_version, write_json
+from pneu_sysid.standing import floor_of
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -120,13 +122,15 @@ def _errors(problem: Problem, rig: Rig) -> tuple[Floats, dict[str, float], dict[
     return residual_matrix(problem, y), tap_rmse(problem, y, used), tap_rmse(problem, y, ~used)
 
 
-def _rms(r: Floats) -> float:
-    return float(np.sqrt(np.mean(r * r))) if r.size else float("nan")
+def _rms(problem: Problem, residual: Floats, chosen: NDArray[np.bool_]) -> float:
+    """Root mean square residual over the readings of chosen stretches."""
+    count = int(np.isfinite(problem.measured[chosen]).sum())
+    return float(np.sqrt(np.sum(residual[chosen] ** 2) / count)) if count else float("nan")
 
 
 def add_effect(
     rig: Rig,
-    recording: Recording,
+    recording: Recording | Sequence[Recording],
     name: str,
     place: str | None = None,
     position_m: float | None = None,
@@ -197,6 +201,7 @@ def _step(
     strength = None
     if added is not None and effect is not None:
         strength = added.parameters.get(effect.strength.name)
+    used, kept = ~problem.held_out, problem.held_out
     return Step(
         step=number,
         added=added.effect if added is not None else None,
@@ -206,14 +211,14 @@ def _step(
         std_error=std_error,
         rmse_pa=dict(rmse),
         held_out_rmse_pa=dict(held),
-        total_times_noise=_rms(residual[~problem.held_out]),
-        held_out_times_noise=_rms(residual[problem.held_out]),
+        total_times_noise=_rms(problem, residual, used),
+        held_out_times_noise=_rms(problem, residual, kept),
     )
 
 
 def learn(
     rig: Rig,
-    recording: Recording,
+    recording: Recording | Sequence[Recording],
     out: Path | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
@@ -222,7 +227,8 @@ def learn(
 
     Args:
         rig: The rig; one that was never calibrated is fitted to the recording first.
-        recording: The recording.
+        recording: The recording, or several. Where only some of them differ from the calibration,
+            what is added is in those alone.
         out: Folder that receives ``step_<n>.yaml`` and ``learn.json`` after every step, so that an
             interrupted run leaves its last complete step.
         workers: Threads of a batch.
@@ -236,10 +242,13 @@ def learn(
         tell("fit", 0.0)
         rig = fit_rig(rig, recording, hold_out=True, workers=workers).rig
         tell("fit", 1.0)
-    problem = make_problem(rig, recording, workers=workers)
+    recordings = [recording] if isinstance(recording, Recording) else list(recording)
+    first = diagnose_apart(rig, recordings, FINALISTS, True, workers, progress)
+    differ = first.problem.recordings
+    problem = make_problem(rig, differ, workers=workers)
     residual, rmse, held = _errors(problem, rig)
     steps = [_step(0, problem, residual, rmse, held)]
-    state = Learned(rig, steps, [], "nothing_missing", "", [rig])
+    state = Learned(rig, steps, [first], "nothing_missing", "", [rig])
     given = len(rig.effects)
     mates: list[list[AttachedEffect]] = []
     _save(state, problem, out)
@@ -247,15 +256,12 @@ def learn(
         count = len(state.rig.effects) - given
         if count and _at_floor(problem, state.rig, residual):
             break
-        found = diagnose(
-            state.rig,
-            recording,
-            finalists=FINALISTS if count == 0 else FINALISTS // 2,
-            refine=count == 0,
-            workers=workers,
-            progress=progress,
-        )
-        state.diagnoses.append(found)
+        found = first
+        if count:
+            found = diagnose(
+                state.rig, differ, FINALISTS // 2, refine=False, workers=workers, progress=progress
+            )
+            state.diagnoses.append(found)
         if count >= MOST_EFFECTS or not _worth_adding(found):
             break
         tell("refit", 0.0)
@@ -287,8 +293,24 @@ def learn(
         _conclude(state, given, [_label(e) for options in mates for e in options])
         _save(state, problem, out)
     _conclude(state, given, [_label(e) for options in mates for e in options])
+    if first.unchanged and state.steps[1:]:
+        state.sentence = f"In {', '.join(r.name for r in differ)} alone: {state.sentence}"
+        state.rig = _without_effects(state.rig, given, first.unchanged)
+        state.rigs[-1] = state.rig
     _save(state, problem, out)
     return state
+
+
+def _without_effects(rig: Rig, given: int, recordings: list[str]) -> Rig:
+    """The rig with its later effects absent in some recordings."""
+    own = {name: dict(values) for name, values in rig.recordings.items()}
+    rig = rig.model_copy(deep=True)
+    for k, attached in enumerate(rig.effects[given:], start=given):
+        strength = find_effect(attached.effect).strength
+        attached.parameters.setdefault(strength.name, strength.absent)
+        for name in recordings:
+            own.setdefault(name, {})[f"effects.{k}.parameters.{strength.name}"] = strength.absent
+    return rig.model_copy(update={"recordings": own})
 
 
 def _worth_adding(found: Diagnosis) -> bool:
@@ -377,9 +399,9 @@ def _reconsider(
 def _at_floor(problem: Problem, rig: Rig, residual: Floats) -> bool:
     """Whether the held-out error is what noise and calibration leave anyway."""
     held = problem.held_out
-    r = residual[held].reshape(-1, len(problem.taps))
+    count = np.isfinite(problem.measured[held]).sum(axis=(0, 1))
     floor = floor_of(rig, problem)
-    return float(np.sum(r**2)) <= AT_FLOOR * r.shape[0] * float(np.sum(floor**2))
+    return float(np.sum(residual[held] ** 2)) <= AT_FLOOR * float(np.sum(count * floor**2))
 
 
 def _names(rig: Rig, given: int, count: int) -> list[str]:
@@ -430,7 +452,8 @@ def result_of_learning(
     """
     return LearnResult(
         pneu_version=pneu_version(),
-        recording=problem.recording.name,
+        recording=problem.name,
+        recordings=[r.name for r in problem.recordings],
         rigs=[name],
         taps=problem.taps,
         noise_floor_pa=dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True)),
@@ -448,6 +471,6 @@ def _save(state: Learned, problem: Problem, out: Path | None) -> None:
         return
     number = len(state.steps) - 1
     save_rig(state.rig, out / f"step_{number}.yaml")
-    findings = [str(f) for f in problem.recording.report]
+    findings = findings_of(problem)
     result = result_of_learning(state.rig.name, state, problem, findings, str(out))
     write_json(out / "learn.json", result)

@@ -126,7 +126,7 @@ def variables_of(rig: Rig, parameters: list[FitParameter]) -> list[Variable]:
     """
     out = []
     for p in parameters:
-        value = float(np.clip(get_parameter(rig, p.path), p.lower, p.upper))
+        value = float(np.clip(value_of(rig, p), p.lower, p.upper))
         if p.log:
             out.append(
                 Variable(
@@ -160,10 +160,58 @@ def rig_at(rig: Rig, parameters: list[FitParameter], x: np.ndarray) -> Rig:
         parameters: What is estimated.
         x: (P,) point; logarithms where the parameter is logarithmic.
     """
-    values = {
-        p.path: float(np.exp(v)) if p.log else float(v) for p, v in zip(parameters, x, strict=True)
-    }
-    return with_parameters(rig, values)
+    shared: dict[str, float] = {}
+    own: dict[str, dict[str, float]] = {name: dict(of) for name, of in rig.recordings.items()}
+    for p, v in zip(parameters, x, strict=True):
+        value = float(np.exp(v)) if p.log else float(v)
+        if p.recording is None:
+            shared[p.path] = value
+        else:
+            own.setdefault(p.recording, {})[p.path] = value
+    for path in {path for of in own.values() for path in of} - set(shared):
+        # a recording that nobody has fitted gets the mean of those that were
+        shared[path] = float(np.mean([of[path] for of in own.values() if path in of]))
+    out = with_parameters(rig, shared)
+    return out.model_copy(update={"recordings": own}) if own else out
+
+
+def value_of(rig: Rig, parameter: FitParameter) -> float:
+    """The value of a parameter, in the recording that it is for.
+
+    Args:
+        rig: The rig.
+        parameter: The parameter.
+    """
+    own = rig.recordings.get(parameter.recording or "", {})
+    return own.get(parameter.path, get_parameter(rig, parameter.path))
+
+
+def one_each(parameters: list[FitParameter], recordings: list[str]) -> list[FitParameter]:
+    """Parameters with those that have one value in each recording listed once for each.
+
+    Args:
+        parameters: As the rig lists them.
+        recordings: Names of the recordings.
+    """
+    return [
+        p.model_copy(update={"recording": name})
+        for p in parameters
+        for name in (recordings if p.each else [None])
+    ]
+
+
+def joined(fitted: list[FitParameter], listed: list[FitParameter]) -> list[FitParameter]:
+    """Parameters as the rig lists them, with the standard errors that the fit found.
+
+    Args:
+        fitted: What was fitted, some of it once for each recording.
+        listed: The rig's list.
+    """
+    out = []
+    for p in listed:
+        errors = [f.std_error for f in fitted if f.path == p.path and f.std_error is not None]
+        out.append(p.model_copy(update={"std_error": max(errors) if errors else None}))
+    return out
 
 
 def curve_ties(rig: Rig, parameters: list[FitParameter]) -> tuple[np.ndarray, np.ndarray]:

@@ -1,120 +1,180 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording and a rig as one estimation problem: roll-outs, residuals, what is held out."""
+"""Recordings and a rig as one estimation problem: what is predicted, when, and what is held out.
+
+A model runs along each recording without a break and is read at the sensors' own times. What its
+equations do not know of the gas (how warm it is, how much of it there is after seconds of small
+errors) is drawn slowly to the taps, so that a reading is predicted from about one horizon before
+it. An exact model loses nothing by that: what the pull takes up of the sensors' noise is a few
+percent of it at the worst. See docs/residual.md.
+"""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
 
+from pneu_sim import layout as L
 from pneu_sim import lumped
 from pneu_sim.errors import InputError
-from pneu_sim.rig.build import Model, Plan, build, plan_grid
+from pneu_sim.rig import rig_in_recording
+from pneu_sim.rig.build import Plan, build, plan_grid
 from pneu_sim.rig.schema import Rig
-from pneu_sim.simulate import InitialField, Rollouts, initial_field, rollouts
-from pneu_sysid.records import Recording, noise_floor_pa, read_recording
+from pneu_sim.simulate import (
+    TICK_S,
+    Course,
+    InitialField,
+    Prediction,
+    Start,
+    initial_field,
+    predict,
+)
+from pneu_sysid.records import Recording, noise_floor, read_recording
+from pneu_sysid.start import Beginning, Modes, beginnings, modes_of, moved, remembered_s
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 HELD_OUT_EVERY = 3
-"""Every third roll-out is kept aside."""
+"""Every third stretch is kept aside; of three recordings or more, every third recording."""
+LONGEST_PULL = 3.0
+"""A reading after a gap corrects the gas no more than one after this many of its periods."""
+TRIED_S = 0.3
+"""Over this time the ways in which a recording may begin are tried."""
+LOOKS = 2
+"""Times that the beginning is looked for: once from the room's temperature, once around it."""
+FEWEST_TRIED = 6
+"""... or over this many readings of the slowest tap."""
+
+
+@dataclass(frozen=True)
+class Rollouts:
+    """What rigs predict.
+
+    Attributes:
+        readings: (n_rigs, n_stretches, horizon, n_taps) readings at their own times, Pa; NaN where
+            a stretch has no such reading.
+        along: Per recording all that was predicted along it.
+    """
+
+    readings: Floats
+    along: list[Prediction]
 
 
 @dataclass
 class Problem:
-    """Everything about a recording that does not change with the parameters.
+    """Everything about recordings that does not change with the parameters.
+
+    Arrays over readings have the shape (n_stretches, horizon, n_taps): the k-th reading of each tap
+    in each stretch, NaN where a stretch has fewer. The stretches of all recordings follow one
+    another.
 
     Attributes:
-        recording: The recording.
+        recordings: The recordings.
         taps: Names of the taps that are compared.
-        measured: (T, n_taps) readings, Pa; NaN where missing.
-        smooth: (T, n_taps) smoothed readings that start and warm up the roll-outs.
+        time_s: When each reading was taken, s.
+        measured: What was read, Pa.
         noise_pa: (n_taps,) sensor noise floor.
-        starts: First sample of each roll-out, warm-up included.
-        warm_up: Samples of warm-up.
-        horizon: Samples compared per roll-out.
-        nudge_s: Time constant of the pull to the taps during the warm-up.
+        noise_words: Per tap what is to be said of its noise floor, where it is in doubt.
+        of: (n_stretches,) recording that each stretch belongs to.
+        span_s: (n_stretches, 2) when each begins and ends, s.
+        pull_s: Time constant with which the gas is drawn to the taps; None lets it run free.
+        lead_s: Time at the beginning of a recording that is not compared.
         dx_m: Cell length; None is the rig's own.
         workers: Threads of a batch; None is one per core.
+        grid_pa: (n_stretches, horizon, n_taps) what a finer grid adds to every prediction, Pa.
     """
 
-    recording: Recording
+    recordings: list[Recording]
     taps: list[str]
+    time_s: Floats
     measured: Floats
-    smooth: Floats
     noise_pa: Floats
-    starts: list[int]
-    warm_up: int
-    horizon: int
-    nudge_s: float
+    noise_words: dict[str, str]
+    of: Ints
+    span_s: Floats
+    pull_s: float | None
+    lead_s: float
     dx_m: float | None = None
     workers: int | None = None
-    _plans: dict[str, tuple[Plan, InitialField]] = field(default_factory=dict, repr=False)
+    grid_pa: Floats | None = None
+    _courses: list[Course] = field(default_factory=list, repr=False)
+    _from: list[Ints] = field(default_factory=list, repr=False)
+    _in_doubt: list[int] = field(default_factory=list, repr=False)
+    _prepared: dict[str, "_Prepared"] = field(default_factory=dict, repr=False)
 
     @property
-    def dt_s(self) -> float:
-        """Sample interval, s."""
-        return 1.0 / self.recording.rate_hz
+    def recording(self) -> Recording:
+        """The first recording."""
+        return self.recordings[0]
+
+    @property
+    def name(self) -> str:
+        """Names of the recordings in one line."""
+        return ", ".join(recording.name for recording in self.recordings)
+
+    @property
+    def stretches(self) -> int:
+        """Number of stretches."""
+        return int(self.of.size)
+
+    @property
+    def horizon(self) -> int:
+        """Most readings of a tap in a stretch."""
+        return int(self.time_s.shape[1])
 
     @property
     def held_out(self) -> NDArray[np.bool_]:
-        """(n_starts,) which roll-outs are kept aside."""
-        k = np.arange(len(self.starts))
-        return k % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
-
-    def windows(self) -> NDArray[np.int64]:
-        """(n_starts, horizon) sample numbers that each roll-out is compared at."""
-        first = np.array(self.starts)[:, None] + self.warm_up
-        return first + np.arange(self.horizon)
+        """(n_stretches,) which stretches are kept aside."""
+        k = self.of if len(self.recordings) >= HELD_OUT_EVERY else np.arange(self.stretches)
+        return np.asarray(k % HELD_OUT_EVERY == HELD_OUT_EVERY - 1)
 
     def target(self) -> Floats:
-        """(n_starts, horizon, n_taps) measured readings of the roll-outs."""
-        return self.measured[self.windows()]
+        """(n_stretches, horizon, n_taps) measured readings."""
+        return self.measured
+
+    def periods_s(self) -> Floats:
+        """(n_taps,) median time between the readings of each tap, s."""
+        with np.errstate(invalid="ignore"):
+            steps = np.diff(self.time_s, axis=1)
+        return np.array(
+            [
+                np.median(column) if (column := s[np.isfinite(s)]).size else TICK_S
+                for s in np.moveaxis(steps, -1, 0)
+            ]
+        )
 
     def simulate(
         self,
         rigs: Sequence[Rig],
-        starts: Sequence[int] | None = None,
         progress: Callable[[float], None] | None = None,
         strict: bool = True,
+        flows: bool = False,
     ) -> Rollouts:
-        """Rolls rigs out along the recording, in one batch.
+        """Runs rigs along the recordings, in one batch.
 
         Args:
             rigs: Rigs of one structure and one ``model``.
-            starts: Roll-outs to run; None is all.
             progress: Called with the fraction done.
             strict: Whether an unstable simulation is an error; else its predictions are not finite.
+            flows: Whether flows and chamber pressures are kept too.
 
         Returns:
-            Predictions without the warm-up: (n_rigs, n_starts, horizon, ...).
+            The predictions.
         """
-        plan, initial = self._plan(rigs[0])
-        if rigs[0].model == "pde":
-            run = partial(rollouts, self._models(rigs, plan), strict=strict)
-        else:
-            run = partial(lumped.rollouts, [lumped.build(rig, plan) for rig in rigs])
-        out = run(
-            initial,
-            self.recording.commands,
-            self.dt_s,
-            self.starts if starts is None else starts,
-            self.warm_up + self.horizon,
-            self.smooth,
-            warm_up=self.warm_up,
-            nudge_s=self.nudge_s,
-            workers=self.workers,
-            progress=progress,
+        ready = self._prepare(rigs[0])
+        along = self._run(rigs, ready, ready.courses, None, progress, strict, flows)
+        readings = np.concatenate(
+            [self._arranged(p.readings, c) for c, p in enumerate(along)], axis=1
         )
-        w = self.warm_up
-        return Rollouts(out.readings[:, :, w:], out.flows[:, :, w:], out.chambers[:, :, w:])
+        if self.grid_pa is not None:
+            readings += self.grid_pa
+        return Rollouts(self._without_start(readings, ready), along)
 
     def predict(
         self, rigs: Sequence[Rig], progress: Callable[[float], None] | None = None
     ) -> Floats:
-        """(n_rigs, n_starts, horizon, n_taps) predicted readings, Pa.
+        """(n_rigs, n_stretches, horizon, n_taps) predicted readings, Pa.
 
         Args:
             rigs: Rigs of one structure.
@@ -126,19 +186,9 @@ class Problem:
         """Measured minus predicted, in units of each tap's noise; 0 where nothing was measured.
 
         Args:
-            readings: (..., n_starts, horizon, n_taps) predictions.
+            readings: (..., n_stretches, horizon, n_taps) predictions.
         """
-        return np.nan_to_num((self.target() - readings) / self.noise_pa, nan=0.0)
-
-    def every(self, k: int) -> "Problem":
-        """The same problem with every k-th roll-out only.
-
-        Args:
-            k: Stride.
-        """
-        from dataclasses import replace
-
-        return replace(self, starts=self.starts[::k])
+        return np.where(np.isfinite(self.measured), (self.measured - readings) / self.noise_pa, 0.0)
 
     def with_grid(self, dx_m: float) -> "Problem":
         """The same problem on another grid.
@@ -146,20 +196,185 @@ class Problem:
         Args:
             dx_m: Cell length that replaces the rig's.
         """
-        from dataclasses import replace
+        return replace(self, dx_m=dx_m, grid_pa=None, _prepared={})
 
-        return replace(self, dx_m=dx_m, _plans={})
+    def coarsened(self, rig: Rig, factor: float, readings: Floats) -> "Problem":
+        """The same problem on longer cells, whose error at a rig is made good.
 
-    def _plan(self, rig: Rig) -> tuple[Plan, InitialField]:
-        key = ",".join(f"{n}:{p.from_node}:{p.to_node}" for n, p in rig.pipes.items())
-        if key not in self._plans:
-            plan = plan_grid(rig, self.dx_m)
-            self._plans[key] = (plan, initial_field(rig, plan))
-        return self._plans[key]
+        What changes between this rig and another is told by the longer cells, which cost a
+        fraction; the rig itself is predicted as it is on its own.
 
-    @staticmethod
-    def _models(rigs: Sequence[Rig], plan: Plan) -> list[Model]:
-        return [build(rig, plan) for rig in rigs]
+        Args:
+            rig: The rig.
+            factor: By how much longer.
+            readings: (n_stretches, horizon, n_taps) its predictions on this grid.
+        """
+        out = self.with_grid(factor * (self.dx_m or rig.grid.dx_m))
+        out.grid_pa = readings - out.predict([rig])[0]
+        return out
+
+    def _prepare(self, rig: Rig) -> "_Prepared":
+        """Grid of a structure, and how each recording begins, found with the first rig that has it.
+
+        All later rigs of that structure begin alike, so that their predictions can be compared.
+        """
+        key = rig.model + ",".join(f"{n}:{p.from_node}:{p.to_node}" for n, p in rig.pipes.items())
+        if key in self._prepared:
+            return self._prepared[key]
+        plan = plan_grid(rig, self.dx_m)
+        ready = _Prepared(plan, initial_field(rig, plan, through_orifices=False), [], [])
+        filled = initial_field(rig, plan)
+        chosen = [self._begun(rig, ready, filled, c) for c in range(len(self.recordings))]
+        ready.courses[:] = [
+            replace(course, begin_s=b.begin_s, start=b.start)
+            for course, b in zip(self._courses, chosen, strict=True)
+        ]
+        self._settle_noise(rig, ready)
+        ready.modes[:] = [None] * len(chosen)
+        if rig.model == "pde" and rig.fit.horizon_s is not None:
+            for c in range(len(chosen)):
+                self._look_back(rig, ready, c)
+        self._prepared[key] = ready
+        return ready
+
+    def _begun(self, rig: Rig, ready: "_Prepared", filled: InitialField, c: int) -> Beginning:
+        """The way of beginning after which a rig follows the first readings best."""
+        ways = beginnings(rig, ready.plan, filled, self.recordings[c])
+        if len(ways) == 1:
+            return ways[0]
+        course = self._courses[c]
+        slowest = max(s.period_s for s in self.recordings[c].pressures.values())
+        until = max(TRIED_S, FEWEST_TRIED * slowest if np.isfinite(slowest) else 0.0)
+        costs = []
+        for way in ways:
+            tried = _until(replace(course, begin_s=way.begin_s, start=way.start), until)
+            along = self._run([rig], ready, [tried], [c], None, False, False)
+            r = (tried.measured_pa - along[0].readings[0]) / self.noise_pa[:, None]
+            r = r[np.isfinite(tried.measured_pa)]
+            # (a few wild readings must not decide)
+            costs.append(float(np.sum(np.log1p(np.where(np.isfinite(r), r * r, np.inf)))))
+        return ways[int(np.argmin(costs))]
+
+    def _settle_noise(self, rig: Rig, ready: "_Prepared") -> None:
+        """Looks for the noise in what a model leaves, where the signal's motion hides it."""
+        if not self._in_doubt:
+            return
+        every = list(range(len(self.recordings)))
+        along = self._run([rig], ready, ready.courses, every, None, False, False)
+        for t in list(self._in_doubt):
+            found = []
+            for course, out in zip(ready.courses, along, strict=True):
+                left = course.measured_pa[t] - out.readings[0, t]
+                good = np.isfinite(left)
+                if good.sum() > 2 * FEWEST_TRIED:
+                    found.append(noise_floor(course.time_s[t, good], left[good]))
+            if found and (least := min(f.sigma_pa for f in found)) < self.noise_pa[t]:
+                self.noise_pa[t] = max(
+                    least, 1e-6 * float(np.nanmax(np.abs(self.measured[..., t])))
+                )
+            if found and not all(f.motion for f in found):
+                self.noise_words.pop(self.taps[t], None)
+        self._in_doubt.clear()
+
+    def _look_back(self, rig: Rig, ready: "_Prepared", c: int) -> None:
+        """Finds how a recording most likely began, and how its predictions depend on that."""
+        rig = rig_in_recording(rig, self.recordings[c].name)
+        model = build(rig, ready.plan)
+        course = ready.courses[c]
+        mine = self.of == c
+        seen = np.isfinite(self.measured[mine])
+        walls = model.chamber[:, L.C_WALL_T]
+        for again in range(LOOKS):
+            wanted = modes_of(rig, ready.plan, course.start, self.taps, self.noise_pa)
+            short = _until(course, course.begin_s + remembered_s(rig))
+            starts = [course.start, *(mode.start for mode in wanted)]
+            out = predict(
+                [[model] * len(starts)], [short], ready.field, [starts], self.workers, strict=False
+            )[0]
+            reached = out.readings.shape[2]
+            along = np.full((len(starts), *course.time_s.shape), np.nan)
+            along[:, :, :reached] = out.readings
+            at = self._arranged(along, c)
+            step = np.array([mode.step for mode in wanted])[:, None, None, None]
+            change = (at[1:] - at[:1]) / (self.noise_pa * step)
+            known = seen & np.isfinite(change).all(axis=0)
+            modes = Modes(np.where(known, change, 0.0), np.array([m.std for m in wanted]))
+            ready.modes[c] = modes
+            if again == LOOKS - 1:
+                break
+            r = np.where(known, (self.measured[mine] - at[0]) / self.noise_pa, 0.0)
+            amounts = modes.amounts(r[None])[0]
+            start = moved(course.start, wanted, amounts, rig.ambient.temperature_k, walls)
+            course = replace(course, start=start)
+            ready.courses[c] = course
+
+    def _run(
+        self,
+        rigs: Sequence[Rig],
+        ready: "_Prepared",
+        courses: list[Course],
+        of: list[int] | None,
+        progress: Callable[[float], None] | None,
+        strict: bool,
+        flows: bool,
+    ) -> list[Prediction]:
+        plan = ready.plan
+        numbers = of if of is not None else list(range(len(courses)))
+        own = [[rig_in_recording(rig, self.recordings[c].name) for rig in rigs] for c in numbers]
+        if rigs[0].model != "pde":
+            reduced = [[lumped.build(rig, plan) for rig in of_course] for of_course in own]
+            return lumped.predict(reduced, courses, self.workers, progress, flows)
+        if any(rig.recordings for rig in rigs):
+            models = [[build(rig, plan) for rig in of_course] for of_course in own]
+        else:
+            models = [[build(rig, plan) for rig in rigs]] * len(courses)
+        return predict(models, courses, ready.field, None, self.workers, progress, strict, flows)
+
+    def _arranged(self, readings: Floats, c: int) -> Floats:
+        """(K, n_taps, m) values along a recording as (K, its stretches, horizon, n_taps)."""
+        index = self._from[c]
+        out = np.full((readings.shape[0], *index.shape), np.nan)
+        for t in range(index.shape[2]):
+            has = index[:, :, t] >= 0
+            out[:, :, :, t][:, has] = readings[:, t][:, index[:, :, t][has]]
+        return out
+
+    def _without_start(self, readings: Floats, ready: "_Prepared") -> Floats:
+        """Predictions after what is not known of the beginning was taken from the readings."""
+        for c, modes in enumerate(ready.modes):
+            if modes is None:
+                continue
+            mine = self.of == c
+            r = np.where(
+                np.isfinite(self.measured[mine]),
+                (self.measured[mine] - readings[:, mine]) / self.noise_pa,
+                0.0,
+            )
+            readings[:, mine] += modes.explain(r) * self.noise_pa
+        return readings
+
+
+@dataclass
+class _Prepared:
+    """Grid of a structure and how each recording begins."""
+
+    plan: Plan
+    field: InitialField
+    courses: list[Course]
+    modes: list[Modes | None]
+
+
+def _until(course: Course, end_s: float) -> Course:
+    """The first part of a course."""
+    if end_s >= course.end_s:
+        return course
+    count = int(np.max(np.sum(course.time_s <= end_s, axis=1), initial=0))
+    part = slice(0, count)
+    time = np.where(course.time_s[:, part] <= end_s, course.time_s[:, part], np.inf)
+    measured = np.where(np.isfinite(time), course.measured_pa[:, part], np.nan)
+    return replace(
+        course, end_s=end_s, time_s=time, measured_pa=measured, gain=course.gain[:, part]
+    )
 
 
 def record_for(
@@ -194,79 +409,165 @@ def record_for(
     )
 
 
-def _smooth(series: Floats) -> Floats:
-    """Local quadratic over nine samples; gaps stay gaps."""
-    if series.shape[0] < 9:
-        return series
-    good = np.isfinite(series)
-    out = np.full_like(series, np.nan)
-    for t in range(series.shape[1]):
-        if good[:, t].all():
-            out[:, t] = savgol_filter(series[:, t], 9, 2)
-        else:
-            out[:, t] = series[:, t]
-    return out
+def pull_of(rig: Rig) -> float | None:
+    """Time constant with which the gas of a rig is drawn to its taps, s; None lets it run free.
+
+    A constant error of the flow then makes the error of pressure that it makes, root mean square,
+    in runs of the horizon's length that each begin with the right pressure (thesis 8.1.2).
+
+    Args:
+        rig: The rig.
+    """
+    if rig.fit.nudge_s is not None or rig.fit.horizon_s is None:
+        return rig.fit.nudge_s
+    return float(rig.fit.horizon_s / np.sqrt(3.0))
 
 
 def make_problem(
     rig: Rig,
-    recording: Recording,
-    horizon_s: float | None = None,
+    source: Recording | Sequence[Recording],
+    pull_s: float | None = None,
     dx_m: float | None = None,
     workers: int | None = None,
 ) -> Problem:
-    """Cuts a recording into roll-outs for a rig (thesis 8.1.2).
+    """Lays out how a rig is compared with recordings.
 
     Args:
-        rig: The rig; its ``fit`` section sets horizon and warm-up.
-        recording: The recording.
-        horizon_s: Replaces the rig's horizon.
+        rig: The rig; its ``fit`` section sets the horizon.
+        source: The recordings.
+        pull_s: Replaces the rig's time constant of the pull to the taps.
         dx_m: Replaces the rig's cell length.
         workers: Threads of a batch.
 
     Raises:
-        InputError: The recording is shorter than one roll-out.
+        InputError: There is no recording, or one is too short.
     """
+    recordings = [source] if isinstance(source, Recording) else list(source)
+    if not recordings:
+        raise InputError(f"rig {rig.name!r}: no recording was given, at least one is needed")
     taps = list(rig.taps)
-    n = recording.time_s.size
-    measured = np.full((n, len(taps)), np.nan)
-    for t, name in enumerate(taps):
-        if name in recording.pressures:
-            measured[:, t] = recording.pressures[name]
-    rate = recording.rate_hz
-    noise = np.array(
-        [
-            noise_floor_pa(measured[:, t]) if np.isfinite(measured[:, t]).any() else 1.0
-            for t in range(len(taps))
-        ]
-    )
-    # A silent sensor (simulated, or coarser than its noise) still cannot resolve below this.
-    scale = np.nanmax(np.abs(measured)) if np.isfinite(measured).any() else 1.0
-    noise = np.maximum(np.nan_to_num(noise, nan=0.0), 1e-6 * scale)
-    warm_up = round(rig.fit.warm_up_s * rate)
-    horizon = horizon_s or rig.fit.horizon_s
-    if horizon is None:
-        warm_up = 0
-        length = n
-        starts = [0]
-    else:
-        length = max(2, round(horizon * rate))
-        starts = list(range(0, n - warm_up - length + 1, length))
-    if not starts:
-        raise InputError(
-            f"recording {recording.name!r}: {n} samples ({n / rate:.3g} s) are fewer than one"
-            f" roll-out of {warm_up + length} samples ({(warm_up + length) / rate:.3g} s)"
-        )
-    return Problem(
-        recording=recording,
+    pull = pull_s or pull_of(rig)
+    lead = rig.fit.warm_up_s if rig.fit.horizon_s is not None else 0.0
+    problem = Problem(
+        recordings=recordings,
         taps=taps,
-        measured=measured,
-        smooth=_smooth(measured),
-        noise_pa=noise,
-        starts=starts,
-        warm_up=warm_up,
-        horizon=length,
-        nudge_s=rig.fit.nudge_s,
+        time_s=np.empty(0),
+        measured=np.empty(0),
+        noise_pa=np.empty(len(taps)),
+        noise_words={},
+        of=np.empty(0, dtype=np.int64),
+        span_s=np.empty((0, 2)),
+        pull_s=pull,
+        lead_s=lead,
         dx_m=dx_m,
         workers=workers,
     )
+    _set_noise(problem, rig)
+    parts = []
+    for recording in recordings:
+        course = _course(rig, recording, taps, pull)
+        edges = _edges(recording, rig.fit.horizon_s, lead)
+        problem._courses.append(course)
+        parts.append((course, edges, _index(course, edges)))
+    most = max(index.shape[1] for _, _, index in parts)
+    times, values, spans, of = [], [], [], []
+    for c, (course, edges, index) in enumerate(parts):
+        wide = np.full((index.shape[0], most, len(taps)), -1, dtype=np.int64)
+        wide[:, : index.shape[1]] = index
+        problem._from.append(wide)
+        times.append(problem._arranged(course.time_s[None], c)[0])
+        values.append(problem._arranged(course.measured_pa[None], c)[0])
+        spans.append(np.stack([edges[:-1], edges[1:]], axis=1))
+        of += [c] * index.shape[0]
+    problem.time_s, problem.measured = np.concatenate(times), np.concatenate(values)
+    problem.span_s, problem.of = np.concatenate(spans), np.array(of, dtype=np.int64)
+    return problem
+
+
+def _course(rig: Rig, recording: Recording, taps: list[str], pull_s: float | None) -> Course:
+    """A recording as the taps of a rig see it; how it begins is found later."""
+    signals = [recording.pressures.get(tap) for tap in taps]
+    most = max((len(s) for s in signals if s is not None), default=0)
+    time = np.full((len(taps), most), np.inf)
+    measured = np.full((len(taps), most), np.nan)
+    gain = np.zeros((len(taps), most))
+    for t, signal in enumerate(signals):
+        if signal is None or not len(signal):
+            continue
+        n = len(signal)
+        time[t, :n], measured[t, :n] = signal.time_s, signal.values
+        if pull_s is not None and n > 1:
+            usual = signal.period_s
+            since = np.minimum(
+                np.diff(signal.time_s, prepend=signal.time_s[0] - usual), LONGEST_PULL * usual
+            )
+            gain[t, :n] = 1.0 - np.exp(-since / pull_s)
+    nothing = Start(np.empty(0), np.empty(0))
+    return Course(recording.commands, 0.0, recording.end_s, time, measured, gain, nothing)
+
+
+def _edges(recording: Recording, horizon_s: float | None, lead_s: float) -> Floats:
+    """Where a recording is cut into stretches, s."""
+    first = min(float(s.time_s[0]) for s in recording.pressures.values() if len(s)) + lead_s
+    end = recording.end_s
+    count = 1 if horizon_s is None else int((end - first) / horizon_s + 1e-6)
+    if count < 1:
+        raise InputError(
+            f"recording {recording.name!r}: its {end - first + lead_s:.3g} s are fewer than"
+            f" fit.warm_up_s and fit.horizon_s together ({lead_s + (horizon_s or 0.0):.3g} s)"
+        )
+    # The last reading belongs to the last stretch.
+    return np.linspace(first, end + 1e-9, count + 1)
+
+
+def _index(course: Course, edges: Floats) -> Ints:
+    """(n_stretches, horizon, n_taps) which reading of each tap stands where; -1 for none."""
+    stretch = np.searchsorted(edges, course.time_s, side="right") - 1
+    stretch[(course.time_s < edges[0]) | (course.time_s > edges[-1])] = -1
+    count = edges.size - 1
+    rows = []
+    most = 1
+    for t in range(stretch.shape[0]):
+        inside = np.flatnonzero((stretch[t] >= 0) & (stretch[t] < count))
+        of = stretch[t, inside]
+        number = np.bincount(of, minlength=count)
+        place = np.arange(inside.size) - np.repeat(np.cumsum(number) - number, number)
+        rows.append((inside, of, place))
+        most = max(most, int(number.max(initial=0)))
+    out = np.full((count, most, stretch.shape[0]), -1, dtype=np.int64)
+    for t, (inside, of, place) in enumerate(rows):
+        out[of, place, t] = inside
+    return out
+
+
+def _set_noise(problem: Problem, rig: Rig) -> None:
+    """Noise of each tap: what the rig says of the sensor, else an estimate from the readings."""
+    scale = max(
+        (
+            float(np.max(np.abs(s.values)))
+            for r in problem.recordings
+            for s in r.pressures.values()
+            if len(s)
+        ),
+        default=1.0,
+    )
+    for t, name in enumerate(problem.taps):
+        tap = rig.taps[name]
+        noise = 0.0
+        if tap.noise_pa > 0.0:
+            noise = float(np.hypot(tap.noise_pa, tap.quantum_pa / np.sqrt(12.0)))
+        else:
+            found = [
+                noise_floor(s.time_s, s.values)
+                for r in problem.recordings
+                if (s := r.pressures.get(name)) is not None and len(s) > FEWEST_TRIED
+            ]
+            if found:
+                noise = float(np.median([f.sigma_pa for f in found]))
+                if all(f.motion for f in found):
+                    problem._in_doubt.append(t)
+                    problem.noise_words[name] = found[0].sentence
+            else:
+                noise = 1.0
+        # A silent sensor (simulated, or coarser than its noise) still cannot resolve below this.
+        problem.noise_pa[t] = max(noise, 1e-6 * scale)

@@ -9,12 +9,14 @@ from scipy.ndimage import uniform_filter1d
 
 from pneu_sim import layout as L
 from pneu_sim.gas import AIR
+from pneu_sim.rig import rig_in_recording
 from pneu_sim.rig.build import Plan, build, plan_grid
-from pneu_sim.rig.schema import CLOSED, Rig
-from pneu_sim.simulate import Rollouts, initial_field
-from pneu_sim.valve import KNOTS_PER_SAMPLE, openings
-from pneu_sysid.problem import Problem
+from pneu_sim.rig.schema import Rig
+from pneu_sim.simulate import TICK_S, initial_field
+from pneu_sim.valve import openings_along
+from pneu_sysid.problem import Problem, Rollouts
 from pneu_sysid.results import RegimeKind
+from pneu_sysid.volumes import volumes_of
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -29,18 +31,20 @@ SMOOTHING_S = 0.02
 LEVELS = 3
 FREQUENCY_EDGES_HZ = (0.0, 5.0, 20.0, 60.0, 150.0)
 BLOCK_S = 1.0
+LONGEST_TRANSFORM = 512
+"""Readings that are transformed together: what that costs grows with their square."""
 FEWEST = 5
 """A regime of fewer samples is not reported."""
 
 
 @dataclass(frozen=True)
 class SampleSet:
-    """The samples of one regime.
+    """The readings of one tap in one regime.
 
     Attributes:
-        kind: By what the samples are divided.
+        kind: By what the readings are divided.
         label: Which part this is.
-        mask: (n_starts, horizon) which samples belong to it.
+        mask: (n_stretches, horizon) which readings belong to it.
     """
 
     kind: RegimeKind
@@ -49,152 +53,171 @@ class SampleSet:
 
 
 @dataclass(frozen=True)
-class Operation:
-    """What a rig did along the roll-outs of a problem.
+class Ticks:
+    """Something that is so or not at every tick of every recording.
 
     Attributes:
-        time_s: (n_starts, horizon) time of each sample.
-        common: Sample sets that hold for every tap: openings, choking, time.
-        by_tap: Sample sets of single taps: flow direction, pressure.
+        kind: By what the ticks are divided.
+        label: Which part this is.
+        masks: Per recording (ticks,) which belong to it.
+    """
+
+    kind: RegimeKind
+    label: str
+    masks: list[Mask]
+
+
+@dataclass(frozen=True)
+class Operation:
+    """What a rig did along its recordings.
+
+    Attributes:
+        time_s: (n_stretches, horizon, n_taps) time of each reading; NaN where there is none.
+        by_tap: Sets of readings of each tap.
     """
 
     time_s: Floats
-    common: list[SampleSet]
     by_tap: dict[str, list[SampleSet]]
 
     def sets(self, tap: str) -> list[SampleSet]:
-        """All sample sets of a tap.
+        """All sets of a tap.
 
         Args:
             tap: Its name.
         """
-        return self.by_tap.get(tap, []) + self.common
+        return self.by_tap.get(tap, [])
 
 
 def operation(problem: Problem, rig: Rig, out: Rollouts) -> Operation:
     """Finds out what a rig did, from its commands and from what one model of it predicts.
 
     Args:
-        problem: The roll-outs.
+        problem: The problem.
         rig: The rig.
-        out: Its roll-outs, the rig being the only one of its batch.
+        out: Its predictions, flows included, the rig being the only one of its batch.
     """
-    windows = problem.windows()
-    time = problem.recording.time_s[windows]
     plan = plan_grid(rig, problem.dx_m)
-    model = build(rig, plan)
-    n = problem.recording.time_s.size
-    opened = openings(model, problem.recording.commands or {"": np.zeros(n)}, problem.dt_s)
-    opened = opened[::KNOTS_PER_SAMPLE][windows]
+    rigs = [rig_in_recording(rig, recording.name) for recording in problem.recordings]
+    opened = []
+    for recording, own, along in zip(problem.recordings, rigs, out.along, strict=True):
+        memory = np.full((len(plan.valves), 4), np.nan)
+        model = build(own, plan)
+        tick_s = along.tick_s
+        opened.append(
+            openings_along(model, recording.commands, tick_s[0], TICK_S, tick_s.size, memory)
+        )
     common = _opening_sets(plan, opened)
-    common += _choked_sets(rig, plan, model.port, opened, out.readings[0])
-    for b in range(int(time.max() // BLOCK_S) + 1):
-        mask = (time >= b * BLOCK_S) & (time < (b + 1) * BLOCK_S)
-        common.append(SampleSet("time", f"{b * BLOCK_S:g}-{(b + 1) * BLOCK_S:g} s", mask))
-    directions = _directions(problem, rig, plan, out.flows[0])
-    by_tap = {tap: directions[tap] + _level_sets(problem, t) for t, tap in enumerate(problem.taps)}
-    return Operation(
-        time,
-        [s for s in common if s.mask.sum() >= FEWEST],
-        {tap: [s for s in sets if s.mask.sum() >= FEWEST] for tap, sets in by_tap.items()},
-    )
+    common += _choked_sets(rigs, plan, opened, [along.taps[0] for along in out.along])
+    seen = np.isfinite(problem.measured)
+    tick = _tick_of(problem, out)
+
+    def at(masks: list[Mask], t: int) -> Mask:
+        mask = np.zeros(seen.shape[:2], dtype=bool)
+        for c, of_ticks in enumerate(masks):
+            mine = problem.of == c
+            mask[mine] = of_ticks[tick[mine, :, t]]
+        return np.asarray(mask & seen[:, :, t])
+
+    directions = _directions(problem, rig, out)
+    several = len(problem.recordings) > 1
+    by_tap = {}
+    for t, tap in enumerate(problem.taps):
+        sets = [SampleSet(s.kind, s.label, at(s.masks, t)) for s in directions[tap] + common]
+        sets += _level_sets(problem, t)
+        time = problem.time_s[:, :, t]
+        for c, recording in enumerate(problem.recordings):
+            mine = seen[:, :, t] & (problem.of == c)[:, None]
+            last = np.max(time[mine], initial=0.0)
+            for b in range(int(last // BLOCK_S) + 1):
+                with np.errstate(invalid="ignore"):
+                    mask = mine & (time >= b * BLOCK_S) & (time < (b + 1) * BLOCK_S)
+                label = f"{b * BLOCK_S:g}-{(b + 1) * BLOCK_S:g} s"
+                label += f" of {recording.name}" if several else ""
+                sets.append(SampleSet("time", label, mask))
+        by_tap[tap] = [s for s in sets if s.mask.sum() >= FEWEST]
+    return Operation(problem.time_s, by_tap)
 
 
-def _opening_sets(plan: Plan, opened: Floats) -> list[SampleSet]:
+def _tick_of(problem: Problem, out: Rollouts) -> NDArray[np.int64]:
+    """(n_stretches, horizon, n_taps) the tick at or before each reading; 0 where there is none."""
+    tick = np.zeros(problem.time_s.shape, dtype=np.int64)
+    for c, along in enumerate(out.along):
+        mine = problem.of == c
+        since = (
+            np.nan_to_num(problem.time_s[mine], nan=along.tick_s[0]) - along.tick_s[0]
+        ) / TICK_S
+        tick[mine] = np.clip(since + 1e-6, 0, along.tick_s.size - 1).astype(np.int64)
+    return tick
+
+
+def _opening_sets(plan: Plan, opened: list[Floats]) -> list[Ticks]:
     """By how far each valve's widest port is open."""
     sets = []
+    labels = [label for _, label in OPENING_EDGES] + [WIDE_OPEN]
     for v, name in enumerate(plan.valves):
         ports = [q for q, of in enumerate(plan.port_valve) if of == v]
-        widest = opened[:, :, ports].max(axis=2)
-        band = np.digitize(widest, [edge for edge, _ in OPENING_EDGES])
-        labels = [label for _, label in OPENING_EDGES] + [WIDE_OPEN]
+        bands = [
+            np.digitize(o[:, ports].max(axis=1), [edge for edge, _ in OPENING_EDGES])
+            for o in opened
+        ]
         for k, label in enumerate(labels):
-            sets.append(SampleSet("opening", f"{name} {label}", band == k))
+            sets.append(Ticks("opening", f"{name} {label}", [band == k for band in bands]))
     return sets
 
 
 def _choked_sets(
-    rig: Rig, plan: Plan, port: Floats, opened: Floats, readings: Floats
-) -> list[SampleSet]:
+    rigs: list[Rig], plan: Plan, opened: list[Floats], pressures: list[Floats]
+) -> list[Ticks]:
     """By whether the flow through each open port is sonic."""
-    field = initial_field(rig, plan)
+    sonic = float((2.0 / (AIR.gamma + 1.0)) ** (AIR.gamma / (AIR.gamma - 1.0)))
+    fields = [initial_field(rig, plan) for rig in rigs]
+    ports = [build(rig, plan).port for rig in rigs]
 
-    def side(kind: int, index: int) -> Floats:
+    def side(c: int, kind: int, index: int) -> Floats:
         if kind == L.SIDE_RESERVOIR:
-            pressure = list(rig.reservoirs.values())[index].pressure_pa
-            return np.full(readings.shape[:2], pressure)
+            pressure = list(rigs[c].reservoirs.values())[index].pressure_pa
+            return np.full(pressures[c].shape[0], pressure)
         if kind == L.SIDE_CHAMBER:
-            weight, constant = field.chamber_weight[index], field.chamber_constant[index]
+            weight, constant = fields[c].chamber_weight[index], fields[c].chamber_constant[index]
         else:
             slot = plan.ends[index, L.E_CELL]
-            weight, constant = field.weight[slot], field.constant[slot]
-        return np.asarray(readings @ weight + constant)
+            weight, constant = fields[c].weight[slot], fields[c].constant[slot]
+        return np.asarray(pressures[c] @ weight + constant)
 
-    sonic = float((2.0 / (AIR.gamma + 1.0)) ** (AIR.gamma / (AIR.gamma - 1.0)))
     sets = []
     for q, name in enumerate(plan.port_names):
-        a = side(int(plan.ports[q, L.P_A]), int(plan.ports[q, L.P_AI]))
-        b = side(int(plan.ports[q, L.P_B]), int(plan.ports[q, L.P_BI]))
-        high, low = np.maximum(a, b), np.minimum(a, b)
-        iso = plan.ports[q, L.P_MODE] == L.ISO6358
-        critical = float(port[q, L.Q_RATIO]) if iso else sonic
-        choked = low <= critical * high
-        is_open = opened[:, :, q] > SHUT
-        sets.append(SampleSet("choked", f"{name} choked", is_open & choked))
-        sets.append(SampleSet("choked", f"{name} not choked", is_open & ~choked))
+        choked, free = [], []
+        for c in range(len(rigs)):
+            a = side(c, int(plan.ports[q, L.P_A]), int(plan.ports[q, L.P_AI]))
+            b = side(c, int(plan.ports[q, L.P_B]), int(plan.ports[q, L.P_BI]))
+            iso = plan.ports[q, L.P_MODE] == L.ISO6358
+            critical = float(ports[c][q, L.Q_RATIO]) if iso else sonic
+            is_choked = np.minimum(a, b) <= critical * np.maximum(a, b)
+            is_open = opened[c][:, q] > SHUT
+            choked.append(is_open & is_choked)
+            free.append(is_open & ~is_choked)
+        sets.append(Ticks("choked", f"{name} choked", choked))
+        sets.append(Ticks("choked", f"{name} not choked", free))
     return sets
 
 
-def _volumes(rig: Rig) -> tuple[dict[str, str], set[str]]:
-    """Which nodes and pipes hang together without a valve between, and which meet a reservoir.
-
-    Returns:
-        Volume (any one of its nodes or pipes) of every node and ``pipe:name``, and the fed ones.
-    """
-    root: dict[str, str] = {}
-
-    def find(item: str) -> str:
-        root.setdefault(item, item)
-        while root[item] != item:
-            item = root[item]
-        return item
-
-    for node in rig.chambers:
-        find(node)
-    for name, pipe in rig.pipes.items():
-        for node in (pipe.from_node, pipe.to_node):
-            if node != CLOSED and node not in rig.reservoirs:
-                root[find(f"pipe:{name}")] = find(node)
-    volume = {item: find(item) for item in [*root, *(f"pipe:{name}" for name in rig.pipes)]}
-    fed = {
-        volume[f"pipe:{name}"]
-        for name, pipe in rig.pipes.items()
-        if pipe.from_node in rig.reservoirs or pipe.to_node in rig.reservoirs
-    }
-    return volume, fed
-
-
-def _directions(
-    problem: Problem, rig: Rig, plan: Plan, flows: Floats
-) -> dict[str, list[SampleSet]]:
+def _directions(problem: Problem, rig: Rig, out: Rollouts) -> dict[str, list[Ticks]]:
     """Flow direction per tap: filling and exhausting of the closed volume it sees.
 
     That is the volume the tap sits in, or, where this is open to a reservoir, the closed volumes
     behind its valve ports. Where a rig has none, the tap's own rise and fall take their place.
     """
-    volume, fed = _volumes(rig)
+    volume, fed = volumes_of(rig)
     ends = [
         (port.from_node, port.to_node)
         for valve in rig.valves.values()
         for port in valve.ports.values()
     ] + [(orifice.from_node, orifice.to_node) for orifice in rig.orifices.values()]
     joined = [(volume.get(a, ""), volume.get(b, "")) for a, b in ends]
-    known = flows.shape[-1] == len(plan.port_names) and bool(np.isfinite(flows).all())
-
-    def inflow(where: set[str]) -> Floats:
-        sign = [float(b in where) - float(a in where) for a, b in joined]
-        return np.asarray(flows @ np.array(sign))
-
+    known = all(
+        along.flows.shape[-1] == len(ends) and bool(np.isfinite(along.flows).all())
+        for along in out.along
+    )
     sets = {}
     for t, (name, tap) in enumerate(rig.taps.items()):
         own = volume[f"pipe:{tap.pipe}" if tap.pipe is not None else str(tap.chamber)]
@@ -204,30 +227,26 @@ def _directions(
             seen = {side for pair in joined if own in pair for side in pair} - fed - {""}
         words = ("fill", "exhaust")
         if known and seen and any(seen & set(pair) for pair in joined):
-            rate = inflow(seen)
+            sign = np.array([float(b in seen) - float(a in seen) for a, b in joined])
+            rates = [along.flows[0] @ sign for along in out.along]
         else:
-            rate, words = _rise(problem, t), ("rising", "falling")
-        limit = STILL * float(np.nanpercentile(np.abs(rate), 99)) if rate.size else 0.0
-        up, down = rate > limit, rate < -limit
+            rates, words = (
+                [_rise(along.taps[0, :, t]) for along in out.along],
+                ("rising", "falling"),
+            )
+        limit = STILL * float(np.nanpercentile(np.abs(np.concatenate(rates)), 99))
         sets[name] = [
-            SampleSet("flow_direction", words[0], up),
-            SampleSet("flow_direction", words[1], down),
-            SampleSet("flow_direction", "still", ~up & ~down),
+            Ticks("flow_direction", words[0], [r > limit for r in rates]),
+            Ticks("flow_direction", words[1], [r < -limit for r in rates]),
+            Ticks("flow_direction", "still", [np.abs(r) <= limit for r in rates]),
         ]
     return sets
 
 
-def _rise(problem: Problem, tap: int) -> Floats:
-    """(n_starts, horizon) rate of change of a measured pressure, Pa/s; 0 where it is missing."""
-    series = problem.measured[:, tap]
-    good = np.isfinite(series)
-    if good.sum() < 2:
-        return np.zeros((len(problem.starts), problem.horizon))
-    index = np.arange(series.size)
-    filled = np.interp(index, index[good], series[good])
-    width = max(3, round(SMOOTHING_S / problem.dt_s))
-    rate = np.gradient(uniform_filter1d(filled, width, mode="nearest"), problem.dt_s)
-    return np.asarray(rate[problem.windows()])
+def _rise(pressure: Floats) -> Floats:
+    """(ticks,) rate of change of a predicted pressure, Pa/s."""
+    width = max(3, round(SMOOTHING_S / TICK_S))
+    return np.asarray(np.gradient(uniform_filter1d(pressure, width, mode="nearest"), TICK_S))
 
 
 def _level_sets(problem: Problem, tap: int) -> list[SampleSet]:
@@ -251,27 +270,38 @@ def _level_sets(problem: Problem, tap: int) -> list[SampleSet]:
     ]
 
 
-def frequency_shares(error: Floats, dt_s: float) -> list[tuple[str, float, float]]:
-    """Shares of a squared error by frequency, from windowed transforms of the roll-outs.
+def frequency_shares(error: Floats, time_s: Floats) -> list[tuple[str, float, float]]:
+    """Shares of a squared error by frequency, from windowed transforms at the readings' own times.
 
     Args:
-        error: (n_starts, horizon) error, 0 where it is not known.
-        dt_s: Sample interval, s.
+        error: (n_stretches, horizon) error; NaN where there is none.
+        time_s: (n_stretches, horizon) times, s.
 
     Returns:
         Label, share of the squared error, and share that white noise would have, for each band up
-        to half the sampling rate.
+        to half the mean sampling rate.
     """
-    window = np.hanning(error.shape[1] + 2)[1:-1]
-    power = (np.abs(np.fft.rfft(error * window, axis=1)) ** 2).sum(axis=0)
-    frequency = np.fft.rfftfreq(error.shape[1], dt_s)
+    rows = [
+        (e[good], t[good])
+        for e, t in zip(*_blocks(error, time_s), strict=True)
+        if (good := np.isfinite(e)).sum() > FEWEST
+    ]
+    if not rows:
+        return []
+    period = float(np.median(np.concatenate([np.diff(t) for _, t in rows])))
+    length = float(np.median([t[-1] - t[0] for _, t in rows])) + period
+    frequency = np.arange(int(0.5 * length / period) + 1) / length
+    power = np.zeros(frequency.size)
+    for e, t in rows:
+        place = (t - t[0] + period) / (t[-1] - t[0] + 2.0 * period)
+        window = np.sin(np.pi * place) ** 2
+        wave = np.exp(-2j * np.pi * np.outer(frequency, t - t[0]))
+        power += np.abs(wave @ (e * window)) ** 2
     weight = np.full(frequency.size, 2.0)  # both signs of a frequency; zero and the last have one
     weight[0] = 1.0
-    if error.shape[1] % 2 == 0:
-        weight[-1] = 1.0
+    weight[-1] = 1.0
     total = float(np.sum(weight * power))
-    nyquist = 0.5 / dt_s
-    edges = [edge for edge in FREQUENCY_EDGES_HZ if edge < nyquist]
+    edges = [edge for edge in FREQUENCY_EDGES_HZ if edge < 0.5 / period]
     out = []
     for k, low in enumerate(edges):
         last = k == len(edges) - 1
@@ -286,3 +316,12 @@ def frequency_shares(error: Floats, dt_s: float) -> list[tuple[str, float, float
         share = float(np.sum((weight * power)[inside])) / total if total > 0.0 else 0.0
         out.append((label, share, float(weight[inside].sum() / weight.sum())))
     return out
+
+
+def _blocks(error: Floats, time_s: Floats) -> tuple[list[Floats], list[Floats]]:
+    """Stretches cut into pieces that are transformed one by one."""
+    pieces = max(1, -(-error.shape[1] // LONGEST_TRANSFORM))
+    return (
+        [part for row in error for part in np.array_split(row, pieces)],
+        [part for row in time_s for part in np.array_split(row, pieces)],
+    )

@@ -45,7 +45,9 @@ class Head(Result):
     pneu_version: str
     """Version of the program."""
     recording: str
-    """Name of the recording."""
+    """Name of the recording; of several, all in one line."""
+    recordings: list[str] = []
+    """Names of the recordings."""
     rigs: list[str]
     """Names of the rigs."""
     taps: list[str]
@@ -62,6 +64,8 @@ class Head(Result):
 class Stretch(Result):
     """A stretch of time in which one tap is predicted worst."""
 
+    recording: str | None = None
+    """Which recording it is in, where there are several."""
     start_s: Number
     """Begin, from the start of the recording."""
     end_s: Number
@@ -135,6 +139,8 @@ class ModelError(Result):
     """Root mean square over the taps."""
     times_noise: Perhaps
     """Root mean square of the taps' ``times_noise``."""
+    by_recording: dict[str, Perhaps] = {}
+    """The same for each recording."""
 
 
 class Numerics(Result):
@@ -156,15 +162,19 @@ class Series(Result):
     """Signals for plotting, thinned outside the worst stretches."""
 
     time_s: list[Number]
-    """Times; not uniform."""
+    """Times of the readings of all taps; not uniform."""
     command: dict[str, list[Perhaps]]
     """Per command its volts."""
     measured: dict[str, list[Perhaps]]
-    """Per tap the readings, Pa; null where missing."""
+    """Per tap the readings, Pa; null where the tap was not read at that time."""
     model: dict[str, dict[str, list[Perhaps]]]
     """Per model and tap the predicted readings, Pa."""
+    gap_s: dict[str, Perhaps] = {}
+    """Per tap how far apart readings are that have a gap between them, s."""
+    begins_s: list[Number] = []
+    """When each recording begins on these times, which run through all of them, s."""
     segments: list[tuple[Number, Number]]
-    """Begin and end of each roll-out, s."""
+    """Begin and end of each stretch, s; every third is kept aside where something is fitted."""
 
 
 class CompareResult(Head):
@@ -188,6 +198,8 @@ class FittedParameter(Result):
 
     path: str
     """Dotted path into the rig file."""
+    recording: str | None = None
+    """The recording it is for, where it has one value in each."""
     value: Number
     """Estimate."""
     start: Number
@@ -301,6 +313,13 @@ class DiagnoseResult(Head):
     good; ``unknown``: something that the catalogue does not hold."""
     sentence: str
     """The verdict in words."""
+    statements: list[str] = []
+    """What changed since the calibration, and whether the model explains the measurement to the
+    noise, a sentence each; where only some recordings differ, which the verdict is about."""
+    unchanged: list[str] = []
+    """Recordings that the verdict is not about."""
+    times_noise: Perhaps = None
+    """Error of the rig as it is over the noise, root mean square over taps and recordings."""
     rmse_pa: dict[str, Perhaps]
     """Per tap the error of the rig as it is."""
     candidates: list[Candidate]

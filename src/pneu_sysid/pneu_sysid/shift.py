@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much later, and how much larger, a measured signal is than a predicted one."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,14 +12,18 @@ Floats = NDArray[np.float64]
 
 LONGEST_S = 0.05
 """Largest shift that is looked for."""
+VAGUE_S = 2e-3
+"""A shift that is known no better than this is none."""
 SCANNED = 61
 """Shifts that the first, coarse search tries."""
+FEWEST = 8
+"""A stretch of fewer readings tells nothing of a shift."""
 ITERATIONS = 12
 
 
 @dataclass(frozen=True)
 class Shift:
-    """``measured(t) = offset + gain * predicted(t - lag)``, one offset per roll-out.
+    """``measured(t) = offset + gain * predicted(t - lag)``, one offset per stretch.
 
     Attributes:
         lag_s: How much later the measurement is.
@@ -32,32 +37,44 @@ class Shift:
 
 
 def estimate_shift(
-    measured: Floats, predicted: Floats, dt_s: float, longest_s: float = LONGEST_S
+    measured: Floats,
+    time_s: Floats,
+    predicted: Sequence[tuple[Floats, Floats]],
+    of: NDArray[np.int64],
+    longest_s: float = LONGEST_S,
 ) -> Shift | None:
-    """Estimates lag and gain by least squares: a scan over whole shifts, then Gauss-Newton.
+    """Estimates lag and gain by least squares: a scan over whole ticks, then Gauss-Newton.
 
     Args:
-        measured: (n_starts, samples) readings, NaN where missing.
-        predicted: (n_starts, samples) predictions, finite.
-        dt_s: Sample interval, s.
-        longest_s: Largest shift looked for; at most a quarter of a roll-out.
+        measured: (n_stretches, horizon) readings, NaN where missing.
+        time_s: (n_stretches, horizon) when they were taken, s.
+        predicted: Per recording (ticks,) even times and the predicted readings then.
+        of: (n_stretches,) recording that each stretch belongs to.
+        longest_s: Largest shift looked for.
 
     Returns:
         The estimate, or None where the signals move too little to tell, or agree best beyond
         the largest shift.
     """
-    samples = measured.shape[1]
-    reach = min(samples // 4, max(2, round(longest_s / dt_s)))
-    if reach < 2:
-        return None
-    inner = slice(reach, samples - reach)
-    y = measured[:, inner]
-    weight = np.isfinite(y).astype(float)
-    usable = weight.sum(axis=1) > 8
+    weight = np.isfinite(measured).astype(float)
+    usable = weight.sum(axis=1) > FEWEST
     if not usable.any():
         return None
-    y, weight, model = y[usable], weight[usable], predicted[usable]
+    y, weight, of = measured[usable], weight[usable], of[usable]
+    at = np.where(weight > 0.0, time_s[usable], 0.0)
     total = weight.sum(axis=1, keepdims=True)
+    splines = [CubicSpline(tick_s, values) for tick_s, values in predicted]
+    slopes = [spline.derivative() for spline in splines]
+    tick = float(predicted[0][0][1] - predicted[0][0][0])
+    reach = max(2, round(longest_s / tick))
+
+    def along(curves: Sequence[CubicSpline], lag: float) -> Floats:
+        out = np.zeros_like(at)
+        for c, curve in enumerate(curves):
+            mine = of == c
+            tick_s = predicted[c][0]
+            out[mine] = curve(np.clip(at[mine] - lag, tick_s[0], tick_s[-1]))
+        return out
 
     def centred(x: Floats) -> Floats:
         x = np.where(weight > 0.0, x, 0.0)
@@ -67,22 +84,18 @@ def estimate_shift(
     whole = np.unique(np.linspace(-reach, reach, min(SCANNED, 2 * reach + 1)).round().astype(int))
     costs = []
     for k in whole:
-        m = centred(model[:, reach - k : samples - reach - k])
+        m = centred(along(splines, k * tick))
         power = float(np.vdot(m, m))
         cross = float(np.vdot(m, y))
         costs.append(-(max(cross, 0.0) ** 2) / power if power > 0.0 else 0.0)
-    lag = float(whole[int(np.argmin(costs))])
+    lag = tick * float(whole[int(np.argmin(costs))])
     if min(costs) >= 0.0:
         return None
-    spline = CubicSpline(np.arange(samples), model, axis=1)
-    slope = spline.derivative()
-    at = np.arange(reach, samples - reach, dtype=float)
     gain = 1.0
     basis = np.zeros((y.size, 2))
     r = y
     for _ in range(ITERATIONS):
-        where = np.clip(at - lag, 0.0, samples - 1.0)
-        m, d = centred(spline(where)), centred(slope(where))
+        m, d = centred(along(splines, lag)), centred(along(slopes, lag))
         power = float(np.vdot(m, m))
         if power <= 0.0:
             return None
@@ -90,16 +103,16 @@ def estimate_shift(
         r = y - gain * m
         basis = np.stack([m.ravel(), -gain * d.ravel()], axis=1)
         step = float(np.linalg.lstsq(basis, r.ravel(), rcond=None)[0][1])
-        lag += float(np.clip(step, -1.0, 1.0))
-        if abs(lag) > reach:
+        lag += float(np.clip(step, -tick, tick))
+        if abs(lag) > reach * tick:
             return None
-        if abs(step) < 1e-6:
+        if abs(step) < 1e-6 * tick:
             break
     normal = basis.T @ basis
     freedom = max(float(weight.sum()) - total.size - 2.0, 1.0)
-    if np.linalg.cond(normal) > 1e14:
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    if np.linalg.cond(normal / np.outer(scale, scale)) > 1e14:
         return None
-    variance = float(np.vdot(r, r)) / freedom * float(np.linalg.inv(normal)[1, 1])
-    std_error = float(np.sqrt(variance)) * dt_s
-    # Worse than a sample known: rest, drift or noise, not a wave to line up.
-    return Shift(lag * dt_s, gain, std_error) if std_error < dt_s else None
+    std_error = float(np.sqrt(np.vdot(r, r) / freedom * np.linalg.inv(normal)[1, 1]))
+    # Worse than that: rest, drift or noise, not a wave to line up.
+    return Shift(lag, gain, std_error) if std_error < VAGUE_S else None

@@ -1,27 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """A model run alongside incoming commands and taps: what it leaves unexplained, window by window.
 
-Each window is one roll-out as in identification (thesis 8.1.2): the state is drawn to the taps
-during a warm-up, then the model runs on the commands alone and is compared. So the residual does
-not drift away over hours, and its figures are those of ``pneu fit`` and ``pneu compare``.
+Each window is one stretch as in identification: the model runs along the readings at their own
+times, its gas drawn slowly to the taps, and is compared after a warm-up. So the residual does not
+drift away over hours, and its figures are those of ``pneu fit`` and ``pneu compare``.
 """
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim.errors import InputError
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.problem import make_problem
-from pneu_sysid.records import Recording
+from pneu_sysid.problem import make_problem, pull_of
+from pneu_sysid.records import Recording, Signal
 
 Floats = NDArray[np.float64]
 
-GAP_PERIODS = 3.0
-"""A pause of this many periods between samples is a gap."""
+CLOSE = 0.9
+"""Readings closer than this many periods are one too many."""
+EARLIER_S = 1.0
+"""Commands from this long before a window still matter to its spools."""
+LEAST = 0.5
+"""A window in which every tap lacks more than this share of its readings is not judged."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +74,14 @@ class _Trace:
         self.times.append(time_s)
         self.values.append(value)
 
-    def drop_before(self, time_s: float, keep: int) -> None:
-        while len(self.times) > keep and self.times[1] <= time_s:
+    def drop_before(self, time_s: float) -> None:
+        while len(self.times) > 1 and self.times[1] <= time_s:
             self.times.popleft()
             self.values.popleft()
 
-    def arrays(self) -> tuple[Floats, Floats]:
-        return np.array(self.times), np.array(self.values)
+    def since(self, time_s: float) -> Signal:
+        """What is noted, on times that begin there."""
+        return Signal(np.array(self.times) - time_s, np.array(self.values))
 
 
 class Watch:
@@ -92,7 +97,7 @@ class Watch:
 
         Args:
             rig: The model.
-            rate_hz: Rate at which signals are compared, Hz; not above that of the taps.
+            rate_hz: Rate at which taps are read, Hz; of faster ones readings are left out.
             window_s: Length of what is compared, s; None is the horizon of the rig's fit.
             dx_m: Cell length that replaces the rig's.
 
@@ -109,7 +114,10 @@ class Watch:
                 f"window_s: found {self._window_s:g} s, at {rate_hz:g} Hz it must be at least"
                 f" {10 / rate_hz:g} s"
             )
-        self._warm_up = round(rig.fit.warm_up_s * rate_hz)
+        self._warm_up_s = rig.fit.warm_up_s
+        fit = {"horizon_s": self._window_s, "nudge_s": pull_of(rig)}
+        # One window is one stretch; the gas is drawn to the taps as in the fit.
+        self._model = rig.model_copy(update={"fit": rig.fit.model_copy(update=fit)})
         self._noise = np.array([tap.noise_pa for tap in rig.taps.values()])
         self._noise[self._noise == 0.0] = np.nan
         self._floor = np.full(len(rig.taps), np.nan)
@@ -151,16 +159,17 @@ class Watch:
         trace = self._taps[name]
         if trace.times and time_s <= trace.times[-1]:
             if time_s > trace.times[-1] - 1.0 / self._rate_hz:
-                return  # the same sample twice
+                return  # the same reading twice
             self.clear()
             trace = self._taps[name]
-        trace.add(time_s, pressure_pa)
+        if not trace.times or time_s - trace.times[-1] > CLOSE / self._rate_hz:
+            trace.add(time_s, pressure_pa)
         self._latest_s = max(self._latest_s, time_s)
 
     def is_full(self) -> bool:
         """Whether a new window can be judged."""
         begins = [t.times[0] for t in self._taps.values() if t.times]
-        length = (self._warm_up + self._samples) / self._rate_hz
+        length = self._warm_up_s + self._window_s + 1.0 / self._rate_hz
         return (
             bool(begins)
             and all(trace.times for trace in self._commands.values())
@@ -179,47 +188,43 @@ class Watch:
         """
         if not self.is_full():
             return None
-        count = self._warm_up + self._samples
         # One period back, so that taps that come one after the other are all there.
         end = self._latest_s - 1.0 / self._rate_hz
-        times = end - np.arange(count - 1, -1, -1) / self._rate_hz
+        begin = end - self._warm_up_s - self._window_s
         self._judged_s = end
-        commands: dict[str, Floats] = {}
-        for name, trace in self._commands.items():
-            at, values = trace.arrays()
-            index = np.searchsorted(at, times + 1e-9, side="right") - 1
-            commands[name] = values[np.maximum(index, 0)]
-            trace.drop_before(times[0], keep=1)
-        pressures: dict[str, Floats] = {}
-        for name, trace in self._taps.items():
-            at, values = trace.arrays()
-            pressures[name] = self._sampled(at, values, times)
-            trace.drop_before(times[0], keep=2)
-        measured = np.stack(list(pressures.values()), axis=-1)
-        if not np.isfinite(measured).mean(axis=0).max() > 0.5:
+        for trace in self._commands.values():
+            trace.drop_before(begin - EARLIER_S)
+        for trace in self._taps.values():
+            trace.drop_before(begin)
+        commands = {name: trace.since(begin) for name, trace in self._commands.items()}
+        pressures = {
+            name: trace.since(begin).within(0.0, end - begin)
+            for name, trace in self._taps.items()
+            if trace.times
+        }
+        enough = LEAST * self._rate_hz * (end - begin)
+        pressures = {name: signal for name, signal in pressures.items() if len(signal)}
+        if max((len(signal) for signal in pressures.values()), default=0) < enough:
             return None
-        recording = Recording("live", times - times[0], commands, pressures, self._rate_hz)
-        problem = make_problem(self._rig, recording, self._window_s, self._dx_m, workers=1)
-        problem = replace(problem, starts=[0], warm_up=self._warm_up, horizon=self._samples)
-        error = (problem.target() - problem.predict([self._rig])[0])[0]
+        try:
+            problem = make_problem(
+                self._model, Recording("live", commands, pressures), None, self._dx_m, workers=1
+            )
+        except InputError:
+            return None  # the readings of this window end before it does
+        error = problem.target() - problem.predict([self._rig])[0]
         present = np.isfinite(error)
         squares = np.where(present, error, 0.0) ** 2
-        number = present.sum(axis=0)
-        rms = np.sqrt(squares.sum(axis=0) / np.maximum(number, 1))
+        number = present.sum(axis=(0, 1))
+        rms = np.sqrt(squares.sum(axis=(0, 1)) / np.maximum(number, 1))
         rms[number == 0] = np.nan
+        newest = np.full(len(self._taps), np.nan)
+        for t in range(newest.size):
+            if number[t]:
+                newest[t] = error[:, :, t][present[:, :, t]][-1]
         noise = np.where(np.isfinite(self._noise), self._noise, problem.noise_pa)
         expected = np.fmax(self._floor, noise)
-        return Window(end, self._window_s, list(self._taps), error[-1], rms, noise, expected)
-
-    def _sampled(self, at: Floats, values: Floats, times: Floats) -> Floats:
-        """Readings at given times, NaN in gaps and beyond the ends."""
-        if at.size < 2:
-            return np.full(times.size, np.nan)
-        right = np.clip(np.searchsorted(at, times), 1, at.size - 1)
-        span = at[right] - at[right - 1]
-        out = np.interp(times, at, values)
-        out[(span > GAP_PERIODS / self._rate_hz) | (times < at[0]) | (times > at[-1])] = np.nan
-        return out
+        return Window(end, self._window_s, list(self._taps), newest, rms, noise, expected)
 
 
 class Verdict:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lumped models of a rig: closed volumes filled through orifices, as baselines for the full model.
 
-``build`` reduces a rig to its volumes as its ``model`` field says, ``rollouts`` runs many of them
-along a recording. Both mirror their namesakes in ``pneu_sim.rig.build`` and ``pneu_sim.simulate``.
+``build`` reduces a rig to its volumes as its ``model`` field says, ``predict`` runs many of them
+along recordings. Both mirror their namesakes in ``pneu_sim.rig.build`` and ``pneu_sim.simulate``.
 """
 
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.lumped import delay_line, thin_plate
-from pneu_sim.lumped.batch import rollouts as rollouts
+from pneu_sim.lumped.batch import predict as predict
 from pneu_sim.lumped.model import LumpedModel as LumpedModel
 from pneu_sim.lumped.network import Network as Network
 from pneu_sim.lumped.network import reduce_network as reduce_network

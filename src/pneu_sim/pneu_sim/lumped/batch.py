@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Running lumped models: many parameter sets over many roll-outs in one batch."""
+"""Running lumped models along recordings: many parameter sets in one batch."""
 
 import math
 import os
@@ -12,97 +12,134 @@ from numpy.typing import NDArray
 from pneu_sim import sensors
 from pneu_sim.lumped.filling import fill, port_flow
 from pneu_sim.lumped.model import V_VOLUME, LumpedModel
-from pneu_sim.simulate import InitialField, Rollouts
-from pneu_sim.valve import KNOTS_PER_SAMPLE, openings
+from pneu_sim.simulate import TICK_S as RUN_TICK_S
+from pneu_sim.simulate import Course, Prediction, Start
+from pneu_sim.valve import openings_along
 
 Floats = NDArray[np.float64]
 
+TICKS = 4
+"""Ticks of a lumped model in one of the full model's."""
+TICK_S = RUN_TICK_S / TICKS
+GAP = 3.0
+"""Readings further apart than this many periods have a gap between them."""
 STEP = 1.5
 """Step times the fastest rate of any volume; the Runge-Kutta method is stable up to 2.8."""
 
 
-def rollouts(
-    models: Sequence[LumpedModel],
-    field: InitialField,
-    commands: dict[str, Floats],
-    dt_s: float,
-    starts: Sequence[int],
-    samples: int,
-    taps_pa: Floats,
-    warm_up: int = 0,
-    nudge_s: float = 0.002,
+def predict(
+    models: Sequence[Sequence[LumpedModel]],
+    courses: Sequence[Course],
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Rollouts:
-    """Rolls every model out from every start, like ``pneu_sim.simulate.rollouts``.
+    flows: bool = False,
+) -> list[Prediction]:
+    """Runs every model along every recording, like ``pneu_sim.simulate.predict``.
 
-    A volume starts at the mean of the readings of its taps, or where it has none at the mean of the
-    initial field along its pipes. During the warm-up it is drawn to the mean of its taps.
+    A volume starts at the mean of its start along its pipes and chambers, and is drawn to the mean
+    of its taps as the course asks. Between ticks of ``TICK_S`` readings are linear.
 
     Args:
-        models: Parameter sets of one rig.
-        field: Map from taps to the initial pressures, for volumes without a tap.
-        commands: Per command its (T,) volts.
-        dt_s: Sample interval, s.
-        starts: First sample of each roll-out, warm-up included.
-        samples: Samples per roll-out, warm-up included.
-        taps_pa: (T, n_taps) measured pressures for the initial state and the warm-up; NaN where
-            there are none.
-        warm_up: Samples of warm-up.
-        nudge_s: Time constant of the pull to the taps.
+        models: (n_courses, n_models) parameter sets of one rig.
+        courses: The recordings.
         workers: Threads; None is one per core.
         progress: Called with the fraction done.
+        flows: Whether flows and pressures are kept from tick to tick.
 
     Returns:
-        The predictions.
+        The predictions, one per course.
     """
-    plan = models[0].plan
-    n_models, n_starts = len(models), len(starts)
-    # A rig without valves still has orifices, open for the length of the recording.
-    volts = commands or {"": np.zeros(taps_pa.shape[0])}
-    begin = np.asarray(starts, dtype=np.int64)
-    nudged = min(warm_up, samples - 1)
-    rate = max(fastest(model) for model in models)
-    if nudged:
-        rate = max(rate, 1.0 / nudge_s)
-    # In powers of two, so that the step is the same for parameters that differ a little.
-    n_sub = max(KNOTS_PER_SAMPLE, 2 ** math.ceil(math.log2(max(dt_s * rate / STEP, 1.0))))
-    goals = np.ascontiguousarray(taps_pa, dtype=float)
-    taps = np.empty((n_models, n_starts, samples, len(plan.taps)))
-    flows = np.empty((n_models, n_starts, samples, plan.ports.shape[0]))
-    chambers = np.empty((n_models, n_starts, samples, len(plan.chambers)))
-    done = [0]
+    count = len(models[0])
+    tasks = [(c, m) for c in range(len(courses)) for m in range(count)]
+    found: dict[tuple[int, int], tuple[Floats, Floats, Floats, Floats]] = {}
 
-    def run(m: int) -> None:
-        model = models[m]
-        gas = model.base.gas
-        opened = openings(model.base, volts, dt_s)
-        if opened.shape[0] == 1:
-            opened = np.repeat(opened, 2, axis=0)
-        base = np.array([_start(model, field, goals, s) for s in starts])
-        fill(
-            samples, n_sub, dt_s / n_sub, KNOTS_PER_SAMPLE, gas.gamma, gas.r_specific,
-            model.exponent, model.side, model.area, model.linear, model.source, model.volume,
-            model.tap, model.chamber, model.tap_delay_s, model.side_delay_s, model.drag,
-            model.base.ambient, begin, base, opened, nudged, 1.0 / nudge_s, goals,
-            taps[m], flows[m], chambers[m],
-        )  # fmt: skip
-        done[0] += 1
+    def run(task: tuple[int, int]) -> None:
+        c, m = task
+        found[task] = _along(models[c][m], courses[c])
         if progress is not None:
-            progress(done[0] / n_models)
+            progress(len(found) / len(tasks))
 
-    threads = min(workers or os.cpu_count() or 1, n_models)
+    threads = min(workers or os.cpu_count() or 1, len(tasks))
     if threads > 1:
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(run, range(n_models)))
+            list(pool.map(run, tasks))
     else:
-        for m in range(n_models):
-            run(m)
-    readings = np.empty_like(taps)
-    for m, model in enumerate(models):
-        shaped = np.moveaxis(taps[m], 0, -1)  # (samples, taps, starts)
-        readings[m] = np.moveaxis(sensors.read(model.base, shaped, dt_s), -1, 0)
-    return Rollouts(readings, flows, chambers)
+        for task in tasks:
+            run(task)
+    out = []
+    every = TICKS if flows else 0
+    for c, course in enumerate(courses):
+        series = [
+            np.stack(column) for column in zip(*(found[c, m] for m in range(count)), strict=True)
+        ]
+        kept = [s[:, ::every] if every else s[:, :0] for s in series[1:]]
+        tick_s = course.begin_s + TICK_S * TICKS * np.arange(course.ticks, dtype=np.float64)
+        flow, chamber, tap = kept
+        out.append(Prediction(series[0], tick_s, flow, chamber, tap))
+    return out
+
+
+def _along(model: LumpedModel, course: Course) -> tuple[Floats, Floats, Floats, Floats]:
+    """Readings of one model along a course, and its flows, chambers and taps at every tick."""
+    plan, gas = model.plan, model.base.gas
+    samples = (course.ticks - 1) * TICKS + 1
+    at = course.begin_s + TICK_S * np.arange(samples, dtype=np.float64)
+    rate = fastest(model)
+    pull = _pull(course)
+    # In powers of two, so that the step is the same for parameters that differ a little.
+    n_sub = 2 ** math.ceil(math.log2(max(TICK_S * max(rate, pull) / STEP, 1.0)))
+    opened = openings_along(
+        model.base,
+        course.commands,
+        course.begin_s,
+        TICK_S,
+        samples,
+        np.full((len(plan.valves), 4), np.nan),
+        course.start.at_null,
+    )
+    taps = np.empty((1, samples, len(plan.taps)))
+    flows = np.empty((1, samples, plan.ports.shape[0]))
+    chambers = np.empty((1, samples, len(plan.chambers)))
+    fill(
+        samples, n_sub, TICK_S / n_sub, 1, gas.gamma, gas.r_specific,
+        model.exponent, model.side, model.area, model.linear, model.source, model.volume,
+        model.tap, model.chamber, model.tap_delay_s, model.side_delay_s, model.drag,
+        model.base.ambient, np.zeros(1, dtype=np.int64), _start(model, course.start)[None], opened,
+        samples if pull > 0.0 else 0, pull, _goals(model, course, at), taps, flows, chambers,
+    )  # fmt: skip
+    shown = sensors.read(model.base, taps[0], TICK_S)
+    readings = np.full(course.time_s.shape, np.nan)
+    for t in range(len(plan.taps)):
+        due = np.isfinite(course.time_s[t])
+        readings[t, due] = np.interp(course.time_s[t, due], at, shown[:, t])
+    return readings, flows[0], chambers[0], taps[0]
+
+
+def _pull(course: Course) -> float:
+    """Rate with which the gas is drawn to the taps, 1/s: what the gains amount to over time."""
+    rates = []
+    for time, gain in zip(course.time_s, course.gain, strict=True):
+        due = np.isfinite(time)
+        if due.sum() > 1 and gain[due].any():
+            rates.append(-np.log1p(-gain[due]).sum() / (time[due][-1] - time[due][0]))
+    return float(np.mean(rates)) if rates else 0.0
+
+
+def _goals(model: LumpedModel, course: Course, at: Floats) -> Floats:
+    """(ticks, n_taps) pressures that the readings ask for; NaN where there are none around."""
+    goals = np.full((at.size, len(model.plan.taps)), np.nan)
+    room = model.base.ambient[0]
+    for t, (_, gain, bias, late) in enumerate(model.base.sensor):
+        due = np.isfinite(course.measured_pa[t])
+        if due.sum() < 2:
+            continue
+        time = course.time_s[t, due] - late
+        pressure = room + (course.measured_pa[t, due] - bias - room) / gain
+        goals[:, t] = np.interp(at, time, pressure, left=np.nan, right=np.nan)
+        usual = float(np.median(np.diff(time)))
+        right = np.clip(np.searchsorted(time, at), 1, time.size - 1)
+        goals[time[right] - time[right - 1] > GAP * usual, t] = np.nan
+    return goals
 
 
 def fastest(model: LumpedModel) -> float:
@@ -124,24 +161,13 @@ def fastest(model: LumpedModel) -> float:
     return float(rates.max(initial=0.0))
 
 
-def _start(model: LumpedModel, field: InitialField, goals: Floats, sample: int) -> Floats:
-    """Initial pressures of the volumes; a missing reading takes the next one there is."""
-    row = goals[sample].copy()
-    for t in np.flatnonzero(~np.isfinite(row)):
-        later = goals[sample:, t]
-        later = later[np.isfinite(later)]
-        row[t] = later[0] if later.size else np.nan
-    room = model.base.ambient[0]
-    spread = np.where(np.isfinite(row), row, room)
-    base = np.full(len(model.volume), room)
+def _start(model: LumpedModel, start: Start) -> Floats:
+    """Initial pressures of the volumes."""
+    base = np.full(len(model.volume), model.base.ambient[0])
     for v, cells in enumerate(model.cells):
-        own = row[model.tap == v]
-        if np.isfinite(own).any():
-            base[v] = np.nanmean(own)
-        elif cells.size:
-            base[v] = np.mean(field.weight[cells] @ spread + field.constant[cells])
-        else:
-            chambers = np.flatnonzero(model.chamber == v)
-            at = field.chamber_weight[chambers] @ spread + field.chamber_constant[chambers]
-            base[v] = at.mean()
+        chambers = np.flatnonzero(model.chamber == v)
+        if cells.size:
+            base[v] = np.mean(start.pressure[cells])
+        elif chambers.size:
+            base[v] = np.mean(start.chamber_pressure[chambers])
     return base

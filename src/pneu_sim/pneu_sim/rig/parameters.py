@@ -77,3 +77,14 @@ def with_parameters(rig: Rig, values: dict[str, float]) -> Rig:
             else:
                 node[int(last)] = float(value)
     return copy
+
+
+def rig_in_recording(rig: Rig, name: str) -> Rig:
+    """The rig with the values that it has in one recording; the rig itself where it has none.
+
+    Args:
+        rig: The rig.
+        name: Name of the recording.
+    """
+    own = rig.recordings.get(name)
+    return with_parameters(rig, own) if own else rig

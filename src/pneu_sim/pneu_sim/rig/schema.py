@@ -367,8 +367,9 @@ class Tap(Part):
         gain: Reading per true gauge pressure.
         bias_pa: Added to the reading.
         offset_s: Lateness of its clock.
-        noise_pa: White noise, one sigma (simulation).
-        quantum_pa: Quantisation step (simulation).
+        noise_pa: White noise, one sigma; where given, errors are measured by it, and simulated
+            readings have it. 0 is not known: recordings are asked.
+        quantum_pa: Quantisation step, likewise.
     """
 
     pipe: str | None = None
@@ -423,6 +424,9 @@ class FitParameter(Part):
         std: Uncertainty before calibration; None is the full range.
         std_error: Standard error that ``pneu fit`` found; None where it could not be identified.
         log: Whether steps are relative (positive quantities of unknown size).
+        each: Whether it has one value in each recording (a supply, the room, a weight) instead of
+            one in all.
+        recording: The recording that a value is for; filled in where it has one in each.
     """
 
     path: str
@@ -431,6 +435,8 @@ class FitParameter(Part):
     std: Positive | None = None
     std_error: Positive | None = None
     log: bool = False
+    each: bool = False
+    recording: str | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "FitParameter":
@@ -446,28 +452,32 @@ class Fit(Part):
 
     Attributes:
         parameters: What may change.
-        horizon_s: Length of each roll-out; None is one roll-out over the whole recording.
-        warm_up_s: Time before each roll-out during which the state is drawn to the taps.
-        nudge_s: Time constant of that pull.
+        horizon_s: How far ahead the model has to predict, and the length of the stretches into
+            which a recording is cut: its gas is drawn to the taps so slowly that errors add up
+            over that time; None lets it run free over the whole recording.
+        warm_up_s: Time at the beginning of a recording that is not compared.
+        nudge_s: Time constant of the pull, where it is not to follow from the horizon.
     """
 
     parameters: list[FitParameter] = []
     horizon_s: Positive | None = 0.5
     warm_up_s: NonNegative = 0.15
-    nudge_s: Positive = 0.004
+    nudge_s: Positive | None = None
 
 
 class Calibration(Part):
     """What ``pneu fit`` leaves in the file beside the values: how good the model was there.
 
     Attributes:
-        recording: Recording it was fitted to.
+        recording: Recording it was fitted to, the first of several.
+        recordings: All of them.
         rmse_pa: Residual left per tap.
         noise_floor_pa: Sensor noise per tap.
         held_out_rmse_pa: Residual on the part kept aside.
     """
 
     recording: str
+    recordings: list[str] = []
     rmse_pa: dict[str, float]
     noise_floor_pa: dict[str, float]
     held_out_rmse_pa: dict[str, float] = {}
@@ -512,8 +522,9 @@ class Rig(Part):
         commands: What the valves follow.
         taps: Pressure sensors.
         text: Layout of text recordings.
-        rate_hz: Rate at which recordings are used; None is their own.
+        rate_hz: Most readings a second that are used of each tap; None uses all.
         effects: Attached effects.
+        recordings: Values that differ from recording to recording: per recording, by path.
         fit: How the rig is identified.
         calibration: How good the model was where it was fitted.
     """
@@ -535,6 +546,7 @@ class Rig(Part):
     text: TextFormat | None = None
     rate_hz: Positive | None = None
     effects: list[AttachedEffect] = []
+    recordings: dict[str, dict[str, Finite]] = {}
     fit: Fit = Fit()
     calibration: Calibration | None = None
 

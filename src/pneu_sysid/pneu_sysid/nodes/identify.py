@@ -149,7 +149,13 @@ class IdentifyNode(Node):
         output = Path(goal.output)
         aside = output.absolute().parent / f".{output.name}.{uuid.uuid4().hex[:8]}.part"
         request = Request(
-            goal.task, goal.bag, goal.rig, goal.output, str(aside), int(self._workers)
+            goal.task,
+            goal.bag,
+            goal.rig,
+            goal.output,
+            str(aside),
+            int(self._workers),
+            tuple(goal.more_bags),
         )
         try:
             check(request)

@@ -55,7 +55,7 @@ def load_events(rig: Rig, bag: Path, mode: str) -> Events:
         raise InputError(f"rig {rig.name!r}: no channel says what to replay in mode {mode!r}")
     streams, _ = read_bag(bag, commands, taps)
     wanted = {name: channel.stamp for name, channel in {**commands, **taps}.items()}
-    streams, _ = choose_clock(streams, wanted)
+    streams, _ = choose_clock(streams, wanted, str(bag))
     streams, _ = mend_clock_jumps(streams)
     topic_of = {
         signal.name: topic

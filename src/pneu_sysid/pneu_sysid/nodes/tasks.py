@@ -21,9 +21,9 @@ from typing import Any, TextIO
 
 from pneu_sim.errors import InputError
 from pneu_sim.rig import load_rig, save_rig
-from pneu_sysid.commands import fit_result
+from pneu_sysid.commands import fit_result, read_findings
 from pneu_sysid.compare import compare
-from pneu_sysid.diagnose import diagnose, result_of_diagnosis
+from pneu_sysid.diagnose import diagnose_apart, result_of_diagnosis
 from pneu_sysid.fit import fit_rig
 from pneu_sysid.learn import learn, result_of_learning
 from pneu_sysid.problem import make_problem, record_for
@@ -47,6 +47,7 @@ class Request:
         output: What is written: a rig file (fit), a report (compare, diagnose), a folder (learn).
         aside: Folder for work in progress, on the same disk as the output; made and removed.
         workers: Threads; 0 is all cores.
+        more_bags: Further recordings of the same rig.
     """
 
     task: str
@@ -55,6 +56,7 @@ class Request:
     output: str
     aside: str
     workers: int = 0
+    more_bags: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,9 @@ def check(request: Request) -> None:
     for name in ("bag", "rig"):
         if not Path(getattr(request, name)).exists():
             raise InputError(f"{name}: found {getattr(request, name)!r}, there is no such file")
+    for bag in request.more_bags:
+        if not Path(bag).exists():
+            raise InputError(f"more_bags: found {bag!r}, there is no such file")
     if not request.output:
         raise InputError("output: found nothing, a path is needed")
     output = Path(request.output)
@@ -112,8 +117,9 @@ def perform(request: Request, tell: Tell) -> Outcome:
     try:
         rig = load_rig(request.rig)
         tell("reading the recording", math.nan)
-        recording = record_for(rig, request.bag)
-        findings = [str(finding) for finding in recording.report]
+        recordings = [record_for(rig, bag) for bag in (request.bag, *request.more_bags)]
+        title = ", ".join(recording.name for recording in recordings)
+        findings = read_findings(recordings)
         output = Path(request.output)
         result_file = output.with_suffix(".json")
         workers = request.workers or None
@@ -122,36 +128,36 @@ def perform(request: Request, tell: Tell) -> Outcome:
         if request.task == "fit":
             fitted = fit_rig(
                 rig,
-                recording,
+                recordings,
                 iterations=FIT_ITERATIONS,
                 workers=workers,
                 progress=lambda stage, i, _: tell(f"fitting {stage}", min(i / FIT_ITERATIONS, 1.0)),
             )
             save_rig(fitted.rig, written)
-            write_json(result, fit_result(request.rig, request.output, recording, fitted))
+            write_json(result, fit_result(request.rig, request.output, recordings, fitted))
         elif request.task == "compare":
             models = [(Path(request.rig).stem, rig, request.rig)]
-            compared = compare(recording, models, progress=lambda done: tell("comparing", done))
+            compared = compare(recordings, models, progress=lambda done: tell("comparing", done))
             write_json(result, compared)
-            write_report(written, title=recording.name, compare=compared.as_dict())
+            write_report(written, title=title, compare=compared.as_dict())
         elif request.task == "diagnose":
-            found = diagnose(rig, recording, workers=workers, progress=tell)
+            found = diagnose_apart(rig, recordings, workers=workers, progress=tell)
             diagnosed = result_of_diagnosis(rig.name, found, findings)
             verdict = found.verdict
             write_json(result, diagnosed)
-            write_report(written, title=recording.name, diagnose=diagnosed.as_dict())
+            write_report(written, title=title, diagnose=diagnosed.as_dict())
         else:
             written.mkdir()
-            learned = learn(rig, recording, out=written, workers=workers, progress=tell)
+            learned = learn(rig, recordings, out=written, workers=workers, progress=tell)
             verdict = learned.verdict
-            problem = make_problem(learned.rig, recording)
+            problem = make_problem(learned.rig, recordings)
             outcome = result_of_learning(rig.name, learned, problem, findings, request.output)
             save_rig(learned.rig, written / "rig.yaml")
             write_json(written / "learn.json", outcome)
             first = result_of_diagnosis(rig.name, learned.diagnoses[0], findings)
             write_report(
                 written / "report.html",
-                title=f"{rig.name}: {recording.name}",
+                title=f"{rig.name}: {title}",
                 diagnose=first.as_dict(),
                 learn=outcome.as_dict(),
             )

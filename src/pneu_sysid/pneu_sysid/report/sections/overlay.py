@@ -33,17 +33,22 @@ def render(contents: Contents) -> Markup:
     commands = series.get("command") or {}
 
     count = len(taps) * (1 + len(models)) + len(commands)
+    # Taps that are read one after the other are thinned together, reading by reading of each.
     stride = max(1, -(-time_s.size * count // _MAX_NUMBERS))
+    kept = np.zeros(time_s.size, dtype=bool)
+    for values in measured.values():
+        kept[np.flatnonzero(np.isfinite(np.asarray(values, dtype=np.float64)))[::stride]] = True
 
     def thinned(values: Any) -> str:
         array = np.full(time_s.size, np.nan)
         given = np.asarray(values if values is not None else [], dtype=np.float64)
         array[: given.size] = given[: time_s.size]
-        return packed(array[::stride])
+        return packed(array[kept])
 
     data = {
-        "time": packed(time_s[::stride], "<f8"),
+        "time": packed(time_s[kept], "<f8"),
         "taps": taps,
+        "gap": [stride * ((series.get("gap_s") or {}).get(tap) or 0.0) for tap in taps],
         "noise": [contents.noise_floor_pa.get(tap) for tap in taps],
         "measured": [thinned(measured[tap]) for tap in taps],
         "models": [
@@ -55,7 +60,7 @@ def render(contents: Contents) -> Markup:
     }
     hint = (
         "Drag across a stretch to zoom in, Shift-drag to move, click and turn the wheel to zoom, "
-        "double-click for all. Keys: ← → + − 0. Each restart of the roll-outs is one band; below "
+        "double-click for all. Keys: ← → + − 0. Each stretch of the recording is one band; below "
         "each tap is model minus measured, with twice the sensor noise shaded."
     )
     thinning = f" Every {stride}th sample is shown." if stride > 1 else ""

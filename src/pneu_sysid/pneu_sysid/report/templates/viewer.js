@@ -67,6 +67,7 @@ function readSeries(packed) {
     time: unpack(packed.time, Float64Array),
     taps: packed.taps,
     noise: packed.noise,
+    gap: packed.gap ?? [],
     segments: packed.segments,
     measured,
     models: packed.models.map((model) => {
@@ -157,19 +158,22 @@ function createViewer(figure, packed) {
     return [low - pad, high + pad];
   }
 
-  function drawLine(values, first, last, yOf, colour, thickness, dash) {
+  /** A line through the values there are; it breaks where none came for longer than `gap`. */
+  function drawLine(values, first, last, yOf, colour, thickness, dash, gap = 0) {
     pen.beginPath();
-    let down = false;
+    let before = -Infinity;
+    let whole = true;
     for (let i = first; i <= last; i++) {
       const value = values[i];
       if (Number.isNaN(value)) {
-        down = false;
-      } else if (down) {
-        pen.lineTo(xOf(data.time[i]), yOf(value));
-      } else {
-        pen.moveTo(xOf(data.time[i]), yOf(value));
-        down = true;
+        whole = false;
+        continue;
       }
+      const t = data.time[i];
+      if (whole ? before > -Infinity : t - before <= gap) pen.lineTo(xOf(t), yOf(value));
+      else pen.moveTo(xOf(t), yOf(value));
+      before = t;
+      whole = true;
     }
     pen.setLineDash(dash);
     pen.lineWidth = thickness;
@@ -211,7 +215,9 @@ function createViewer(figure, packed) {
       drawLine(panel.command.values, first, last, yOf, colours.measured, 1.3, []);
     } else {
       if (panel.kind === "tap") {
-        drawLine(data.measured[panel.tap], first, last, yOf, colours.measured, 1.1, []);
+        drawLine(
+          data.measured[panel.tap], first, last, yOf, colours.measured, 1.1, [], data.gap[panel.tap],
+        );
       } else {
         drawLine([0, 0], 0, 1, () => yOf(0), colours.soft, 1, []);
       }
@@ -221,7 +227,9 @@ function createViewer(figure, packed) {
         const thickness = panel.kind === "tap" ? 1.7 : 1.1;
         // The dash tells lines apart where they are smooth; residuals are told apart by colour.
         const dash = panel.kind === "tap" ? DASHES[m % 4] : [];
-        drawLine(values, first, last, yOf, colours.models[m % 4], thickness, dash);
+        drawLine(
+          values, first, last, yOf, colours.models[m % 4], thickness, dash, data.gap[panel.tap],
+        );
       });
     }
     pen.restore();
@@ -257,11 +265,22 @@ function createViewer(figure, packed) {
 
   const fontFamily = getComputedStyle(document.body).fontFamily;
 
+  /** The reading of a tap that is nearest to a time, from an index at about that time. */
+  function nearest(values, i, t) {
+    let [left, right] = [i, i];
+    while (left > 0 && Number.isNaN(values[left])) left -= 1;
+    while (right < values.length - 1 && Number.isNaN(values[right])) right += 1;
+    if (Number.isNaN(values[left])) return right;
+    if (Number.isNaN(values[right])) return left;
+    return t - data.time[left] < data.time[right] - t ? left : right;
+  }
+
   /** Values under the pointer, right-aligned above the frame. */
   function drawReadout(panel, right, scale, colours) {
     const t = timeAt(cursor);
     let i = Math.min(lowerBound(data.time, t), data.time.length - 1);
     if (i > 0 && t - data.time[i - 1] < data.time[i] - t) i -= 1;
+    if (panel.kind !== "command") i = nearest(data.measured[panel.tap], i, t);
     const entries = [];
     if (panel.kind === "command") {
       entries.push([panel.command.values[i], colours.measured]);

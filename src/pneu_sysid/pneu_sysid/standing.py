@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a model stands to recordings: against what its calibration left, and against the noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sim.rig.schema import Rig
+from pneu_sysid.problem import Problem
+
+Floats = NDArray[np.float64]
+
+WITHIN_FLOOR = 3.0
+"""Squared error, as a multiple of the floor, that needs no explanation: operating points that the
+calibration never visited cost that much."""
+APART = 3.0
+"""A recording whose squared error over the floor is this many times the smallest of all differs."""
+AT_NOISE = 1.2
+"""Up to this many times the noise a model explains a measurement to the noise."""
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How a model does on recordings.
+
+    Attributes:
+        own: Whether one of the recordings is one that it was calibrated on.
+        calibrated: Whether it was calibrated at all.
+        floor: (n_taps,) error that it cannot be blamed for, in noise deviations: what its
+            calibration left, or the noise alone where the recording is the calibration's own.
+        excess: (n_recordings,) squared error over that floor.
+        times_noise: Root mean square error in noise deviations, over all taps and recordings.
+        by_tap: The same per tap.
+        changed: Recordings that differ from the calibration.
+    """
+
+    own: bool
+    calibrated: bool
+    floor: Floats
+    excess: Floats
+    times_noise: float
+    by_tap: dict[str, float]
+    changed: list[str]
+
+    @property
+    def explains(self) -> bool:
+        """Whether the model explains the measurement to the noise."""
+        return self.times_noise <= AT_NOISE
+
+
+def floor_of(rig: Rig, problem: Problem) -> Floats:
+    """(n_taps,) what the model cannot be blamed for, in noise units: noise, or calibration's rest.
+
+    On a recording that it was calibrated on, nothing but the noise excuses it: what was fitted
+    there should have left no more.
+
+    Args:
+        rig: The rig; its calibration tells how well it did on its own recording.
+        problem: The problem.
+    """
+    floor = np.ones(len(problem.taps))
+    if rig.calibration is not None and not is_own(rig, problem):
+        for k, tap in enumerate(problem.taps):
+            left = rig.calibration.rmse_pa.get(tap)
+            if left is not None:
+                floor[k] = max(1.0, left / problem.noise_pa[k])
+    return floor
+
+
+def is_own(rig: Rig, problem: Problem) -> bool:
+    """Whether a rig was calibrated on one of the recordings.
+
+    Args:
+        rig: The rig.
+        problem: The problem.
+    """
+    if rig.calibration is None:
+        return False
+    own = rig.calibration.recordings or [rig.calibration.recording]
+    return any(recording.name in own for recording in problem.recordings)
+
+
+def standing_of(rig: Rig, problem: Problem, residual: Floats) -> Standing:
+    """How a model stands to recordings.
+
+    Args:
+        rig: The rig.
+        problem: The problem.
+        residual: (n_stretches, horizon * n_taps) its residual in noise deviations.
+    """
+    floor = floor_of(rig, problem)
+    r = residual.reshape(problem.measured.shape)
+    count = np.isfinite(problem.measured).sum(axis=1)  # (n_stretches, n_taps)
+    square = np.sum(r**2, axis=1)
+    excess = np.array(
+        [
+            float(square[problem.of == c].sum())
+            / max(float(np.sum(count[problem.of == c] * floor**2)), 1e-300)
+            for c in range(len(problem.recordings))
+        ]
+    )
+    total = np.sqrt(square.sum(axis=0) / np.maximum(count.sum(axis=0), 1))
+    differs = (excess > WITHIN_FLOOR) | (excess > APART * max(float(excess.min()), 1.0))
+    return Standing(
+        own=is_own(rig, problem),
+        calibrated=rig.calibration is not None,
+        floor=floor,
+        excess=excess,
+        times_noise=float(np.sqrt(square.sum() / max(int(count.sum()), 1))),
+        by_tap={tap: float(v) for tap, v in zip(problem.taps, total, strict=True)},
+        changed=[
+            recording.name
+            for recording, is_other in zip(problem.recordings, differs, strict=True)
+            if is_other
+        ],
+    )
+
+
+def since_calibration(standing: Standing, names: list[str], found: bool) -> str:
+    """What changed since the calibration, in one sentence.
+
+    Args:
+        standing: How the model stands.
+        names: Names of the recordings.
+        found: Whether an effect was found that explains what changed.
+    """
+    if not standing.calibrated:
+        return "The model was never calibrated, so nothing can be said of a change since."
+    if standing.own:
+        return "The model was calibrated on this very recording, so nothing can have changed since."
+    changed = standing.changed
+    if len(names) > 1 and changed and len(changed) < len(names):
+        others = [name for name in names if name not in changed]
+        return (
+            f"Something changed in {', '.join(changed)} since the calibration, and nothing in"
+            f" {', '.join(others)}."
+        )
+    if changed or found:
+        return "Something changed since the calibration."
+    return "Nothing changed since the calibration."
+
+
+def against_noise(standing: Standing) -> str:
+    """Whether the model explains the measurement to the noise, in one sentence.
+
+    Args:
+        standing: How the model stands.
+    """
+    if standing.explains:
+        return (
+            f"The model explains the measurement to the noise ({standing.times_noise:.2f} times)."
+        )
+    worst = max(standing.by_tap, key=lambda tap: standing.by_tap[tap])
+    text = (
+        f"The model leaves {standing.times_noise:.2f} times the noise, most at {worst}"
+        f" ({standing.by_tap[worst]:.2f})"
+    )
+    floor = float(np.sqrt(np.mean(standing.floor**2)))
+    if standing.calibrated and not standing.own and floor > AT_NOISE:
+        text += f"; {floor:.2f} times were left where it was calibrated"
+    return text + "."

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a recording may begin, and what of its beginning the readings do not tell."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sim.gas import AIR
+from pneu_sim.rig.build import Plan
+from pneu_sim.rig.schema import Rig
+from pneu_sim.simulate import InitialField, Start, rest
+from pneu_sysid.records import Recording
+from pneu_sysid.volumes import volumes_of
+
+Floats = NDArray[np.float64]
+
+EARLIEST_S = 10.0
+"""Commands from before the first reading count this far back."""
+TEMPERATURE_K = 30.0
+"""How far gas in motion may be from the room's temperature, one sigma."""
+POSSIBLE_K = (150.0, 600.0)
+"""Temperatures that gas in a rig may have."""
+UNSEEN = 0.2
+"""Uncertainty of the pressure of a volume without a tap, of the highest pressure around."""
+READING_SIGMAS = 3.0
+"""Uncertainty of the pressure of a volume with a tap, in deviations of its sensor."""
+REMEMBERED = 6.0
+"""For so many of the slowest thermal time constants the beginning is remembered."""
+REMEMBERED_S = (1.0, 30.0)
+"""... but no shorter or longer than this."""
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """One way in which a recording may begin.
+
+    Attributes:
+        begin_s: When the run begins, s.
+        start: Gas and spools then.
+    """
+
+    begin_s: float
+    start: Start
+
+
+@dataclass(frozen=True)
+class Mode:
+    """Something that is not known of a beginning.
+
+    Attributes:
+        start: The beginning with it changed.
+        step: By how much.
+        std: How uncertain it is, one sigma.
+    """
+
+    start: Start
+    step: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Modes:
+    """How the predictions along a recording depend on what is not known of its beginning.
+
+    Attributes:
+        change: (K, n_stretches, horizon, n_taps) in noise deviations per unit.
+        std: (K,) uncertainty of each.
+    """
+
+    change: Floats
+    std: Floats
+
+    def amounts(self, residual: Floats) -> Floats:
+        """How far each most likely was from what was taken for it (ridge regression).
+
+        Args:
+            residual: (n_rigs, n_stretches, horizon, n_taps) in noise deviations.
+
+        Returns:
+            (n_rigs, K), in units of ``std``.
+        """
+        a = self._scaled()
+        r = residual.reshape(residual.shape[0], -1)
+        return np.asarray(np.linalg.solve(a @ a.T + np.eye(self.std.size), a @ r.T).T)
+
+    def explain(self, residual: Floats) -> Floats:
+        """The part of residuals that the beginning most likely made.
+
+        Args:
+            residual: (n_rigs, n_stretches, horizon, n_taps) in noise deviations.
+
+        Returns:
+            The same shape.
+        """
+        return np.asarray((self.amounts(residual) @ self._scaled()).reshape(residual.shape))
+
+    def _scaled(self) -> Floats:
+        """(K, n) changes per deviation."""
+        return np.asarray((self.change * self.std[:, None, None, None]).reshape(self.std.size, -1))
+
+
+def moved(
+    start: Start, wanted: list[Mode], amounts: Floats, room_k: float, walls_k: Floats
+) -> Start:
+    """A beginning with what is not known of it changed.
+
+    Args:
+        start: The beginning.
+        wanted: What is not known of it.
+        amounts: (K,) by how many deviations of each.
+        room_k: Temperature of the lines where none is given, K.
+        walls_k: (n_chambers,) the same for the chambers.
+    """
+    pressure, chamber = start.pressure.copy(), start.chamber_pressure.copy()
+    warm = np.full(pressure.size, room_k) if start.temperature is None else start.temperature.copy()
+    heat = walls_k.copy() if start.chamber_temperature is None else start.chamber_temperature.copy()
+    for mode, amount in zip(wanted, amounts, strict=True):
+        share = amount * mode.std / mode.step
+        pressure += share * (mode.start.pressure - start.pressure)
+        chamber += share * (mode.start.chamber_pressure - start.chamber_pressure)
+        if mode.start.temperature is not None:
+            warm += share * (mode.start.temperature - _or(start.temperature, room_k, warm.size))
+        if mode.start.chamber_temperature is not None:
+            heat += share * (
+                mode.start.chamber_temperature
+                - (walls_k if start.chamber_temperature is None else start.chamber_temperature)
+            )
+    return replace(
+        start,
+        pressure=np.maximum(pressure, 0.1 * start.pressure),
+        chamber_pressure=np.maximum(chamber, 0.1 * start.chamber_pressure),
+        temperature=np.clip(warm, *POSSIBLE_K),
+        chamber_temperature=np.clip(heat, *POSSIBLE_K),
+    )
+
+
+def _or(values: Floats | None, constant: float, size: int) -> Floats:
+    return np.full(size, constant) if values is None else values
+
+
+def beginnings(rig: Rig, plan: Plan, field: InitialField, recording: Recording) -> list[Beginning]:
+    """The ways in which a recording may begin.
+
+    At rest with the room, at the first command; or with the pressures that the taps read first,
+    spools closed or where the first command has them.
+
+    Args:
+        rig: The rig.
+        plan: Its grid.
+        field: Map from taps to pressures.
+        recording: The recording.
+    """
+    room = rig.ambient.pressure_pa
+    first_read = min(float(s.time_s[0]) for s in recording.pressures.values() if len(s))
+    ordered = max((float(s.time_s[0]) for s in recording.commands.values()), default=first_read)
+    begin = min(max(ordered, first_read - EARLIEST_S), first_read)
+    read = np.full(len(rig.taps), room)
+    for t, name in enumerate(rig.taps):
+        signal = recording.pressures.get(name)
+        if signal is not None and len(signal):
+            tap = rig.taps[name]
+            read[t] = room + (signal.values[0] - tap.bias_pa - room) / tap.gain
+    filled = Start(
+        np.maximum(field.weight @ read + field.constant, 1.0),
+        np.maximum(field.chamber_weight @ read + field.chamber_constant, 1.0),
+    )
+    ways = [Beginning(first_read, filled)]
+    if rig.fit.horizon_s is not None and rig.commands:
+        ways += [
+            Beginning(begin, rest(rig, plan)),
+            Beginning(first_read, replace(filled, at_null=True)),
+        ]
+    return ways
+
+
+def remembered_s(rig: Rig) -> float:
+    """How long a rig remembers the temperature that its gas had at a beginning, s.
+
+    A chamber forgets it within ``m c_v / (h A)``; the gas in lines, with far more wall to its
+    volume, within a fraction of that.
+
+    Args:
+        rig: The rig.
+    """
+    highest = max([r.pressure_pa for r in rig.reservoirs.values()], default=rig.ambient.pressure_pa)
+    slowest = 0.0
+    for chamber in rig.chambers.values():
+        content = highest * chamber.volume_m3 / rig.ambient.temperature_k / (AIR.gamma - 1.0)
+        slowest = max(slowest, content / max(chamber.heat_w_per_k, 1e-9))
+    return float(np.clip(REMEMBERED * slowest, *REMEMBERED_S))
+
+
+def modes_of(rig: Rig, plan: Plan, start: Start, taps: list[str], noise_pa: Floats) -> list[Mode]:
+    """What is not known of a beginning: temperatures, and the pressure of each closed volume.
+
+    Args:
+        rig: The rig.
+        plan: Its grid.
+        start: The beginning.
+        taps: Names of the taps.
+        noise_pa: (n_taps,) their noise, Pa.
+    """
+    room = rig.ambient.temperature_k
+    out = []
+    volume, fed = volumes_of(rig)
+    spans = {name: slice(f - 1, f + n + 1) for name, (f, n) in plan.pipes.items()}
+    for name in rig.pipes:
+        if volume[f"pipe:{name}"] in fed:
+            continue  # what flows through is replaced at once
+        warm = _or(start.temperature, room, plan.slots).copy()
+        warm[spans[name]] += 0.2 * TEMPERATURE_K
+        changed = replace(start, temperature=warm)
+        out.append(Mode(changed, 0.2 * TEMPERATURE_K, TEMPERATURE_K))
+    for c in range(len(plan.chambers)):
+        heated = _or(start.chamber_temperature, room, len(plan.chambers)).copy()
+        heated[c] += 0.2 * TEMPERATURE_K
+        changed = replace(start, chamber_temperature=heated)
+        out.append(Mode(changed, 0.2 * TEMPERATURE_K, TEMPERATURE_K))
+    highest = max([r.pressure_pa for r in rig.reservoirs.values()], default=rig.ambient.pressure_pa)
+    for which in sorted(set(volume.values()) - fed):
+        inside = [
+            noise_pa[t]
+            for t, name in enumerate(taps)
+            if volume.get(
+                f"pipe:{rig.taps[name].pipe}"
+                if rig.taps[name].pipe
+                else str(rig.taps[name].chamber)
+            )
+            == which
+        ]
+        std = READING_SIGMAS * min(inside) if inside else UNSEEN * highest
+        step = min(std, 1e3)
+        pressure, chamber = start.pressure.copy(), start.chamber_pressure.copy()
+        for name, span in spans.items():
+            if volume[f"pipe:{name}"] == which:
+                pressure[span] += step
+        for c, name in enumerate(plan.chambers):
+            if volume.get(name) == which:
+                chamber[c] += step
+        changed = replace(start, pressure=pressure, chamber_pressure=chamber)
+        out.append(Mode(changed, step, std))
+    return out

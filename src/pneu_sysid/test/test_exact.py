@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An exact model leaves the noise and nothing else, whatever the rig's shape and the taps' rate.
+
+The rigs are drawn at random and recorded by the simulator in one run from rest with steps of its
+own; what is asked here is that times, starts and the pull to the taps add nothing to that.
+"""
+
+import numpy as np
+import pytest
+from studies.exact_rigs import RATES, SHAPES, draw_rig, record
+
+from pneu_sim.rig.schema import AttachedEffect, FitParameter
+from pneu_sim.signals import Signal
+from pneu_sysid.diagnose import diagnose, diagnose_apart
+from pneu_sysid.fit import fit_rig
+from pneu_sysid.problem import make_problem
+from pneu_sysid.records import Recording
+
+SECONDS = 6.0
+TOLERANCE = 0.10
+SIGMAS = 3.0
+
+
+def times_noise(rig, recordings, **more) -> tuple[np.ndarray, np.ndarray]:
+    """Error over noise per tap, and its scatter if it were noise alone."""
+    problem = make_problem(rig, recordings, **more)
+    residual = problem.residual(problem.predict([rig])[0])
+    count = np.isfinite(problem.measured).sum(axis=(0, 1))
+    return np.sqrt(np.sum(residual**2, axis=(0, 1)) / count), 1.0 / np.sqrt(2.0 * count)
+
+
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_an_exact_model_leaves_the_noise(shape: str, moving: bool) -> None:
+    rng = np.random.default_rng([SHAPES.index(shape), moving])
+    rate = RATES[(2 * SHAPES.index(shape) + moving) % len(RATES)]
+    rig = draw_rig(shape, rng)
+    found, scatter = times_noise(rig, record(rig, rng, rate, SECONDS, moving))
+    assert (found < 1.0 + TOLERANCE + SIGMAS * scatter).all(), (rate, found)
+    assert (found > 1.0 - SIGMAS * scatter).all(), (rate, found)
+
+
+def test_grids_of_readings_do_not_matter() -> None:
+    """Taps at three rates and phases in one recording: each is predicted at its own times."""
+    rng = np.random.default_rng(11)
+    rig = draw_rig("tee", rng)
+    whole = record(rig, rng, 500.0, SECONDS, moving=True)
+    mixed = dict(whole.pressures)
+    for k, tap in enumerate(list(mixed)[1:], start=2):
+        signal = mixed[tap]
+        mixed[tap] = Signal(signal.time_s[k :: 3 * k], signal.values[k :: 3 * k])
+    found, scatter = times_noise(rig, Recording("mixed", whole.commands, mixed))
+    assert (np.abs(found - 1.0) < 0.05 + SIGMAS * scatter).all(), found
+
+
+def test_gaps_stay_gaps() -> None:
+    rng = np.random.default_rng(12)
+    rig = draw_rig("line", rng)
+    whole = record(rig, rng, 125.0, SECONDS, moving=False)
+    kept = {}
+    for tap, signal in whole.pressures.items():
+        keep = (signal.time_s < 2.0) | (signal.time_s > 2.8)
+        kept[tap] = Signal(signal.time_s[keep], signal.values[keep])
+    found, scatter = times_noise(rig, Recording("holed", whole.commands, kept))
+    assert (np.abs(found - 1.0) < 0.05 + SIGMAS * scatter).all(), found
+
+
+def test_sensors_are_taken_back_out_of_the_state() -> None:
+    """A known gain, bias, lag and clock of a sensor do not fill the rig with wrong gas."""
+    rng = np.random.default_rng(13)
+    rig = draw_rig("two_valves", rng)
+    for tap, values in zip(
+        rig.taps.values(),
+        ({"gain": 1.03}, {"bias_pa": 4e3}, {"lag_s": 8e-3}, {"offset_s": 5e-3}),
+        strict=True,
+    ):
+        for name, value in values.items():
+            setattr(tap, name, value)
+    found, scatter = times_noise(rig, record(rig, rng, 250.0, SECONDS, moving=True))
+    assert (np.abs(found - 1.0) < 0.05 + SIGMAS * scatter).all(), found
+
+
+def test_what_the_beginning_leaves_open_is_not_blamed_on_the_model() -> None:
+    """A recording from the middle of a fill: gas of unknown warmth, far from the walls'."""
+    rng = np.random.default_rng(14)
+    rig = draw_rig("tee", rng)
+    rig.fit.warm_up_s = 0.1
+    found, _ = times_noise(rig, record(rig, rng, 500.0, SECONDS, moving=True))
+    blind = make_problem(rig, record(rig, rng, 500.0, SECONDS, moving=True))
+    blind.predict([rig])
+    ready = next(iter(blind._prepared.values()))
+    warmth = ready.courses[0].start.chamber_temperature
+    assert (found < 1.1).all(), found
+    assert warmth is not None and np.ptp(warmth - 293.15) > 1.0
+
+
+def test_an_exact_model_is_not_accused_and_stays_where_it_is() -> None:
+    rng = np.random.default_rng(15)
+    rig = draw_rig("tee", rng)
+    recording = record(rig, rng, 125.0, SECONDS, moving=True)
+    parameters = [
+        FitParameter(path="chambers.chamber_a.volume_m3", lower=1e-6, upper=2e-4, log=True),
+        FitParameter(
+            path="valves.valve.ports.supply.conductance_m3_s_pa", lower=1e-9, upper=5e-8, log=True
+        ),
+        FitParameter(path="valves.valve.ports.supply.critical_ratio", lower=0.02, upper=0.7),
+        FitParameter(path="valves.valve.spool.bandwidth_hz", lower=20.0, upper=200.0, log=True),
+    ]
+    outcome = fit_rig(rig, recording, parameters=parameters, stages_s=())
+    values = np.array(outcome.estimate.values)
+    truth = np.array(
+        [np.log(s) if p.log else s for s, p in zip(outcome.start, parameters, strict=True)]
+    )
+    assert (np.abs(values - truth) < 4.0 * outcome.estimate.std_errors).all()
+    calibrated = rig.model_copy(update={"calibration": outcome.rig.calibration})
+    found = diagnose(calibrated, recording, finalists=2, refine=False)
+    assert found.verdict == "nothing_missing", found.sentence
+    assert found.standing.explains and "very recording" in found.statements[0]
+
+
+def test_the_recording_that_differs_is_named() -> None:
+    """A leak in one of four recordings: the verdict is of that one."""
+    rng = np.random.default_rng(16)
+    rig = draw_rig("line", rng)
+    rig.fit.horizon_s = 0.5
+    leak = AttachedEffect(
+        effect="leak", place="tube", parameters={"area_m2": 2e-8, "position_m": 0.7}
+    )
+    leaking = rig.model_copy(update={"effects": [leak]})
+    recordings = [
+        record(leaking if k == 2 else rig, rng, 125.0, 4.0, moving=False, name=f"day_{k}")
+        for k in range(4)
+    ]
+    healthy = fit_rig(
+        rig,
+        recordings[0],
+        parameters=[FitParameter(path="reservoirs.supply.pressure_pa", lower=1e5, upper=2e6)],
+        stages_s=(),
+        iterations=1,
+    ).rig
+    found = diagnose_apart(healthy, recordings[1:], finalists=2, refine=False)
+    assert found.verdict in ("effect", "ambiguous"), found.sentence
+    assert found.finalists[0].site.effect.name == "leak"
+    assert found.finalists[0].strength == pytest.approx(2e-8, rel=0.1)
+    assert found.unchanged == ["day_1", "day_3"]
+    assert "day_2" in found.statements[0] and "day_1, day_3" in found.statements[0]
+
+
+def test_a_value_that_differs_from_recording_to_recording() -> None:
+    """Two supplies: shared parameters from both, the supply once for each."""
+    rng = np.random.default_rng(17)
+    rig = draw_rig("line", rng)
+    recordings = []
+    for name, factor in (("low", 0.97), ("high", 1.02)):
+        other = rig.model_copy(deep=True)
+        other.reservoirs["supply"].pressure_pa *= factor
+        recordings.append(record(other, rng, 125.0, 4.0, moving=False, name=name))
+    supply = rig.reservoirs["supply"].pressure_pa
+    outcome = fit_rig(
+        rig,
+        recordings,
+        parameters=[
+            FitParameter(path="reservoirs.supply.pressure_pa", lower=1e5, upper=2e6, each=True),
+            FitParameter(path="valves.valve.spool.bandwidth_hz", lower=20.0, upper=200.0, log=True),
+        ],
+        stages_s=(),
+    )
+    fitted = outcome.rig.recordings
+    assert fitted["low"]["reservoirs.supply.pressure_pa"] == pytest.approx(0.97 * supply, rel=1e-3)
+    assert fitted["high"]["reservoirs.supply.pressure_pa"] == pytest.approx(1.02 * supply, rel=1e-3)
+    found, _ = times_noise(outcome.rig, recordings)
+    assert (found < 1.1).all(), found
