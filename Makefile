@@ -14,7 +14,8 @@ BENCH_VENV := .venv-bench
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test bench lint format bags folder-is-named confusion study-pressure clean \
+.PHONY: help demo test bench lint format bags folder-is-named exact thinned confusion \
+	study-pressure clean \
 	clean-kernels
 
 help:  ## list the targets
@@ -47,6 +48,12 @@ bags: folder-is-named $(VENV)/.ready-run  ## slow: fit and diagnose every bag of
 
 folder-is-named:
 	@test -n "$(BAGS)" || { echo "which folder holds the bags? make bags BAGS=folder" >&2; exit 2; }
+
+exact: $(VENV)/.ready-run  ## slow: exact models of rigs drawn at random, compared, diagnosed, fitted
+	@$(RUN) -m studies.exact
+
+thinned: folder-is-named $(VENV)/.ready-run  ## slow: labelled bags with fewer readings, BAGS=folder
+	@$(RUN) -m studies.thinned "$(BAGS)"
 
 confusion: $(VENV)/.ready-run  ## slow: every effect injected and diagnosed, as a matrix
 	@$(RUN) -m studies.confusion

@@ -73,7 +73,7 @@ def line(cells: int, order: int) -> Rig:
 def nanoseconds(cells: int, batch: int, order: int, budget_s: float = 1.0) -> float:
     """Time per cell, step and rig, the ends and the valve included; ghosts do not count as cells.
 
-    A batch runs as `simulate.rollouts` runs it: tile after tile, each for its whole roll-out.
+    A batch runs as `simulate.predict` runs it: tile after tile, each along the whole recording.
     """
     width = min(batch, simulate.TILE)
     rig = line(cells, order)

@@ -43,7 +43,7 @@ NAMES = (
     "Ultimaker_015",
     "Ultimaker_020",
 )
-ROLL_OUTS = 4
+STRETCHES = 4
 
 Floats = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ class Chamber:
     Attributes:
         name: Name of the chamber.
         recording: The stretch used.
-        rig: Rig without the leak, cut into roll-outs for this stretch.
+        rig: Rig without the leak, its horizon short enough for this stretch.
         compared: Errors of both models without a leak.
         found: Diagnosis of the rig without the leak.
         before: Errors without the leak.
@@ -86,19 +86,26 @@ class Chamber:
 def stretch_of(rig: Rig, path: Path) -> Recording:
     """A recording up to where its gauge pressure has fallen to 1/e, if it ever has."""
     recording = record_for(rig, str(path))
-    gauge = recording.pressures["chamber"] - rig.ambient.pressure_pa
-    low = np.flatnonzero(gauge < np.nanmedian(gauge[:10]) / math.e)
+    time_s, gauge = gauge_of(rig, recording)
+    low = np.flatnonzero(gauge < np.median(gauge[:10]) / math.e)
     if not low.size:
         return recording
-    return record_for(rig, str(path), end_s=float(recording.time_s[low[0]]))
+    return record_for(rig, str(path), end_s=float(time_s[low[0]]))
+
+
+def gauge_of(rig: Rig, recording: Recording) -> tuple[Floats, Floats]:
+    """When the chamber was read, s, and its gauge pressure then, Pa."""
+    signal = recording.pressures["chamber"]
+    return signal.time_s, signal.values - rig.ambient.pressure_pa
 
 
 def cut(rig: Rig, recording: Recording) -> Rig:
-    """The rig with shorter roll-outs where the stretch has no room for as many of its own."""
-    horizon = float(recording.time_s[-1]) / (ROLL_OUTS + 0.2)
+    """The rig with a shorter horizon where the recording has no room for four of its own."""
+    horizon = recording.end_s / (STRETCHES + 0.2)
     if horizon >= (rig.fit.horizon_s or 0.0):
         return rig
-    fit = {"horizon_s": horizon, "warm_up_s": 0.15 * horizon, "nudge_s": 0.05 * horizon}
+    # A leak this fast shows over one horizon, so the pull need not be slower than it sets it.
+    fit = {"horizon_s": horizon, "warm_up_s": 0.15 * horizon, "nudge_s": None}
     return rig.model_copy(update={"fit": rig.fit.model_copy(update=fit)})
 
 
@@ -142,9 +149,9 @@ def direct_fit(time_s: Floats, gauge_pa: Floats) -> tuple[float, float]:
 
 
 def leak_of(rig: Rig, recording: Recording, start_m2: float) -> tuple[float, float, Floats]:
-    """Leak area over one roll-out of the whole stretch, its standard error, and the prediction.
+    """Leak area over the whole recording run freely, its standard error, and the prediction.
 
-    The sensor's offset goes along, so that the reading that starts the roll-out is no pivot.
+    The sensor's offset goes along, so that the reading that starts the run is no pivot.
     """
     whole = rig.model_copy(
         update={
@@ -174,11 +181,10 @@ def study(name: str) -> Chamber:
     found = diagnose(rig, recording, finalists=4, refine=False)
     better, before, after = add_effect(rig, recording, "chamber_leak", "chamber")
     area, area_error, predicted = leak_of(rig, recording, better.effects[-1].parameters["area_m2"])
-    gauge = recording.pressures["chamber"] - rig.ambient.pressure_pa
-    middle = math.sqrt(float(np.nanmedian(gauge[:20]) * np.nanmedian(gauge[-20:])))
+    time_s, gauge = gauge_of(rig, recording)
+    middle = math.sqrt(float(np.median(gauge[:20]) * np.median(gauge[-20:])))
     tau = e_folding_s(rig, area, middle)
-    good = np.isfinite(gauge)
-    direct, direct_error = direct_fit(recording.time_s[good], gauge[good])
+    direct, direct_error = direct_fit(time_s, gauge)
     return Chamber(
         name=name,
         recording=recording,
@@ -222,7 +228,7 @@ def table_of(chambers: list[Chamber]) -> Table:
         alike = c.found.alike(0)
         table.add_row(
             c.name,
-            f"{c.recording.time_s[-1]:.0f}",
+            f"{c.recording.end_s:.0f}",
             *(f"{model.rmse_pa:.0f}" for model in c.compared.models),
             f"{c.after.rmse_pa['chamber']:.0f}",
             c.found.verdict,
@@ -245,10 +251,9 @@ def draw(chambers: list[Chamber], path: Path) -> None:
     for axis, c in zip(axes.flat, chambers, strict=False):
         scale = 1e-5
         room = c.rig.ambient.pressure_pa
-        gauge = scale * (c.recording.pressures["chamber"] - room)
-        t = c.recording.time_s
-        axis.plot(t, gauge, color="0.6", lw=0.8, label="measured")
-        axis.axhline(float(np.nanmedian(gauge[:3])), color="C0", ls="--", label="no leak")
+        t, gauge = gauge_of(c.rig, c.recording)
+        axis.plot(t, scale * gauge, color="0.6", lw=0.8, label="measured")
+        axis.axhline(scale * float(np.median(gauge[:3])), color="C0", ls="--", label="no leak")
         axis.plot(t, scale * (c.predicted_pa - room), color="C3", label="leak added")
         axis.set_title(f"{c.name}: {seconds(c.tau_s, c.tau_error_s)} s", fontsize=10)
         axis.ticklabel_format(useOffset=False)

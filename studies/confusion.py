@@ -22,7 +22,7 @@ from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.run import add_noise, run_rig
 from pneu_sysid.diagnose import diagnose
-from pneu_sysid.records import Recording
+from pneu_sysid.records import Recording, even_recording
 
 ROOT = Path(__file__).resolve().parent.parent
 RATE_HZ = 500.0
@@ -54,15 +54,7 @@ def synthetic(rig: Rig, seconds: float, seed: int, name: str) -> Recording:
     volts = commands(seconds, rng)
     taps = add_noise(rig, run_rig(finer, {"voltage": volts}, 1.0 / RATE_HZ), rng, NOISE_PA)
     size = len(next(iter(taps.values())))
-    return Recording(
-        name=name,
-        time_s=np.arange(size) / RATE_HZ,
-        commands={"voltage": volts[:size]},
-        pressures=taps,
-        rate_hz=RATE_HZ,
-        report=[],
-        start_time_s=0.0,
-    )
+    return even_recording(name, np.arange(size) / RATE_HZ, {"voltage": volts[:size]}, taps)
 
 
 def cases(rig: Rig, seeds: int) -> list[tuple[str, str, dict[str, float], float, int]]:

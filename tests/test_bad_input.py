@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from pneu_sim.cli import COMMANDS_GROUP, build_app
 from pneu_sim.rig import load_rig
-from pneu_sysid.records import Recording
+from pneu_sysid.records import even_recording
 from pneu_sysid.records.write import write_bag
 
 ROOT = Path(__file__).parent.parent
@@ -42,15 +42,14 @@ def recording(samples):
     rig = load_rig(RIG)
     rng = np.random.default_rng(7)
     level = {name: 635000.0 if name == "supply" else 101000.0 for name in rig.taps}
-    return Recording(
-        name="run",
-        time_s=np.arange(samples) / RATE_HZ,
-        commands={"voltage": np.where(np.arange(samples) % 40 < 20, 4.0, 6.0)},
-        pressures={n: p + rng.normal(0.0, 100.0, samples) for n, p in level.items()},
-        rate_hz=RATE_HZ,
-        report=[],
-        start_time_s=1.76e9,
+    out = even_recording(
+        "run",
+        np.arange(samples) / RATE_HZ,
+        {"voltage": np.where(np.arange(samples) % 40 < 20, 4.0, 6.0)},
+        {n: p + rng.normal(0.0, 100.0, samples) for n, p in level.items()},
     )
+    out.start_time_s = 1.76e9
+    return out
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """On recordings with a hidden effect the missing physics is named, placed and added."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from pneu_sysid.compare import compare
 from pneu_sysid.diagnose import diagnose
 from pneu_sysid.learn import learn
 from pneu_sysid.problem import record_for
-from pneu_sysid.records import Recording
+from pneu_sysid.records import Signal
 
 ROOT = Path(__file__).resolve().parent.parent
 BAGS = ROOT / "data" / "bags"
@@ -102,14 +103,10 @@ def test_two_effects_at_once_are_both_found(exact: Rig) -> None:
 def test_what_no_catalogue_holds_is_called_unknown(exact: Rig) -> None:
     """A sensor with a wavy characteristic: no effect fits, but what it depends on is named."""
     clean = synthetic(exact, SECONDS, 6, "wavy sensor")
-    wave = 8e3 * np.sin(2.0 * np.pi * (clean.pressures["end"] - 101e3) / 130e3)
-    recording = Recording(
-        name=clean.name,
-        time_s=clean.time_s,
-        commands=clean.commands,
-        pressures={**clean.pressures, "end": clean.pressures["end"] + wave},
-        rate_hz=clean.rate_hz,
-    )
+    end = clean.pressures["end"]
+    wave = 8e3 * np.sin(2.0 * np.pi * (end.values - 101e3) / 130e3)
+    wavy = Signal(end.time_s, end.values + wave)
+    recording = dataclasses.replace(clean, pressures={**clean.pressures, "end": wavy})
     found = diagnose(exact, recording, refine=False)
     assert found.verdict == "unknown"
     variable, tap, gain = found.depends_on[0]

@@ -408,7 +408,7 @@ def grid_check(
     """Runs a model again on cells of half the length and judges the change.
 
     Args:
-        problem: The roll-outs.
+        problem: The problem.
         rig: The model.
         readings: Per tap its (n_stretches, horizon) predictions on the present grid, Pa.
         progress: Called with the fraction done.
@@ -657,9 +657,8 @@ def recordings_table(result: CompareResult) -> Table:
     Args:
         result: The comparison.
     """
-    table = Table(
-        title="every model on every recording, x noise over all taps", title_justify="left"
-    )
+    title = "every model on every recording, x noise over all taps"
+    table = Table(title=title, title_justify="left", min_width=len(title))
     table.add_column("recording")
     for model in result.models:
         table.add_column(model.name, justify="right")

@@ -43,10 +43,10 @@ def _variables(problem: Problem, tap: int, predicted: Floats) -> dict[str, Float
 
 
 def dependences(problem: Problem, residual: Floats) -> list[tuple[str, str, float]]:
-    """Names the variables that predict a residual on roll-outs kept aside.
+    """Names the variables that predict a residual on stretches kept aside.
 
     For each tap and variable, the mean residual in quantile bins of the variable is learnt on some
-    roll-outs and tried on the others; the gain is the fraction of squared residual it removes
+    stretches and tried on the others; the gain is the fraction of squared residual it removes
     there.
 
     Args:

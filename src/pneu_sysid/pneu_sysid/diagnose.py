@@ -279,7 +279,8 @@ def _judge(
         result.sentence = _sentence(result, top, alike, alone)
     elif excess <= WITHIN_FLOOR:
         result.verdict = "nothing_missing"
-        result.sentence = _nothing_sentence(standing)
+        left_times = float(np.sqrt(held_sum / max(int(weight.sum()), 1)))
+        result.sentence = _nothing_sentence(standing, left_times)
     if result.verdict == "unknown":
         change = top.change if top is not None else np.zeros_like(base)
         result.depends_on = dependences(problem, base - change)
@@ -287,7 +288,7 @@ def _judge(
     return result
 
 
-def _nothing_sentence(standing: Standing) -> str:
+def _nothing_sentence(standing: Standing, left_times: float) -> str:
     """Nothing was found: of a change since the calibration, or of the noise."""
     if standing.explains:
         return "Nothing is missing: the model explains the recording to the sensor noise."
@@ -297,8 +298,8 @@ def _nothing_sentence(standing: Standing) -> str:
             " the one it was calibrated on."
         )
     return (
-        "No effect of the catalogue explains what the model leaves, which is little:"
-        f" {standing.times_noise:.2f} times the noise."
+        f"No effect is missing: of the {standing.times_noise:.2f} times the noise that the model"
+        f" leaves, {left_times:.2f} would be left if its base parameters were fitted here."
     )
 
 

@@ -31,6 +31,8 @@ COARSEN = 2.0
 UNSTABLE = 1e4
 """Residual, in noise deviations, that a simulation counts with once it is unstable."""
 CONDITION_LIMIT = 1e6
+STRANGE = 3.0
+"""A recording with so many times the error of the best one is told to be another's."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,10 @@ def fit_rig(
         coarse = COARSEN * rig.grid.dx_m
         plan += [(h, coarse, 5) for h in stages_s if horizon is not None and h < 0.8 * horizon]
         plan += [(None, coarse, iterations)] if plan else []
-    plan.append((None, None, iterations if len(plan) == 0 else max(3, iterations // 2)))
+    if not plan:
+        plan.append((None, None, iterations))
+    # Each stage finds anew how the recordings began: the last one with a rig that is nearly right.
+    plan.append((None, None, max(3, iterations // 2)))
     now = rig
     estimate: Estimate | None = None
     problem = make_problem(rig, recordings, workers=workers)
@@ -208,10 +213,27 @@ def fit_rig(
         parameters=listed,
         start=start,
         estimate=estimate,
-        warnings=warnings_of(listed, estimate),
+        warnings=warnings_of(listed, estimate) + _strangers(problem, readings),
         rmse_pa=rmse,
         held_out_rmse_pa=held,
     )
+
+
+def _strangers(problem: Problem, readings: Floats) -> list[str]:
+    """Recordings that the fitted rig does not describe, unlike the others."""
+    r = problem.residual(readings)
+    times = {}
+    for c, recording in enumerate(problem.recordings):
+        mine = problem.of == c
+        count = int(np.isfinite(problem.measured[mine]).sum())
+        times[recording.name] = float(np.sqrt(np.sum(r[mine] ** 2) / max(count, 1)))
+    least = max(min(times.values()), 1.0)
+    return [
+        f"{name}: the fitted rig leaves {value:.1f} times the noise there and {least:.1f} at best;"
+        " is that recording of another rig, or is something in it that the others lack?"
+        for name, value in times.items()
+        if value > STRANGE * least
+    ]
 
 
 def warnings_of(parameters: list[FitParameter], estimate: Estimate) -> list[str]:

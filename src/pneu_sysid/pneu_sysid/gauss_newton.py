@@ -46,7 +46,7 @@ class Estimate:
 
     Attributes:
         values: (P,) estimates.
-        std_errors: (P,) standard errors, robust against correlation within a roll-out.
+        std_errors: (P,) standard errors, robust against correlation within a stretch.
         covariance: (P, P).
         correlation: (P, P).
         condition: Condition number of the column-scaled Jacobian.
@@ -210,7 +210,7 @@ def _noise_of_scores(j: Floats, r: Floats) -> float:
     """By how much the data weigh less than independent samples of unit noise would; at least 1.
 
     The misfit of an imperfect model lasts over many samples. How the scores ``J^T r`` scatter from
-    roll-out to roll-out, against what white noise would give, says what a prior has to meet (the
+    stretch to stretch, against what white noise would give, says what a prior has to meet (the
     design effect of cluster sampling, here its median over the variables).
     """
     information = np.einsum("smp,smp->p", j, j)
@@ -254,7 +254,7 @@ def _summary(
     clusters = max(j.shape[0], 2)
     covariance = inverse @ (meat * clusters / (clusters - 1)) @ inverse / np.outer(scale, scale)
     white = inverse / np.outer(scale, scale)
-    # The cluster estimate is noisy where roll-outs are few: never below the white-noise one.
+    # The cluster estimate is noisy where stretches are few: never below the white-noise one.
     sd = np.sqrt(np.maximum(np.diag(covariance), np.diag(white)))
     sd = np.where(visible, sd, np.inf)
     correlation = white / np.sqrt(np.outer(np.diag(white), np.diag(white)) + 1e-300)

@@ -15,7 +15,15 @@ from pneu_sim.rig import save_rig, with_parameters
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sysid.candidates import all_sites, best_per_place, residual_matrix, score
 from pneu_sysid.compare import findings_of
-from pneu_sysid.diagnose import EQUALLY_GOOD, FINALISTS, WORTH, Diagnosis, diagnose, diagnose_apart
+from pneu_sysid.diagnose import (
+    EQUALLY_GOOD,
+    FINALISTS,
+    REFIT_CELLS,
+    WORTH,
+    Diagnosis,
+    diagnose,
+    diagnose_apart,
+)
 from pneu_sysid.fit import fit_rig, residual_function, tap_rmse
 from pneu_sysid.gauss_newton import Estimate, Variable, huber_cost, minimise
 from pneu_sysid.parameters import default_parameters
@@ -104,8 +112,11 @@ def refit_effects(
             rig, {v.name: float(value) for v, value in zip(variables, x, strict=True)}
         )
 
+    rough = problem
+    if rig.model == "pde":
+        rough = problem.coarsened(rig, REFIT_CELLS, problem.predict([rig])[0])
     estimate = minimise(
-        residual_function(problem, ~problem.held_out, rig_of),
+        residual_function(rough, ~problem.held_out, rig_of),
         variables,
         iterations=iterations,
         tolerance=2e-3,

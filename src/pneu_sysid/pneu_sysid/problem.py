@@ -18,7 +18,7 @@ from pneu_sim import layout as L
 from pneu_sim import lumped
 from pneu_sim.errors import InputError
 from pneu_sim.rig import rig_in_recording
-from pneu_sim.rig.build import Plan, build, plan_grid
+from pneu_sim.rig.build import Model, Plan, build, plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import (
     TICK_S,
@@ -30,7 +30,15 @@ from pneu_sim.simulate import (
     predict,
 )
 from pneu_sysid.records import Recording, noise_floor, read_recording
-from pneu_sysid.start import Beginning, Modes, beginnings, modes_of, moved, remembered_s
+from pneu_sysid.start import (
+    Beginning,
+    Modes,
+    beginnings,
+    doubt_of,
+    modes_of,
+    moved,
+    remembered_s,
+)
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -45,6 +53,9 @@ LOOKS = 2
 """Times that the beginning is looked for: once from the room's temperature, once around it."""
 FEWEST_TRIED = 6
 """... or over this many readings of the slowest tap."""
+LATER = 3.0
+"""What a model leaves later on tells how far it may be trusted at the beginning: so many times as
+late as the beginning is remembered."""
 
 
 @dataclass(frozen=True)
@@ -284,9 +295,15 @@ class Problem:
         mine = self.of == c
         seen = np.isfinite(self.measured[mine])
         walls = model.chamber[:, L.C_WALL_T]
+        remembered = remembered_s(rig, course.start, self.pull_s)
+        until = course.begin_s + (1.0 + LATER) * remembered
+        # A model that lacks something must not make up for it with gas that was hotter or colder
+        # at the beginning than it was.
+        before = self._left(model, ready, course, c, until)
+        doubt = doubt_of(before, course.time_s[:, : before.shape[1]] > course.begin_s + remembered)
         for again in range(LOOKS):
             wanted = modes_of(rig, ready.plan, course.start, self.taps, self.noise_pa)
-            short = _until(course, course.begin_s + remembered_s(rig))
+            short = _until(course, course.begin_s + remembered)
             starts = [course.start, *(mode.start for mode in wanted)]
             out = predict(
                 [[model] * len(starts)], [short], ready.field, [starts], self.workers, strict=False
@@ -298,7 +315,7 @@ class Problem:
             step = np.array([mode.step for mode in wanted])[:, None, None, None]
             change = (at[1:] - at[:1]) / (self.noise_pa * step)
             known = seen & np.isfinite(change).all(axis=0)
-            modes = Modes(np.where(known, change, 0.0), np.array([m.std for m in wanted]))
+            modes = Modes(np.where(known, change, 0.0), np.array([m.std for m in wanted]), doubt)
             ready.modes[c] = modes
             if again == LOOKS - 1:
                 break
@@ -306,7 +323,24 @@ class Problem:
             amounts = modes.amounts(r[None])[0]
             start = moved(course.start, wanted, amounts, rig.ambient.temperature_k, walls)
             course = replace(course, start=start)
+        after = self._left(model, ready, course, c, until)
+        if np.sum(after**2) < np.sum(before**2):
             ready.courses[c] = course
+        else:
+            ready.modes[c] = None
+
+    def _left(
+        self, model: Model, ready: "_Prepared", course: Course, c: int, until_s: float
+    ) -> Floats:
+        """(n_taps, m) residual of a model along the first part of a course, in noise deviations.
+
+        0 where nothing is compared.
+        """
+        part = _until(course, until_s)
+        out = predict([[model]], [part], ready.field, None, self.workers, strict=False)[0]
+        left = (part.measured_pa - out.readings[0]) / self.noise_pa[:, None]
+        compared = np.isfinite(left) & (part.time_s >= self.span_s[self.of == c, 0].min())
+        return np.where(compared, left, 0.0)
 
     def _run(
         self,

@@ -77,7 +77,7 @@ class Stretch(Result):
 
 
 class TapError(Result):
-    """Error of one model at one tap, over all roll-outs."""
+    """Error of one model at one tap, over all stretches."""
 
     rmse_pa: Perhaps
     """Root mean square of measured minus predicted."""

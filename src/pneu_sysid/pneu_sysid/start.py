@@ -27,6 +27,10 @@ READING_SIGMAS = 3.0
 """Uncertainty of the pressure of a volume with a tap, in deviations of its sensor."""
 REMEMBERED = 6.0
 """For so many of the slowest thermal time constants the beginning is remembered."""
+PULLED = 3.0
+"""... and for so many time constants of the pull to the taps."""
+FEWEST_LATE = 8
+"""Of fewer readings nothing can be said of how long an error lasts."""
 REMEMBERED_S = (1.0, 30.0)
 """... but no shorter or longer than this."""
 
@@ -66,10 +70,13 @@ class Modes:
     Attributes:
         change: (K, n_stretches, horizon, n_taps) in noise deviations per unit.
         std: (K,) uncertainty of each.
+        doubt: By how much what a model leaves for other reasons says less than white noise of its
+            sensors would, see `doubt_of`.
     """
 
     change: Floats
     std: Floats
+    doubt: float = 1.0
 
     def amounts(self, residual: Floats) -> Floats:
         """How far each most likely was from what was taken for it (ridge regression).
@@ -82,7 +89,7 @@ class Modes:
         """
         a = self._scaled()
         r = residual.reshape(residual.shape[0], -1)
-        return np.asarray(np.linalg.solve(a @ a.T + np.eye(self.std.size), a @ r.T).T)
+        return np.asarray(np.linalg.solve(a @ a.T + self.doubt * np.eye(self.std.size), a @ r.T).T)
 
     def explain(self, residual: Floats) -> Floats:
         """The part of residuals that the beginning most likely made.
@@ -98,6 +105,30 @@ class Modes:
     def _scaled(self) -> Floats:
         """(K, n) changes per deviation."""
         return np.asarray((self.change * self.std[:, None, None, None]).reshape(self.std.size, -1))
+
+
+def doubt_of(residual: Floats, late: NDArray[np.bool_]) -> float:
+    """By how much less residuals say than unit white noise would, from what is left later on.
+
+    Their mean square times their integrated autocorrelation time, summed up to its first zero.
+
+    Args:
+        residual: (n_taps, m) in noise deviations; 0 where nothing is compared.
+        late: (n_taps, m) which of them the beginning has no part in.
+
+    Returns:
+        The largest of all taps, no less than 1.
+    """
+    doubt = 1.0
+    for values, chosen in zip(residual, late & (residual != 0.0), strict=True):
+        r = values[chosen]
+        if r.size < FEWEST_LATE:
+            continue
+        power = np.abs(np.fft.rfft(r, 2 * r.size)) ** 2
+        rho = np.fft.irfft(power)[: r.size] / float(np.sum(r * r))
+        end = int(np.argmax(rho <= 0.0)) or r.size
+        doubt = max(doubt, float(np.mean(r * r)) * (1.0 + 2.0 * float(rho[1:end].sum())))
+    return doubt
 
 
 def moved(
@@ -174,21 +205,28 @@ def beginnings(rig: Rig, plan: Plan, field: InitialField, recording: Recording) 
     return ways
 
 
-def remembered_s(rig: Rig) -> float:
-    """How long a rig remembers the temperature that its gas had at a beginning, s.
+def remembered_s(rig: Rig, start: Start, pull_s: float | None) -> float:
+    """How long the predictions of a rig remember how much gas it had at a beginning, and how warm.
 
-    A chamber forgets it within ``m c_v / (h A)``; the gas in lines, with far more wall to its
-    volume, within a fraction of that.
+    A chamber forgets the temperature within ``m c_v / (h A)``; the gas in lines, with far more wall
+    to its volume, within a fraction of that. The amount that went with it is forgotten by the pull.
 
     Args:
         rig: The rig.
+        start: The beginning.
+        pull_s: Time constant with which its gas is drawn to the taps, s; None lets it run free.
+
+    Returns:
+        Time, s.
     """
     highest = max([r.pressure_pa for r in rig.reservoirs.values()], default=rig.ambient.pressure_pa)
+    highest = max(highest, float(start.chamber_pressure.max(initial=0.0)))
     slowest = 0.0
     for chamber in rig.chambers.values():
         content = highest * chamber.volume_m3 / rig.ambient.temperature_k / (AIR.gamma - 1.0)
         slowest = max(slowest, content / max(chamber.heat_w_per_k, 1e-9))
-    return float(np.clip(REMEMBERED * slowest, *REMEMBERED_S))
+    longest = max(REMEMBERED * slowest, PULLED * (pull_s or 0.0))
+    return float(np.clip(longest, *REMEMBERED_S))
 
 
 def modes_of(rig: Rig, plan: Plan, start: Start, taps: list[str], noise_pa: Floats) -> list[Mode]:

@@ -87,7 +87,7 @@ class _Trace:
 class Watch:
     """Collects samples and judges the model on every window that is full.
 
-    Times are those of the samples' stamps. Nothing here waits; `window` costs a roll-out.
+    Times are those of the samples' stamps. Nothing here waits; `window` costs a run of the model.
     """
 
     def __init__(

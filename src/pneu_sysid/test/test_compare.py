@@ -16,7 +16,7 @@ from pneu_sim.errors import InputError
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Simulator
 from pneu_sysid.compare import SERIES_POINTS, compare, compare_table
-from pneu_sysid.records import Finding, Recording
+from pneu_sysid.records import Finding, Recording, Signal, even_recording
 from pneu_sysid.results import CompareResult, Regime, result_of, write_json
 from pneu_sysid.shift import estimate_shift
 
@@ -44,7 +44,8 @@ def valve_rig(**changes: Any) -> Rig:
     }
     data: dict[str, Any] = {
         "name": "tube",
-        "grid": {"dx_m": 0.1},
+        # a whole number of steps in any interval of readings or commands
+        "grid": {"dx_m": 0.1, "dt_s": 1.25e-4},
         "ambient": {"pressure_pa": 1e5},
         "reservoirs": {"supply": {"pressure_pa": 6e5}, "room": {"pressure_pa": 1e5}},
         "pipes": {
@@ -52,7 +53,7 @@ def valve_rig(**changes: Any) -> Rig:
             "tube": {"from": "out", "to": "closed", "length_m": 1.0, "area_m2": 6e-6},
             "vent": {"from": "vent", "to": "room", "length_m": 0.2, "area_m2": 2e-5},
         },
-        "valves": {"valve": {"command": "volts", "ports": ports}},
+        "valves": {"valve": {"command": "volts", "spool": {"bandwidth_hz": 60.0}, "ports": ports}},
         "commands": {"volts": {}},
         "taps": {
             "supply": {"pipe": "feed", "position_m": 0.45},
@@ -75,23 +76,28 @@ def volts_of_steps(seed: int = 3) -> np.ndarray:
 
 
 def record(
-    rig: Rig,
-    volts: np.ndarray | None = None,
-    dx_m: float | None = None,
-    noise_pa: float = NOISE_PA,
-    seed: int = 0,
+    rig: Rig, volts: np.ndarray | None = None, noise_pa: float = NOISE_PA, seed: int = 0
 ) -> Recording:
     """What a rig's sensors would have recorded."""
     volts = volts_of_steps() if volts is None else volts
-    run = Simulator(rig, dx_m).run((volts.size - 1) / RATE_HZ, {"volts": volts[:-1]}, 1.0 / RATE_HZ)
-    rng = np.random.default_rng(seed)
-    return Recording(
-        name="made",
-        time_s=np.arange(volts.size) / RATE_HZ,
-        commands={"volts": volts},
-        pressures={t: x + noise_pa * rng.normal(size=x.size) for t, x in run.taps.items()},
-        rate_hz=RATE_HZ,
+    # In quarters, so that the simulator draws a valve's motion as finely as a comparison does.
+    run = Simulator(rig).run(
+        (volts.size - 1) / RATE_HZ, {"volts": np.repeat(volts[:-1], 4)}, 0.25 / RATE_HZ
     )
+    rng = np.random.default_rng(seed)
+    return even_recording(
+        "made",
+        np.arange(volts.size) / RATE_HZ,
+        {"volts": volts},
+        {t: x[::4] + noise_pa * rng.normal(size=volts.size) for t, x in run.taps.items()},
+    )
+
+
+def with_added(recording: Recording, tap: str, pressure: Any) -> Recording:
+    """The recording with something added to one tap: a number, or one at each reading."""
+    signal = recording.pressures[tap]
+    changed = Signal(signal.time_s, signal.values + pressure)
+    return dataclasses.replace(recording, pressures={**recording.pressures, tap: changed})
 
 
 def against(recording: Recording, rig: Rig, refine: bool = False) -> CompareResult:
@@ -128,7 +134,7 @@ def test_regimes_divide_the_samples_and_the_error(truth: Recording) -> None:
                 continue
             assert sum(r.share for r in parts) == pytest.approx(1.0, abs=1e-9)
             if kind != "frequency":
-                assert sum(r.samples for r in parts) == truth.time_s.size
+                assert sum(r.samples for r in parts) == len(truth.pressures[tap])
         worst = [r.times_noise or 0.0 for r in result.models[0].regimes]
         assert worst == sorted(worst, reverse=True)
 
@@ -137,13 +143,15 @@ def test_flow_and_choking_follow_the_command() -> None:
     # 6 bar into a tube at 1 bar through a small opening: sonic until the tube has b times 6 bar.
     volts = np.repeat([0.0, 5.05, 5.0, 0.0], [100, 300, 150, 300])
     rig = valve_rig()
+    rig.valves["valve"].spool.bandwidth_hz = None  # so that it opens as far as it is told at once
     result = against(record(rig, volts), rig)
     flow = regimes(result, "flow_direction", "end")
     assert set(flow) == {"fill", "exhaust", "still"}
     opening = regimes(result, "opening", "end")
     assert opening["valve closed"].samples == 150
-    assert opening["valve below 10 % open"].samples == 300
-    assert opening["valve above 50 % open"].samples == 400
+    # (a reading at the very time of a step is on neither side)
+    assert opening["valve below 10 % open"].samples == pytest.approx(300, abs=1)
+    assert opening["valve above 50 % open"].samples == pytest.approx(400, abs=1)
     run = Simulator(rig).run(1.698, {"volts": volts[:-1]}, 2e-3)
     critical_ratio = 0.3  # that of a port whose rig file says nothing
     sonic = (run.taps["start"] < critical_ratio * run.taps["supply"])[100:400]
@@ -159,9 +167,7 @@ def test_flow_and_choking_follow_the_command() -> None:
 @pytest.mark.parametrize("tap", TAPS)
 @pytest.mark.parametrize("bias_pa", [900.0, -1500.0])
 def test_a_bias_is_found_at_its_tap(truth: Recording, tap: str, bias_pa: float) -> None:
-    shifted = dict(truth.pressures)
-    shifted[tap] = shifted[tap] + bias_pa
-    taps = against(dataclasses.replace(truth, pressures=shifted), valve_rig()).models[0].taps
+    taps = against(with_added(truth, tap, bias_pa), valve_rig()).models[0].taps
     assert taps[tap].bias_pa == pytest.approx(bias_pa, rel=0.1)
     assert taps[tap].rmse_pa == pytest.approx(np.hypot(bias_pa, NOISE_PA), rel=0.1)
     for other in set(TAPS) - {tap}:
@@ -187,21 +193,28 @@ def test_a_gain_is_found_at_its_tap() -> None:
 
 
 def test_shift_of_analytic_waves() -> None:
-    time = np.arange(400) * 2e-3
+    tick_s = np.arange(400) * 2e-3
+    rng = np.random.default_rng(1)
+    # read at times of their own, between the ticks
+    time = np.sort(rng.uniform(0.0, tick_s[-1], size=(2, 400)), axis=1)
 
     def wave(t: np.ndarray) -> np.ndarray:
         return np.sin(40.0 * t) + 0.5 * np.cos(95.0 * t + 1.0)
 
-    predicted = np.stack([wave(time), wave(time + 3.0)])
-    measured = 7.0 + 0.9 * np.stack([wave(time - 0.0123), wave(time + 3.0 - 0.0123)])
+    predicted = [(tick_s, wave(tick_s)), (tick_s, wave(tick_s + 3.0))]
+    of = np.array([0, 1])
+    late = time - 0.0123
+    measured = 7.0 + 0.9 * np.stack([wave(late[0]), wave(late[1] + 3.0)])
+    measured[late < 0.0] = np.nan  # from before the prediction begins
     measured[0, 50:90] = np.nan
-    shift = estimate_shift(measured, predicted, 2e-3)
+    shift = estimate_shift(measured, time, predicted, of)
     assert shift is not None
     assert shift.lag_s == pytest.approx(0.0123, abs=2e-5)
     assert shift.gain == pytest.approx(0.9, abs=1e-3)
-    rng = np.random.default_rng(1)
-    assert estimate_shift(rng.normal(size=(2, 400)), 1e-3 * predicted, 2e-3) is None
-    assert estimate_shift(measured, np.ones_like(predicted), 2e-3) is None
+    faint = [(tick_s, 1e-3 * values) for _, values in predicted]
+    assert estimate_shift(rng.normal(size=(2, 400)), time, faint, of) is None
+    still = [(tick_s, np.ones(400))] * 2
+    assert estimate_shift(measured, time, still, of) is None
 
 
 def test_a_leak_shows_while_the_valve_is_shut() -> None:
@@ -232,9 +245,8 @@ def test_a_leak_shows_while_the_valve_is_shut() -> None:
     ],
 )
 def test_an_added_sine_is_in_its_band(truth: Recording, frequency_hz: float, band: str) -> None:
-    sine = 2000.0 * np.sin(2.0 * np.pi * frequency_hz * truth.time_s)
-    added = {**truth.pressures, "end": truth.pressures["end"] + sine}
-    result = against(dataclasses.replace(truth, pressures=added), valve_rig())
+    sine = 2000.0 * np.sin(2.0 * np.pi * frequency_hz * truth.pressures["end"].time_s)
+    result = against(with_added(truth, "end", sine), valve_rig())
     parts = regimes(result, "frequency", "end")
     assert next(iter(parts)) == band
     assert parts[band].rmse_pa == pytest.approx(2000.0 / np.sqrt(2.0), rel=0.06)
@@ -242,12 +254,9 @@ def test_an_added_sine_is_in_its_band(truth: Recording, frequency_hz: float, ban
 
 
 def test_the_worst_stretch_is_where_the_disturbance_is(truth: Recording) -> None:
-    struck = truth.pressures["end"].copy()
-    at = (truth.time_s >= 1.3) & (truth.time_s < 1.4)
-    struck[at] += 5000.0
-    result = against(
-        dataclasses.replace(truth, pressures={**truth.pressures, "end": struck}), valve_rig()
-    )
+    time = truth.pressures["end"].time_s
+    blow = np.where((time >= 1.3) & (time < 1.4), 5000.0, 0.0)
+    result = against(with_added(truth, "end", blow), valve_rig())
     worst = result.models[0].taps["end"].worst[0]
     assert (worst.start_s, worst.end_s) == pytest.approx((1.3, 1.4), abs=1e-6)
     assert worst.rmse_pa == pytest.approx(5000.0, rel=0.02)
@@ -256,7 +265,7 @@ def test_the_worst_stretch_is_where_the_disturbance_is(truth: Recording) -> None
 
 
 def test_a_coarse_grid_is_told_from_missing_physics() -> None:
-    fine = record(valve_rig(), dx_m=0.0125)
+    fine = record(valve_rig(grid={"dx_m": 0.0125}))
     for order, dx_m in ((1, 0.1), (2, 0.2)):
         coarse = valve_rig(grid={"dx_m": dx_m, "order": order})
         result = against(fine, coarse, refine=True)
@@ -294,26 +303,65 @@ def test_models_of_other_structure_side_by_side(truth: Recording) -> None:
     first, second = result.models
     assert (second.times_noise or 0.0) > 3.0 * (first.times_noise or 0.0)
     assert (first.times_noise or 0.0) < 3.0
+    # four stretches of half a second or a little more, which leave out nothing but the warm-up
+    segments = np.array(result.series.segments)
+    assert segments.shape == (4, 2)
+    assert np.allclose(segments[1:, 0], segments[:-1, 1])
+    assert segments[[0, -1], [0, 1]] == pytest.approx([0.1, DURATION_S - 1.0 / RATE_HZ], abs=1e-6)
     for model in result.models:
         samples = sum(r.samples for r in model.regimes if r.kind == "time" and r.tap == "end")
-        assert samples == 250 * len(result.series.segments) == 1000
+        assert samples == (DURATION_S - 0.1) * RATE_HZ
     assert seen[-1] == 1.0 and seen == sorted(seen)
     twice = compare(truth, [("tube", good, "a.yaml"), ("tube", good, "b.yaml")], refine=False)
     assert twice.rigs == ["a", "b"]
 
 
 def test_missing_samples_are_left_out(truth: Recording) -> None:
-    holes = truth.pressures["end"].copy()
-    holes[400:480] = np.nan
+    end = truth.pressures["end"]
+    kept = np.r_[:400, 480 : len(end)]
     recording = dataclasses.replace(
         truth,
-        pressures={**truth.pressures, "end": holes},
+        pressures={**truth.pressures, "end": Signal(end.time_s[kept], end.values[kept])},
         report=[Finding("end", "gap", 80, "left missing")],
     )
     result = against(recording, valve_rig())
     assert result.models[0].taps["end"].rmse_pa == pytest.approx(NOISE_PA, rel=0.06)
     assert result.series.measured["end"].count(None) == 80
     assert result.findings == ["end: gap (80): left missing"]
+
+
+def chamber_rig(**fit: Any) -> Rig:
+    """A chamber on its own, with a stub to its sensor; its gas follows its wall within 2 s."""
+    data = {
+        "name": "chamber",
+        "grid": {"dx_m": 0.1, "dt_s": 1.25e-4},
+        "pipes": {"stub": {"from": "chamber", "to": "closed", "length_m": 0.2, "area_m2": 1e-5}},
+        "chambers": {"chamber": {"volume_m3": 1e-4, "heat_w_per_k": 0.4}},
+        "taps": {"chamber": {"chamber": "chamber"}},
+        "fit": fit,
+    }
+    return Rig.model_validate(data)
+
+
+def cooling(rig: Rig, temperature_k: float, seconds: float = 12.0) -> Recording:
+    """What the sensor of a chamber shows whose gas begins at 7 bar and some temperature."""
+    simulator = Simulator(rig)
+    simulator.reset({"stub": 7e5, "chamber": 7e5})
+    simulator.set_chamber("chamber", 7e5, temperature_k)
+    pressure = simulator.run(seconds, {}, 0.02).taps["chamber"]
+    noise = NOISE_PA * np.random.default_rng(2).normal(size=pressure.size)
+    return even_recording(
+        "made", 0.02 * np.arange(pressure.size), {}, {"chamber": pressure + noise}
+    )
+
+
+def test_gas_that_begins_warm_is_no_error_of_the_model() -> None:
+    rig = chamber_rig(horizon_s=3.0, warm_up_s=0.2)
+    recording = cooling(rig, rig.ambient.temperature_k + 25.0)
+    values = recording.pressures["chamber"].values
+    assert values[0] - values[-1] > 100.0 * NOISE_PA  # it cools
+    error = against(recording, rig).models[0].taps["chamber"]
+    assert error.rmse_pa == pytest.approx(NOISE_PA, rel=0.1)
 
 
 def test_result_survives_its_file(truth: Recording, tmp_path: Any) -> None:
@@ -324,17 +372,20 @@ def test_result_survives_its_file(truth: Recording, tmp_path: Any) -> None:
     data = json.loads(text)
     assert data["schema"] == "pneu.compare/1"
     assert result_of(data) == result
-    assert len(data["series"]["time_s"]) == truth.time_s.size <= SERIES_POINTS
+    assert len(data["series"]["time_s"]) == len(truth.pressures["end"]) <= SERIES_POINTS
 
 
 def test_long_series_are_thinned_but_for_the_worst() -> None:
-    recording = record(valve_rig(), np.tile(volts_of_steps(), 8))
-    recording.pressures["end"][5000:5050] += 9000.0
+    recording = record(valve_rig(), np.tile(volts_of_steps(), 10))
+    assert sum(len(signal) for signal in recording.pressures.values()) > SERIES_POINTS
+    recording.pressures["end"].values[5000:5050] += 9000.0
     result = against(recording, valve_rig())
     time = np.array(result.series.time_s)
-    assert 0.5 * SERIES_POINTS < time.size <= SERIES_POINTS
     assert (np.diff(time) > 0.0).all()
-    assert ((time > 9.999) & (time < 10.099)).sum() == 50
+    kept = np.array([[x is not None for x in result.series.measured[tap]] for tap in TAPS])
+    assert 0.5 * SERIES_POINTS < kept.sum() <= SERIES_POINTS
+    assert (kept.sum(axis=1) > 0.25 * SERIES_POINTS / len(TAPS)).all()
+    assert kept[TAPS.index("end"), (time > 9.999) & (time < 10.099)].sum() == 50
 
 
 def test_table_names_every_tap_and_model(truth: Recording) -> None:

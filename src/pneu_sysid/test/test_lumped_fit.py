@@ -13,7 +13,7 @@ from pneu_sim.run import add_noise, run_rig
 from pneu_sysid.fit import fit_rig, tap_rmse
 from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import make_problem
-from pneu_sysid.records import Recording
+from pneu_sysid.records import Recording, even_recording
 
 RATE = 250.0
 
@@ -52,7 +52,7 @@ def recording() -> Recording:
     volts = np.repeat(rng.uniform(2.0, 8.0, 40), 13)[:501]
     rig = rig_with()
     taps = add_noise(rig, run_rig(rig, {"volts": volts}, 1.0 / RATE), rng, noise_pa=250.0)
-    return Recording("synthetic", np.arange(501) / RATE, {"volts": volts}, taps, RATE)
+    return even_recording("synthetic", np.arange(501) / RATE, {"volts": volts}, taps)
 
 
 @pytest.mark.parametrize("model", ["thin_plate", "delay_line"])

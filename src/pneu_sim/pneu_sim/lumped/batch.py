@@ -19,8 +19,7 @@ from pneu_sim.valve import openings_along
 Floats = NDArray[np.float64]
 
 TICKS = 4
-"""Ticks of a lumped model in one of the full model's."""
-TICK_S = RUN_TICK_S / TICKS
+"""Ticks of a lumped model in one of the full model's; without ports to open, one is enough."""
 GAP = 3.0
 """Readings further apart than this many periods have a gap between them."""
 STEP = 1.5
@@ -37,7 +36,7 @@ def predict(
     """Runs every model along every recording, like ``pneu_sim.simulate.predict``.
 
     A volume starts at the mean of its start along its pipes and chambers, and is drawn to the mean
-    of its taps as the course asks. Between ticks of ``TICK_S`` readings are linear.
+    of its taps as the course asks. Between ticks readings are linear.
 
     Args:
         models: (n_courses, n_models) parameter sets of one rig.
@@ -67,32 +66,42 @@ def predict(
         for task in tasks:
             run(task)
     out = []
-    every = TICKS if flows else 0
+    every = ticks_of(models[0][0]) if flows else 0
     for c, course in enumerate(courses):
         series = [
             np.stack(column) for column in zip(*(found[c, m] for m in range(count)), strict=True)
         ]
         kept = [s[:, ::every] if every else s[:, :0] for s in series[1:]]
-        tick_s = course.begin_s + TICK_S * TICKS * np.arange(course.ticks, dtype=np.float64)
+        tick_s = course.begin_s + RUN_TICK_S * np.arange(course.ticks, dtype=np.float64)
         flow, chamber, tap = kept
         out.append(Prediction(series[0], tick_s, flow, chamber, tap))
     return out
 
 
+def ticks_of(model: LumpedModel) -> int:
+    """Ticks of a model in one of the full model's.
+
+    Args:
+        model: The model.
+    """
+    return TICKS if model.plan.ports.shape[0] else 1
+
+
 def _along(model: LumpedModel, course: Course) -> tuple[Floats, Floats, Floats, Floats]:
     """Readings of one model along a course, and its flows, chambers and taps at every tick."""
     plan, gas = model.plan, model.base.gas
-    samples = (course.ticks - 1) * TICKS + 1
-    at = course.begin_s + TICK_S * np.arange(samples, dtype=np.float64)
+    ticks = ticks_of(model)
+    samples, step_s = (course.ticks - 1) * ticks + 1, RUN_TICK_S / ticks
+    at = course.begin_s + step_s * np.arange(samples, dtype=np.float64)
     rate = fastest(model)
     pull = _pull(course)
     # In powers of two, so that the step is the same for parameters that differ a little.
-    n_sub = 2 ** math.ceil(math.log2(max(TICK_S * max(rate, pull) / STEP, 1.0)))
+    n_sub = 2 ** math.ceil(math.log2(max(step_s * max(rate, pull) / STEP, 1.0)))
     opened = openings_along(
         model.base,
         course.commands,
         course.begin_s,
-        TICK_S,
+        step_s,
         samples,
         np.full((len(plan.valves), 4), np.nan),
         course.start.at_null,
@@ -101,13 +110,13 @@ def _along(model: LumpedModel, course: Course) -> tuple[Floats, Floats, Floats, 
     flows = np.empty((1, samples, plan.ports.shape[0]))
     chambers = np.empty((1, samples, len(plan.chambers)))
     fill(
-        samples, n_sub, TICK_S / n_sub, 1, gas.gamma, gas.r_specific,
+        samples, n_sub, step_s / n_sub, 1, gas.gamma, gas.r_specific,
         model.exponent, model.side, model.area, model.linear, model.source, model.volume,
         model.tap, model.chamber, model.tap_delay_s, model.side_delay_s, model.drag,
         model.base.ambient, np.zeros(1, dtype=np.int64), _start(model, course.start)[None], opened,
         samples if pull > 0.0 else 0, pull, _goals(model, course, at), taps, flows, chambers,
     )  # fmt: skip
-    shown = sensors.read(model.base, taps[0], TICK_S)
+    shown = sensors.read(model.base, taps[0], step_s)
     readings = np.full(course.time_s.shape, np.nan)
     for t in range(len(plan.taps)):
         due = np.isfinite(course.time_s[t])

@@ -448,7 +448,7 @@ class FitParameter(Part):
 
 
 class Fit(Part):
-    """How the rig is identified: parameters and roll-outs (thesis 8.1.1, 8.1.2).
+    """How the rig is identified: parameters, and how far ahead it predicts (thesis 8.1.1, 8.1.2).
 
     Attributes:
         parameters: What may change.

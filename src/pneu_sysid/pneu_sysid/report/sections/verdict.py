@@ -41,6 +41,10 @@ def render(contents: Contents) -> Markup:
         "div",
         tag("p", tag("span", mark, aria_hidden="true", class_="mark"), word, class_="word"),
         tag("p", sentence, class_="sentence"),
+        [
+            tag("p", said, class_="note")
+            for said in (contents.diagnose or {}).get("statements") or []
+        ],
         class_=f"card {kind if kind in _WORDS else 'none'}",
     )
     tiles = [*_learned(contents.learn), *_diagnosed(contents), *_compared(contents)]
