@@ -58,7 +58,7 @@ def study() -> Outcome:
     nominal = load_rig(RIG)
     recording = record_for(nominal, str(FITTED))
     begun = time.perf_counter()
-    # One stage: this rig answers slowly, and short roll-outs say little about it.
+    # One horizon: this rig answers slowly, and shorter ones say little about it.
     fit = fit_rig(nominal, recording, hold_out=True, stages_s=())
     fit_s = time.perf_counter() - begun
     models: list[tuple[str, Rig, str | None]] = [

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is missing in a model: candidates ranked, and one honest verdict."""
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +40,7 @@ from pneu_sysid.standing import (
     since_calibration,
     standing_of,
 )
+from pneu_sysid.together import each_of
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -160,17 +159,15 @@ def diagnose(
         for k, s in enumerate(best[:finalists])
         if s.explained > 0.0 and (k < 3 or s.explained >= CONTENDER * best[0].explained)
     ]
-    # Side by side, each in a thread of its own: a refit asks for two or three models at a time.
-    threads = workers or os.cpu_count() or 1
-    alone = replace(problem, workers=1) if threads > 1 else problem
-    refits: list[Refit] = []
+    done = [0]
 
-    def try_out(candidate: Score) -> None:
-        refits.append(refit(alone, rig, base, candidate, project))
-        tell("refits", len(refits) / len(chosen))
+    def try_out(shared: Problem, candidate: Score) -> Refit:
+        found = refit(shared, rig, base, candidate, project)
+        done[0] += 1
+        tell("refits", done[0] / len(chosen))
+        return found
 
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(try_out, chosen))
+    refits = each_of(chosen, problem, try_out)
     refits.sort(key=lambda r: (-round(r.held_out, 3), r.site.effect.order, r.site.label))
     numerics = None
     if refine and rig.model == "pde":
@@ -183,7 +180,7 @@ def diagnose(
         numerics = grid_check(own, rig, compared, lambda f: tell("grid", f))
     standing = standing_of(rig, own, base)
     judged = base if project is None else project(base)
-    result = _judge(problem, standing, judged, refits, best, rmse, numerics)
+    result = _judge(own, standing, judged, refits, best, rmse, numerics)
     names = [r.name for r in own.recordings]
     found = result.verdict in ("effect", "ambiguous", "unknown")
     result.statements = [since_calibration(standing, names, found), against_noise(standing)]

@@ -255,8 +255,8 @@ def learn(
         tell("fit", 1.0)
     recordings = [recording] if isinstance(recording, Recording) else list(recording)
     first = diagnose_apart(rig, recordings, FINALISTS, True, workers, progress)
-    differ = first.problem.recordings
-    problem = make_problem(rig, differ, workers=workers)
+    problem = first.problem
+    differ = problem.recordings
     residual, rmse, held = _errors(problem, rig)
     steps = [_step(0, problem, residual, rmse, held)]
     state = Learned(rig, steps, [first], "nothing_missing", "", [rig])

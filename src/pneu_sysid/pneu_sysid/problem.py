@@ -295,7 +295,7 @@ class Problem:
         mine = self.of == c
         seen = np.isfinite(self.measured[mine])
         walls = model.chamber[:, L.C_WALL_T]
-        remembered = remembered_s(rig, course.start, self.pull_s)
+        remembered = remembered_s(rig, course.start)
         until = course.begin_s + (1.0 + LATER) * remembered
         # A model that lacks something must not make up for it with gas that was hotter or colder
         # at the beginning than it was.

@@ -27,8 +27,6 @@ READING_SIGMAS = 3.0
 """Uncertainty of the pressure of a volume with a tap, in deviations of its sensor."""
 REMEMBERED = 6.0
 """For so many of the slowest thermal time constants the beginning is remembered."""
-PULLED = 3.0
-"""... and for so many time constants of the pull to the taps."""
 FEWEST_LATE = 8
 """Of fewer readings nothing can be said of how long an error lasts."""
 REMEMBERED_S = (1.0, 30.0)
@@ -205,19 +203,15 @@ def beginnings(rig: Rig, plan: Plan, field: InitialField, recording: Recording) 
     return ways
 
 
-def remembered_s(rig: Rig, start: Start, pull_s: float | None) -> float:
-    """How long the predictions of a rig remember how much gas it had at a beginning, and how warm.
+def remembered_s(rig: Rig, start: Start) -> float:
+    """How long a rig remembers the temperature that its gas had at a beginning, s.
 
-    A chamber forgets the temperature within ``m c_v / (h A)``; the gas in lines, with far more wall
-    to its volume, within a fraction of that. The amount that went with it is forgotten by the pull.
+    A chamber forgets it within ``m c_v / (h A)``; the gas in lines, with far more wall to its
+    volume, within a fraction of that. What a model is wrong about later says nothing of it.
 
     Args:
         rig: The rig.
         start: The beginning.
-        pull_s: Time constant with which its gas is drawn to the taps, s; None lets it run free.
-
-    Returns:
-        Time, s.
     """
     highest = max([r.pressure_pa for r in rig.reservoirs.values()], default=rig.ambient.pressure_pa)
     highest = max(highest, float(start.chamber_pressure.max(initial=0.0)))
@@ -225,8 +219,7 @@ def remembered_s(rig: Rig, start: Start, pull_s: float | None) -> float:
     for chamber in rig.chambers.values():
         content = highest * chamber.volume_m3 / rig.ambient.temperature_k / (AIR.gamma - 1.0)
         slowest = max(slowest, content / max(chamber.heat_w_per_k, 1e-9))
-    longest = max(REMEMBERED * slowest, PULLED * (pull_s or 0.0))
-    return float(np.clip(longest, *REMEMBERED_S))
+    return float(np.clip(REMEMBERED * slowest, *REMEMBERED_S))
 
 
 def modes_of(rig: Rig, plan: Plan, start: Start, taps: list[str], noise_pa: Floats) -> list[Mode]:

@@ -22,6 +22,9 @@ Floats = NDArray[np.float64]
 
 CLOSE = 0.9
 """Readings closer than this many periods are one too many."""
+MARGIN = 4.0
+"""Periods that a window is longer than its stretch: readings need not fall on its ends, nor come
+quite as often as was told."""
 EARLIER_S = 1.0
 """Commands from this long before a window still matter to its spools."""
 LEAST = 0.5
@@ -169,7 +172,7 @@ class Watch:
     def is_full(self) -> bool:
         """Whether a new window can be judged."""
         begins = [t.times[0] for t in self._taps.values() if t.times]
-        length = self._warm_up_s + self._window_s + 1.0 / self._rate_hz
+        length = self._warm_up_s + self._window_s + (1.0 + MARGIN) / self._rate_hz
         return (
             bool(begins)
             and all(trace.times for trace in self._commands.values())
@@ -190,7 +193,7 @@ class Watch:
             return None
         # One period back, so that taps that come one after the other are all there.
         end = self._latest_s - 1.0 / self._rate_hz
-        begin = end - self._warm_up_s - self._window_s
+        begin = end - self._warm_up_s - self._window_s - MARGIN / self._rate_hz
         self._judged_s = end
         for trace in self._commands.values():
             trace.drop_before(begin - EARLIER_S)

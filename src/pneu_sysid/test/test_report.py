@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The HTML report: safe whatever the names, self-contained, and alive in a real browser."""
 
+import base64
 import copy
+import json
 import re
 import shutil
 import subprocess
@@ -150,8 +152,20 @@ def compare_result(taps: tuple[str, ...] = TAPS, samples: int = 6000) -> dict:
         "command": {"voltage": listed(volts)},
         "measured": {tap: listed(true[tap]) for tap in taps},
         "model": {n: {t: listed(v) for t, v in p.items()} for n, p in models.items()},
+        "gap_s": {tap: 3.5 * dt_s for tap in taps},
+        "begins_s": [0.0],
         "segments": [[0.5 * k, 0.5 * (k + 1)] for k in range(30)],
     }
+    return result
+
+
+def read_in_turn(result: dict, turns: int = 2) -> dict:
+    """The same result of sensors that are read one after the other: at each time only some."""
+    series = result["series"]
+    for i, tap in enumerate(result["taps"]):
+        for values in (series["measured"], *series["model"].values()):
+            values[tap] = [v if k % turns == i % turns else None for k, v in enumerate(values[tap])]
+        series["gap_s"][tap] *= turns
     return result
 
 
@@ -432,6 +446,28 @@ def test_nulls_and_non_finite_numbers_make_a_page(tmp_path):
     text = Page(write_report(tmp_path / "nan.html", **results)).text
     assert "nan" not in text.lower().split()
     assert "inf" not in text.lower().split()
+
+
+@pytest.mark.parametrize("samples", [600, 60_000])
+def test_sensors_read_in_turn_keep_their_readings(tmp_path, samples):
+    compare = read_in_turn(compare_result(samples=samples))
+    path = write_report(tmp_path / "r.html", compare=compare)
+    assert path.stat().st_size < MAX_BYTES
+    block = re.search(r'id="viewer-data">(.*?)</script>', path.read_text(encoding="utf-8"))
+    data = json.loads(block[1])
+    time = np.frombuffer(base64.b64decode(data["time"]), "<f8")
+    assert data["taps"] == list(TAPS)
+    for tap, gap, measured in zip(TAPS, data["gap"], data["measured"], strict=True):
+        given = np.array(compare["series"]["measured"][tap], dtype=float)
+        shown = np.frombuffer(base64.b64decode(measured), "<f4")
+        there = time[np.isfinite(shown)]
+        at = np.searchsorted(compare["series"]["time_s"], there)
+        assert shown[np.isfinite(shown)] == pytest.approx(given[at], rel=1e-6)
+        if samples == 600:  # there is room for all of them
+            assert there.size == np.isfinite(given).sum()
+        else:  # a line through what is left breaks only where there is a gap
+            assert there.size < np.isfinite(given).sum()
+            assert (np.diff(there) > gap).sum() <= (1 if tap == TAPS[-1] else 0)
 
 
 def test_twelve_taps_and_four_models_stay_below_three_megabytes(tmp_path):

@@ -17,18 +17,20 @@ NOISE_PA = 250.0
 RIG = load_rig(Path(__file__).parents[3] / "rigs/lab.yaml")
 
 
-def run(watch: Watch, plant: Rig, seconds: float, begin_s: float = 0.0) -> list[Window]:
+def run(
+    watch: Watch, plant: Rig, seconds: float, begin_s: float = 0.0, rate_hz: float = RATE_HZ
+) -> list[Window]:
     """Runs a plant along a swinging command and shows it to the watch, sample by sample."""
     simulator = Simulator(plant)
     rng = np.random.default_rng(1)
     windows = []
-    for k in range(round(seconds * RATE_HZ)):
-        at = begin_s + k / RATE_HZ
+    for k in range(round(seconds * rate_hz)):
+        at = begin_s + k / rate_hz
         volts = 5.0 + 1.2 * np.sin(6.0 * at) + 0.3 * np.sin(17.0 * at)
         watch.command("voltage", at, volts)
-        readings = simulator.run(1 / RATE_HZ, {"voltage": volts}, 1 / RATE_HZ)
+        readings = simulator.run(1 / rate_hz, {"voltage": volts}, 1 / rate_hz)
         for name, series in readings.taps.items():
-            watch.reading(name, at + 1 / RATE_HZ, series[-1] + NOISE_PA * rng.normal())
+            watch.reading(name, at + 1 / rate_hz, series[-1] + NOISE_PA * rng.normal())
         window = watch.window()
         if window is not None:
             windows.append(window)
@@ -76,6 +78,12 @@ def test_time_set_back_makes_a_new_start():
     windows = run(watch, RIG, 1.5)  # from rest at time zero: the past must not be mixed in
     assert windows and all(w.end_s < 2.0 for w in windows)
     assert np.all(np.mean([w.rms_pa for w in windows], axis=0) < 1.5 * NOISE_PA)
+
+
+def test_readings_need_not_fall_on_the_ends_of_a_window():
+    windows = run(Watch(RIG, RATE_HZ), RIG, 2.5, rate_hz=240.7)
+    assert len(windows) >= 3
+    assert np.mean([w.rms_pa for w in windows], axis=0) == pytest.approx(NOISE_PA, rel=0.25)
 
 
 def test_a_silent_tap_has_no_residual_and_hides_no_other():
