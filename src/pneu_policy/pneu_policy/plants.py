@@ -122,7 +122,14 @@ class Plant(ABC):
         longest = float(self._spool[:, 0, V_DELAY].max(initial=0.0))
         self._past = math.ceil(longest / self._sample_s) + 1
         self._volts = np.repeat(self._null_v[:, None], self._past + self._samples + 1, axis=1)
-        self._memory = np.full((self.count, 1, 4), np.nan)
+        self._memory = np.zeros((self.count, 1, 4))
+        self._close()
+
+    def _close(self) -> None:
+        """Spools at rest on a command that has long been the closed valve's."""
+        self._volts[:] = self._null_v[:, None]
+        self._memory[:, :, :2] = self._null_v[:, None, None]
+        self._memory[:, :, 2:] = 0.0
 
     def set_delay(self, delay_s: Floats) -> None:
         """Sets how late commands reach the valves, from the next reset on.
@@ -143,8 +150,7 @@ class Plant(ABC):
         Returns:
             Readings as of `readings`.
         """
-        self._volts[:] = self._null_v[:, None]
-        self._memory[:] = np.nan
+        self._close()
         self._at_taps = self._fill(np.broadcast_to(np.asarray(pressure_pa, float), (self.count,)))
         self._lagged = self._at_taps.copy()
         return self.readings()

@@ -67,7 +67,6 @@ def test_a_simulated_run_is_the_loop_of_controller_and_rig(pid):
     simulator = Simulator(RIG, dx_m=0.25)
     taken = simulator.run(1.0, {"voltage": np.repeat(track.volts[:-1], 5)}, 0.002)
     whole = np.asarray(taken.taps["end"])[::5]
-    # The simulator has its spool at rest on the first command, the run on a closed valve.
     assert abs(whole - track.pressure_pa).max() < 3e3
     assert abs(whole[50:] - track.pressure_pa[50:]).max() < 300.0
 

@@ -45,7 +45,7 @@ from pneu_sysid.together import each_of
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-FINALISTS = 6
+FINALISTS = 8
 """Candidates that are refitted."""
 WORTH = 0.10
 """A held-out gain below this fraction of the squared residual is not worth a parameter."""
