@@ -4,7 +4,9 @@
 Errors are measured minus predicted, the sign of what the rig has and the model lacks.
 """
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -93,10 +95,11 @@ def compare(
             return None
         return lambda fraction: progress(float(done[k] + fraction * (done[k + 1] - done[k])))
 
-    outs = [
-        problem.simulate([rig], progress=part(k), flows=True)
-        for k, (problem, rig) in enumerate(zip(problems, models, strict=True))
-    ]
+    def run(k: int) -> Rollouts:
+        return problems[k].simulate([models[k]], progress=part(k), flows=True)
+
+    with ThreadPoolExecutor(min(len(models), first.workers or os.cpu_count() or 1)) as pool:
+        outs = list(pool.map(run, range(len(models))))
     readings = [
         {tap: out.readings[0, :, :, problem.taps.index(tap)] for tap in taps}
         for out, problem in zip(outs, problems, strict=True)

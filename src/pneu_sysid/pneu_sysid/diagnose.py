@@ -2,6 +2,7 @@
 """What is missing in a model: candidates ranked, and one honest verdict."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -57,7 +58,7 @@ ALIKE = 0.95
 """Cosine above which two effects change the prediction alike."""
 EQUALLY_GOOD = 1.25
 """A rival is as good if it leaves at most this multiple of what the best leaves, held out."""
-REFIT_CELLS, SCORE_CELLS = 2.0, 3.0
+REFIT_CELLS, SCORE_CELLS = 2.0, 4.0
 """Candidates are refitted and scored on cells so many times as long: only what they change of the
 prediction counts."""
 CONTENDER = 0.35
@@ -150,6 +151,10 @@ def diagnose(
     if rig.model == "pde":
         problem = own.coarsened(rig, REFIT_CELLS, readings)
         rough = own.coarsened(rig, SCORE_CELLS, readings)
+    # The check of the grid is one long run; it fills what the search leaves of the processor.
+    checking = ThreadPoolExecutor(1)
+    grid = checking.submit(_grid, own, rig, readings, refine)
+    checking.shutdown(wait=False)
     nuisance = nuisance_of(rig, rough)
     project = None if nuisance is None else nuisance.without(~own.held_out)
     _, scores = score(rough, rig, all_sites(rig), project, lambda f: tell("scores", f))
@@ -169,15 +174,9 @@ def diagnose(
 
     refits = each_of(chosen, problem, try_out)
     refits.sort(key=lambda r: (-round(r.held_out, 3), r.site.effect.order, r.site.label))
-    numerics = None
-    if refine and rig.model == "pde":
-        tell("grid", 0.0)
-        compared = {
-            tap: readings[:, :, k]
-            for k, tap in enumerate(own.taps)
-            if np.isfinite(own.measured[:, :, k]).any()
-        }
-        numerics = grid_check(own, rig, compared, lambda f: tell("grid", f))
+    tell("grid", 0.0)
+    numerics = grid.result()
+    tell("grid", 1.0)
     standing = standing_of(rig, own, base)
     judged = base if project is None else project(base)
     result = _judge(own, standing, judged, refits, best, rmse, numerics)
@@ -185,6 +184,18 @@ def diagnose(
     found = result.verdict in ("effect", "ambiguous", "unknown")
     result.statements = [since_calibration(standing, names, found), against_noise(standing)]
     return result
+
+
+def _grid(own: Problem, rig: Rig, readings: Floats, refine: bool) -> Numerics | None:
+    """Whether the grid is fine enough, where that is asked and there is one."""
+    if not refine or rig.model != "pde":
+        return None
+    compared = {
+        tap: readings[:, :, k]
+        for k, tap in enumerate(own.taps)
+        if np.isfinite(own.measured[:, :, k]).any()
+    }
+    return grid_check(own, rig, compared)
 
 
 def diagnose_apart(

@@ -34,6 +34,7 @@ from pneu_sysid.start import (
     Beginning,
     Modes,
     beginnings,
+    carried,
     doubt_of,
     modes_of,
     moved,
@@ -113,6 +114,7 @@ class Problem:
     _from: list[Ints] = field(default_factory=list, repr=False)
     _in_doubt: list[int] = field(default_factory=list, repr=False)
     _prepared: dict[str, "_Prepared"] = field(default_factory=dict, repr=False)
+    _finer: dict[str, "_Prepared"] = field(default_factory=dict, repr=False)
 
     @property
     def recording(self) -> Recording:
@@ -202,12 +204,12 @@ class Problem:
         return np.where(np.isfinite(self.measured), (self.measured - readings) / self.noise_pa, 0.0)
 
     def with_grid(self, dx_m: float) -> "Problem":
-        """The same problem on another grid.
+        """The same problem on another grid; recordings begin there as they were found to here.
 
         Args:
             dx_m: Cell length that replaces the rig's.
         """
-        return replace(self, dx_m=dx_m, grid_pa=None, _prepared={})
+        return replace(self, dx_m=dx_m, grid_pa=None, _prepared={}, _finer=dict(self._prepared))
 
     def coarsened(self, rig: Rig, factor: float, readings: Floats) -> "Problem":
         """The same problem on longer cells, whose error at a rig is made good.
@@ -234,6 +236,15 @@ class Problem:
             return self._prepared[key]
         plan = plan_grid(rig, self.dx_m)
         ready = _Prepared(plan, initial_field(rig, plan, through_orifices=False), [], [])
+        found = self._finer.get(key)
+        if found is not None:
+            ready.courses[:] = [
+                replace(course, start=carried(course.start, found.plan, plan))
+                for course in found.courses
+            ]
+            ready.modes[:] = found.modes
+            self._prepared[key] = ready
+            return ready
         filled = initial_field(rig, plan)
         chosen = [self._begun(rig, ready, filled, c) for c in range(len(self.recordings))]
         ready.courses[:] = [

@@ -164,6 +164,31 @@ def moved(
     )
 
 
+def carried(start: Start, before: Plan, now: Plan) -> Start:
+    """A beginning on another grid.
+
+    Args:
+        start: The beginning.
+        before: Grid that it is on.
+        now: Grid that it is wanted on, of the same pipes and chambers.
+    """
+
+    def along(values: Floats) -> Floats:
+        out = np.empty(now.slots)
+        for name, (first, n) in now.pipes.items():
+            old_first, old_n = before.pipes[name]
+            # the ghost slots at both ends go with the outermost cells
+            x = (np.arange(-1, n + 1) + 0.5) / n
+            old_x = (np.arange(old_n) + 0.5) / old_n
+            out[first - 1 : first + n + 1] = np.interp(
+                x, old_x, values[old_first : old_first + old_n]
+            )
+        return out
+
+    warm = None if start.temperature is None else along(start.temperature)
+    return replace(start, pressure=along(start.pressure), temperature=warm)
+
+
 def _or(values: Floats | None, constant: float, size: int) -> Floats:
     return np.full(size, constant) if values is None else values
 
