@@ -256,7 +256,6 @@ def openings(
     for series in commands.values():
         size = series.size
     count = max((size - 1) * knots + 1, 1)
-    result = np.ones((count, plan.ports.shape[0]))
     positions: dict[int, NDArray[np.float64]] = {}
     spools = spools or SpoolState()
     for v, name in enumerate(plan.commands):
@@ -275,7 +274,13 @@ def openings(
         held = series[:-1] if series.size > 1 else series
         spools.past[valve] = held[-(math.ceil(delay_s / dt_s) + 2) :]
     spools.dt_s = dt_s
-    for q, v in enumerate(plan.port_valve):
+    return _of_ports(model, positions, count)
+
+
+def _of_ports(model: "B.Model", positions: dict[int, Floats], count: int) -> Floats:
+    """(count, n_ports) openings where the spools of the valves stand; orifices are open."""
+    result = np.ones((count, model.plan.ports.shape[0]))
+    for q, v in enumerate(model.plan.port_valve):
         if v >= 0:
             out = np.empty(count)
             lo, hi = model.curve_v[q]
@@ -309,7 +314,6 @@ def openings_along(
         (count, n_ports) openings, dimensionless.
     """
     plan = model.plan
-    result = np.ones((count, plan.ports.shape[0]))
     edges = begin_s + step_s * np.arange(count)
     positions: dict[int, Floats] = {}
     for v, name in enumerate(plan.commands):
@@ -323,10 +327,4 @@ def openings_along(
         rest = float(row[B.V_NULL]) if at_null else first
         positions[v] = np.empty(count)
         _follow(mean, first, rest, step_s, row, memory[v], positions[v])
-    for q, v in enumerate(plan.port_valve):
-        if v >= 0:
-            out = np.empty(count)
-            lo, hi = model.curve_v[q]
-            _port_openings(positions[v], model.spool[v], lo, hi, model.curve[q], out)
-            result[:, q] = out
-    return result
+    return _of_ports(model, positions, count)

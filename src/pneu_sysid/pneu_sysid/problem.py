@@ -50,10 +50,10 @@ LONGEST_PULL = 3.0
 """A reading after a gap corrects the gas no more than one after this many of its periods."""
 TRIED_S = 0.3
 """Over this time the ways in which a recording may begin are tried."""
-LOOKS = 2
-"""Times that the beginning is looked for: once from the room's temperature, once around it."""
 FEWEST_TRIED = 6
 """... or over this many readings of the slowest tap."""
+LOOKS = 2
+"""Times that the beginning is looked for: once from the room's temperature, once around it."""
 LATER = 3.0
 """What a model leaves later on tells how far it may be trusted at the beginning: so many times as
 late as the beginning is remembered."""
@@ -91,7 +91,6 @@ class Problem:
         of: (n_stretches,) recording that each stretch belongs to.
         span_s: (n_stretches, 2) when each begins and ends, s.
         pull_s: Time constant with which the gas is drawn to the taps; None lets it run free.
-        lead_s: Time at the beginning of a recording that is not compared.
         dx_m: Cell length; None is the rig's own.
         workers: Threads of a batch; None is one per core.
         grid_pa: (n_stretches, horizon, n_taps) what a finer grid adds to every prediction, Pa.
@@ -106,7 +105,6 @@ class Problem:
     of: Ints
     span_s: Floats
     pull_s: float | None
-    lead_s: float
     dx_m: float | None = None
     workers: int | None = None
     grid_pa: Floats | None = None
@@ -115,11 +113,6 @@ class Problem:
     _in_doubt: list[int] = field(default_factory=list, repr=False)
     _prepared: dict[str, "_Prepared"] = field(default_factory=dict, repr=False)
     _finer: dict[str, "_Prepared"] = field(default_factory=dict, repr=False)
-
-    @property
-    def recording(self) -> Recording:
-        """The first recording."""
-        return self.recordings[0]
 
     @property
     def name(self) -> str:
@@ -176,7 +169,8 @@ class Problem:
             The predictions.
         """
         ready = self._prepare(rigs[0])
-        along = self._run(rigs, ready, ready.courses, None, progress, strict, flows)
+        every = range(len(self.recordings))
+        along = self._run(rigs, ready, ready.courses, every, progress, strict, flows)
         readings = np.concatenate(
             [self._arranged(p.readings, c) for c, p in enumerate(along)], axis=1
         )
@@ -281,7 +275,7 @@ class Problem:
         """Looks for the noise in what a model leaves, where the signal's motion hides it."""
         if not self._in_doubt:
             return
-        every = list(range(len(self.recordings)))
+        every = range(len(self.recordings))
         along = self._run([rig], ready, ready.courses, every, None, False, False)
         for t in list(self._in_doubt):
             found = []
@@ -358,14 +352,13 @@ class Problem:
         rigs: Sequence[Rig],
         ready: "_Prepared",
         courses: list[Course],
-        of: list[int] | None,
+        of: Sequence[int],
         progress: Callable[[float], None] | None,
         strict: bool,
         flows: bool,
     ) -> list[Prediction]:
         plan = ready.plan
-        numbers = of if of is not None else list(range(len(courses)))
-        own = [[rig_in_recording(rig, self.recordings[c].name) for rig in rigs] for c in numbers]
+        own = [[rig_in_recording(rig, self.recordings[c].name) for rig in rigs] for c in of]
         if rigs[0].model != "pde":
             reduced = [[lumped.build(rig, plan) for rig in of_course] for of_course in own]
             return lumped.predict(reduced, courses, self.workers, progress, flows)
@@ -503,7 +496,6 @@ def make_problem(
         of=np.empty(0, dtype=np.int64),
         span_s=np.empty((0, 2)),
         pull_s=pull,
-        lead_s=lead,
         dx_m=dx_m,
         workers=workers,
     )

@@ -27,10 +27,10 @@ READING_SIGMAS = 3.0
 """Uncertainty of the pressure of a volume with a tap, in deviations of its sensor."""
 REMEMBERED = 6.0
 """For so many of the slowest thermal time constants the beginning is remembered."""
-FEWEST_LATE = 8
-"""Of fewer readings nothing can be said of how long an error lasts."""
 REMEMBERED_S = (1.0, 30.0)
 """... but no shorter or longer than this."""
+FEWEST_LATE = 8
+"""Of fewer readings nothing can be said of how long an error lasts."""
 
 
 @dataclass(frozen=True)
