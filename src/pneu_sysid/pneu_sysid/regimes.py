@@ -16,7 +16,7 @@ from pneu_sim.simulate import TICK_S, initial_field
 from pneu_sim.valve import openings_along
 from pneu_sysid.problem import Problem, Rollouts
 from pneu_sysid.results import RegimeKind
-from pneu_sysid.volumes import volumes_of
+from pneu_sysid.volumes import volume_of_tap, volumes_of
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -220,7 +220,7 @@ def _directions(problem: Problem, rig: Rig, out: Rollouts) -> dict[str, list[Tic
     )
     sets = {}
     for t, (name, tap) in enumerate(rig.taps.items()):
-        own = volume[f"pipe:{tap.pipe}" if tap.pipe is not None else str(tap.chamber)]
+        own = volume_of_tap(volume, tap)
         if own not in fed:
             seen = {own}
         else:

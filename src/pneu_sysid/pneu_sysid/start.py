@@ -11,7 +11,7 @@ from pneu_sim.rig.build import Plan
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import InitialField, Start, rest
 from pneu_sysid.records import Recording
-from pneu_sysid.volumes import volumes_of
+from pneu_sysid.volumes import volume_of_tap, volumes_of
 
 Floats = NDArray[np.float64]
 
@@ -278,12 +278,7 @@ def modes_of(rig: Rig, plan: Plan, start: Start, taps: list[str], noise_pa: Floa
         inside = [
             noise_pa[t]
             for t, name in enumerate(taps)
-            if volume.get(
-                f"pipe:{rig.taps[name].pipe}"
-                if rig.taps[name].pipe
-                else str(rig.taps[name].chamber)
-            )
-            == which
+            if volume_of_tap(volume, rig.taps[name]) == which
         ]
         std = READING_SIGMAS * min(inside) if inside else UNSEEN * highest
         step = min(std, 1e3)

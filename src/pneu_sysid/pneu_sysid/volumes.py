@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which pipes and chambers of a rig hang together without a valve or an orifice between."""
 
-from pneu_sim.rig.schema import CLOSED, Rig
+from pneu_sim.rig.schema import CLOSED, Rig, Tap
 
 
 def volumes_of(rig: Rig) -> tuple[dict[str, str], set[str]]:
@@ -34,3 +34,13 @@ def volumes_of(rig: Rig) -> tuple[dict[str, str], set[str]]:
         if pipe.from_node in rig.reservoirs or pipe.to_node in rig.reservoirs
     }
     return volume, fed
+
+
+def volume_of_tap(volume: dict[str, str], tap: Tap) -> str:
+    """The volume that a tap sits in.
+
+    Args:
+        volume: As of `volumes_of`.
+        tap: The tap.
+    """
+    return volume[f"pipe:{tap.pipe}" if tap.pipe is not None else str(tap.chamber)]

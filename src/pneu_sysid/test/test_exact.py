@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 from studies.exact_rigs import RATES, SHAPES, draw_rig, record
 
+from pneu_sim.errors import InputError
+from pneu_sim.rig import with_parameters
 from pneu_sim.rig.schema import AttachedEffect, FitParameter
 from pneu_sim.signals import Signal
 from pneu_sysid.diagnose import diagnose, diagnose_apart
 from pneu_sysid.fit import fit_rig
-from pneu_sysid.problem import make_problem
+from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
+from pneu_sysid.together import each_of
 
 SECONDS = 6.0
 TOLERANCE = 0.10
@@ -80,18 +83,29 @@ def test_sensors_are_taken_back_out_of_the_state() -> None:
     assert (np.abs(found - 1.0) < 0.05 + SIGMAS * scatter).all(), found
 
 
-def test_what_the_beginning_leaves_open_is_not_blamed_on_the_model() -> None:
-    """A recording from the middle of a fill: gas of unknown warmth, far from the walls'."""
-    rng = np.random.default_rng(14)
-    rig = draw_rig("tee", rng)
-    rig.fit.warm_up_s = 0.1
-    found, _ = times_noise(rig, record(rig, rng, 500.0, SECONDS, moving=True))
-    blind = make_problem(rig, record(rig, rng, 500.0, SECONDS, moving=True))
-    blind.predict([rig])
-    ready = next(iter(blind._prepared.values()))
-    warmth = ready.courses[0].start.chamber_temperature
-    assert (found < 1.1).all(), found
-    assert warmth is not None and np.ptp(warmth - 293.15) > 1.0
+def test_models_run_together_are_those_run_alone() -> None:
+    """Estimations in threads of their own share batches, and get what is theirs."""
+    rng = np.random.default_rng(18)
+    rig = draw_rig("line", rng)
+    problem = make_problem(rig, record(rig, rng, 125.0, 2.0, moving=False))
+    path = "valves.valve.spool.bandwidth_hz"
+    rounds = [[50.0], [55.0, 60.0], [65.0, 70.0, 75.0]]  # of unlike lengths: some end earlier
+
+    def estimate(shared: Problem, values: list[float]) -> list[np.ndarray]:
+        return [shared.predict([with_parameters(rig, {path: v})])[0] for v in values]
+
+    together = each_of(rounds, problem, estimate)
+    for found, values in zip(together, rounds, strict=True):
+        for one, alone in zip(found, estimate(problem, values), strict=True):
+            np.testing.assert_array_equal(one, alone)
+
+    def fail(shared: Problem, values: list[float]) -> None:
+        if len(values) == 2:
+            raise InputError("not this one")
+        estimate(shared, values)
+
+    with pytest.raises(InputError, match="not this one"):
+        each_of(rounds, problem, fail)
 
 
 def test_an_exact_model_is_not_accused_and_stays_where_it_is() -> None:
