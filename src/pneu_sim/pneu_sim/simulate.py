@@ -24,6 +24,7 @@ from pneu_sim.rig.build import (
 )
 from pneu_sim.rig.schema import CLOSED, Rig
 from pneu_sim.signals import Signal
+from pneu_sim.tally import Tally
 from pneu_sim.tile import Tile, Watch, advance, fill_chambers, fill_pipes, lanes, pack
 from pneu_sim.valve import openings_along
 
@@ -325,25 +326,19 @@ def predict(
             )
         )
     tasks = [(c, part) for c in range(len(courses)) for part in shares(count, threads)]
-    total = sum(courses[c].ticks for c, _ in tasks)
-    done = [0]
+    tally = Tally([courses[c].ticks for c, _ in tasks], progress)
 
-    def tell(ticks: int) -> None:
-        done[0] += ticks
-        if progress is not None:
-            progress(done[0] / total)
-
-    def run(task: tuple[int, slice]) -> None:
-        c, part = task
+    def run(k: int) -> None:
+        c, part = tasks[k]
         of = [courses[c].start] * count if starts is None else list(starts[c])
-        _run(models[c][part], of[part], courses[c], field, part, out[c], strict, tell)
+        _run(models[c][part], of[part], courses[c], field, part, out[c], strict, tally.of(k))
 
     if threads > 1 and len(tasks) > 1:
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(run, tasks))
+            list(pool.map(run, range(len(tasks))))
     else:
-        for task in tasks:
-            run(task)
+        for k in range(len(tasks)):
+            run(k)
     return out
 
 
@@ -355,7 +350,7 @@ def _run(
     part: slice,
     out: Prediction,
     strict: bool,
-    tell: Callable[[int], None],
+    tell: Callable[[float], None],
 ) -> None:
     """Runs some models along a course, chunk by chunk, into their part of the prediction."""
     plan = models[0].plan
@@ -406,7 +401,7 @@ def _run(
             out.flows[part, span] = np.moveaxis(flows, -1, 0)
             out.chambers[part, span] = np.moveaxis(chambers, -1, 0)
             out.taps[part, span] = np.moveaxis(taps, -1, 0)
-        tell(samples - 1 if not closing else samples)
+        tell((first + samples) / ticks)
     out.readings[part] = np.moveaxis(watch.readings_pa, -1, 0)
     if strict and not np.isfinite(out.readings[part][:, np.isfinite(course.time_s)]).all():
         raise InputError("the simulation became unstable; lower grid.cfl")

@@ -20,6 +20,7 @@ from pneu_sim.rig import rig_in_recording
 from pneu_sim.rig.build import build, plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import TICK_S
+from pneu_sim.tally import Tally
 from pneu_sysid.problem import Problem, Rollouts, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.regimes import FEWEST, Operation, frequency_shares, operation
@@ -88,15 +89,10 @@ def compare(
     gridded = kinds.index("pde") if refine and "pde" in kinds else None
     # The second run has half the cells' length and half the time step: four times the work.
     weights = [1.0] * len(models) + ([4.0] if gridded is not None else [])
-    done = np.concatenate([[0.0], np.cumsum(weights)]) / sum(weights)
-
-    def part(k: int) -> Callable[[float], None] | None:
-        if progress is None:
-            return None
-        return lambda fraction: progress(float(done[k] + fraction * (done[k + 1] - done[k])))
+    tally = Tally(weights, progress)
 
     def run(k: int) -> Rollouts:
-        return problems[k].simulate([models[k]], progress=part(k), flows=True)
+        return problems[k].simulate([models[k]], progress=tally.of(k), flows=True)
 
     with ThreadPoolExecutor(min(len(models), first.workers or os.cpu_count() or 1)) as pool:
         outs = list(pool.map(run, range(len(models))))
@@ -119,10 +115,8 @@ def compare(
         )
     else:
         numerics = grid_check(
-            problems[gridded], models[gridded], readings[gridded], part(len(models))
+            problems[gridded], models[gridded], readings[gridded], tally.of(len(models))
         )
-    if progress is not None:
-        progress(1.0)
     return CompareResult(
         pneu_version=pneu_version(),
         recording=first.name,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pneu_sim.effects.base import POSITION
 from pneu_sim.rig.schema import Rig
+from pneu_sim.tally import Tally
 from pneu_sysid.candidates import (
     Refit,
     Score,
@@ -164,15 +165,15 @@ def diagnose(
         for k, s in enumerate(best[:finalists])
         if s.explained > 0.0 and (k < 3 or s.explained >= CONTENDER * best[0].explained)
     ]
-    done = [0]
+    tally = Tally([1.0] * len(chosen), lambda f: tell("refits", f))
 
-    def try_out(shared: Problem, candidate: Score) -> Refit:
+    def try_out(shared: Problem, item: tuple[int, Score]) -> Refit:
+        k, candidate = item
         found = refit(shared, rig, base, candidate, project)
-        done[0] += 1
-        tell("refits", done[0] / len(chosen))
+        tally.reached(k, 1.0)
         return found
 
-    refits = each_of(chosen, problem, try_out)
+    refits = each_of(list(enumerate(chosen)), problem, try_out)
     refits.sort(key=lambda r: (-round(r.held_out, 3), r.site.effect.order, r.site.label))
     tell("grid", 0.0)
     numerics = grid.result()

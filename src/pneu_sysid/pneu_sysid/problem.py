@@ -25,10 +25,10 @@ from pneu_sim.simulate import (
     Course,
     InitialField,
     Prediction,
-    Start,
     initial_field,
     predict,
 )
+from pneu_sysid.courses import course_of, edges_of, first_part, index_of
 from pneu_sysid.records import Recording, noise_floor, read_recording
 from pneu_sysid.start import (
     Beginning,
@@ -46,8 +46,6 @@ Ints = NDArray[np.int64]
 
 HELD_OUT_EVERY = 3
 """Every third stretch is kept aside; of three recordings or more, every third recording."""
-LONGEST_PULL = 3.0
-"""A reading after a gap corrects the gas no more than one after this many of its periods."""
 TRIED_S = 0.3
 """Over this time the ways in which a recording may begin are tried."""
 FEWEST_TRIED = 6
@@ -263,7 +261,7 @@ class Problem:
         until = max(TRIED_S, FEWEST_TRIED * slowest if np.isfinite(slowest) else 0.0)
         costs = []
         for way in ways:
-            tried = _until(replace(course, begin_s=way.begin_s, start=way.start), until)
+            tried = first_part(replace(course, begin_s=way.begin_s, start=way.start), until)
             along = self._run([rig], ready, [tried], [c], None, False, False)
             r = (tried.measured_pa - along[0].readings[0]) / self.noise_pa[:, None]
             r = r[np.isfinite(tried.measured_pa)]
@@ -308,7 +306,7 @@ class Problem:
         doubt = doubt_of(before, course.time_s[:, : before.shape[1]] > course.begin_s + remembered)
         for again in range(LOOKS):
             wanted = modes_of(rig, ready.plan, course.start, self.taps, self.noise_pa)
-            short = _until(course, course.begin_s + remembered)
+            short = first_part(course, course.begin_s + remembered)
             starts = [course.start, *(mode.start for mode in wanted)]
             out = predict(
                 [[model] * len(starts)], [short], ready.field, [starts], self.workers, strict=False
@@ -341,7 +339,7 @@ class Problem:
 
         0 where nothing is compared.
         """
-        part = _until(course, until_s)
+        part = first_part(course, until_s)
         out = predict([[model]], [part], ready.field, None, self.workers, strict=False)[0]
         left = (part.measured_pa - out.readings[0]) / self.noise_pa[:, None]
         compared = np.isfinite(left) & (part.time_s >= self.span_s[self.of == c, 0].min())
@@ -400,19 +398,6 @@ class _Prepared:
     field: InitialField
     courses: list[Course]
     modes: list[Modes | None]
-
-
-def _until(course: Course, end_s: float) -> Course:
-    """The first part of a course."""
-    if end_s >= course.end_s:
-        return course
-    count = int(np.max(np.sum(course.time_s <= end_s, axis=1), initial=0))
-    part = slice(0, count)
-    time = np.where(course.time_s[:, part] <= end_s, course.time_s[:, part], np.inf)
-    measured = np.where(np.isfinite(time), course.measured_pa[:, part], np.nan)
-    return replace(
-        course, end_s=end_s, time_s=time, measured_pa=measured, gain=course.gain[:, part]
-    )
 
 
 def record_for(
@@ -502,10 +487,10 @@ def make_problem(
     _set_noise(problem, rig)
     parts = []
     for recording in recordings:
-        course = _course(rig, recording, taps, pull)
-        edges = _edges(recording, rig.fit.horizon_s, lead)
+        course = course_of(recording, taps, pull)
+        edges = edges_of(recording, rig.fit.horizon_s, lead)
         problem._courses.append(course)
-        parts.append((course, edges, _index(course, edges)))
+        parts.append((course, edges, index_of(course, edges)))
     most = max(index.shape[1] for _, _, index in parts)
     times, values, spans, of = [], [], [], []
     for c, (course, edges, index) in enumerate(parts):
@@ -519,62 +504,6 @@ def make_problem(
     problem.time_s, problem.measured = np.concatenate(times), np.concatenate(values)
     problem.span_s, problem.of = np.concatenate(spans), np.array(of, dtype=np.int64)
     return problem
-
-
-def _course(rig: Rig, recording: Recording, taps: list[str], pull_s: float | None) -> Course:
-    """A recording as the taps of a rig see it; how it begins is found later."""
-    signals = [recording.pressures.get(tap) for tap in taps]
-    most = max((len(s) for s in signals if s is not None), default=0)
-    time = np.full((len(taps), most), np.inf)
-    measured = np.full((len(taps), most), np.nan)
-    gain = np.zeros((len(taps), most))
-    for t, signal in enumerate(signals):
-        if signal is None or not len(signal):
-            continue
-        n = len(signal)
-        time[t, :n], measured[t, :n] = signal.time_s, signal.values
-        if pull_s is not None and n > 1:
-            usual = signal.period_s
-            since = np.minimum(
-                np.diff(signal.time_s, prepend=signal.time_s[0] - usual), LONGEST_PULL * usual
-            )
-            gain[t, :n] = 1.0 - np.exp(-since / pull_s)
-    nothing = Start(np.empty(0), np.empty(0))
-    return Course(recording.commands, 0.0, recording.end_s, time, measured, gain, nothing)
-
-
-def _edges(recording: Recording, horizon_s: float | None, lead_s: float) -> Floats:
-    """Where a recording is cut into stretches, s."""
-    first = min(float(s.time_s[0]) for s in recording.pressures.values() if len(s)) + lead_s
-    end = recording.end_s
-    count = 1 if horizon_s is None else int((end - first) / horizon_s + 1e-6)
-    if count < 1:
-        raise InputError(
-            f"recording {recording.name!r}: its {end - first + lead_s:.3g} s are fewer than"
-            f" fit.warm_up_s and fit.horizon_s together ({lead_s + (horizon_s or 0.0):.3g} s)"
-        )
-    # The last reading belongs to the last stretch.
-    return np.linspace(first, end + 1e-9, count + 1)
-
-
-def _index(course: Course, edges: Floats) -> Ints:
-    """(n_stretches, horizon, n_taps) which reading of each tap stands where; -1 for none."""
-    stretch = np.searchsorted(edges, course.time_s, side="right") - 1
-    stretch[(course.time_s < edges[0]) | (course.time_s > edges[-1])] = -1
-    count = edges.size - 1
-    rows = []
-    most = 1
-    for t in range(stretch.shape[0]):
-        inside = np.flatnonzero((stretch[t] >= 0) & (stretch[t] < count))
-        of = stretch[t, inside]
-        number = np.bincount(of, minlength=count)
-        place = np.arange(inside.size) - np.repeat(np.cumsum(number) - number, number)
-        rows.append((inside, of, place))
-        most = max(most, int(number.max(initial=0)))
-    out = np.full((count, most, stretch.shape[0]), -1, dtype=np.int64)
-    for t, (inside, of, place) in enumerate(rows):
-        out[of, place, t] = inside
-    return out
 
 
 def _set_noise(problem: Problem, rig: Rig) -> None:

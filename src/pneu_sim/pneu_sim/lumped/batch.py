@@ -14,6 +14,7 @@ from pneu_sim.lumped.filling import fill, port_flow
 from pneu_sim.lumped.model import V_VOLUME, LumpedModel
 from pneu_sim.simulate import TICK_S as RUN_TICK_S
 from pneu_sim.simulate import Course, Prediction, Start
+from pneu_sim.tally import Tally
 from pneu_sim.valve import openings_along
 
 Floats = NDArray[np.float64]
@@ -52,19 +53,20 @@ def predict(
     tasks = [(c, m) for c in range(len(courses)) for m in range(count)]
     found: dict[tuple[int, int], tuple[Floats, Floats, Floats, Floats]] = {}
 
-    def run(task: tuple[int, int]) -> None:
-        c, m = task
-        found[task] = _along(models[c][m], courses[c])
-        if progress is not None:
-            progress(len(found) / len(tasks))
+    tally = Tally([courses[c].ticks for c, _ in tasks], progress)
+
+    def run(k: int) -> None:
+        c, m = tasks[k]
+        found[c, m] = _along(models[c][m], courses[c])
+        tally.reached(k, 1.0)
 
     threads = min(workers or os.cpu_count() or 1, len(tasks))
     if threads > 1:
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(run, tasks))
+            list(pool.map(run, range(len(tasks))))
     else:
-        for task in tasks:
-            run(task)
+        for k in range(len(tasks)):
+            run(k)
     out = []
     every = ticks_of(models[0][0]) if flows else 0
     for c, course in enumerate(courses):

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A tally: how much of a work is done whose parts are done side by side."""
+
+from collections.abc import Callable, Sequence
+from threading import Lock
+
+
+class Tally:
+    """Adds up what the threads of a work have done and tells a fraction that never goes back."""
+
+    def __init__(
+        self, amounts: Sequence[float], tell: Callable[[float], None] | None = None
+    ) -> None:
+        """Begin with nothing done.
+
+        Args:
+            amounts: How much work each part is, in any unit.
+            tell: Called with the fraction of the whole that is done, by one thread at a time.
+        """
+        self._amounts = [float(a) for a in amounts]
+        self._done = [0.0] * len(self._amounts)
+        self._tell = tell
+        self._lock = Lock()
+
+    def reached(self, part: int, fraction: float) -> None:
+        """Say that a fraction of one part is done."""
+        if self._tell is None:
+            return
+        with self._lock:
+            self._done[part] = max(self._done[part], fraction * self._amounts[part])
+            self._tell(min(1.0, sum(self._done) / sum(self._amounts)))
+
+    def of(self, part: int) -> Callable[[float], None]:
+        """Return what is to be called with the fraction of one part that is done."""
+        return lambda fraction: self.reached(part, fraction)

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording laid out for comparison: the course that models follow, and its stretches."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sim.errors import InputError
+from pneu_sim.simulate import Course, Start
+from pneu_sysid.records import Recording
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+LONGEST_PULL = 3.0
+"""A reading after a gap corrects the gas no more than one after this many of its periods."""
+
+
+def course_of(recording: Recording, taps: list[str], pull_s: float | None) -> Course:
+    """A recording as the taps of a rig see it; how it begins is found later.
+
+    Args:
+        recording: The recording.
+        taps: Names of the taps.
+        pull_s: Time constant with which the gas is drawn to them, s; None lets it run free.
+    """
+    signals = [recording.pressures.get(tap) for tap in taps]
+    most = max((len(s) for s in signals if s is not None), default=0)
+    time = np.full((len(taps), most), np.inf)
+    measured = np.full((len(taps), most), np.nan)
+    gain = np.zeros((len(taps), most))
+    for t, signal in enumerate(signals):
+        if signal is None or not len(signal):
+            continue
+        n = len(signal)
+        time[t, :n], measured[t, :n] = signal.time_s, signal.values
+        if pull_s is not None and n > 1:
+            usual = signal.period_s
+            since = np.minimum(
+                np.diff(signal.time_s, prepend=signal.time_s[0] - usual), LONGEST_PULL * usual
+            )
+            gain[t, :n] = 1.0 - np.exp(-since / pull_s)
+    nothing = Start(np.empty(0), np.empty(0))
+    return Course(recording.commands, 0.0, recording.end_s, time, measured, gain, nothing)
+
+
+def edges_of(recording: Recording, horizon_s: float | None, lead_s: float) -> Floats:
+    """Where a recording is cut into stretches, s.
+
+    Args:
+        recording: The recording.
+        horizon_s: Least length of a stretch, s; None is one stretch.
+        lead_s: Time at the beginning that is not compared, s.
+
+    Raises:
+        InputError: It is shorter than that and one stretch.
+    """
+    first = min(float(s.time_s[0]) for s in recording.pressures.values() if len(s)) + lead_s
+    end = recording.end_s
+    count = 1 if horizon_s is None else int((end - first) / horizon_s + 1e-6)
+    if count < 1:
+        raise InputError(
+            f"recording {recording.name!r}: its {end - first + lead_s:.3g} s are fewer than"
+            f" fit.warm_up_s and fit.horizon_s together ({lead_s + (horizon_s or 0.0):.3g} s)"
+        )
+    # The last reading belongs to the last stretch.
+    return np.linspace(first, end + 1e-9, count + 1)
+
+
+def index_of(course: Course, edges: Floats) -> Ints:
+    """(n_stretches, horizon, n_taps) which reading of each tap stands where; -1 for none.
+
+    Args:
+        course: The recording.
+        edges: (n_stretches + 1,) as of `edges_of`.
+    """
+    stretch = np.searchsorted(edges, course.time_s, side="right") - 1
+    stretch[(course.time_s < edges[0]) | (course.time_s > edges[-1])] = -1
+    count = edges.size - 1
+    rows = []
+    most = 1
+    for t in range(stretch.shape[0]):
+        inside = np.flatnonzero((stretch[t] >= 0) & (stretch[t] < count))
+        of = stretch[t, inside]
+        number = np.bincount(of, minlength=count)
+        place = np.arange(inside.size) - np.repeat(np.cumsum(number) - number, number)
+        rows.append((inside, of, place))
+        most = max(most, int(number.max(initial=0)))
+    out = np.full((count, most, stretch.shape[0]), -1, dtype=np.int64)
+    for t, (inside, of, place) in enumerate(rows):
+        out[of, place, t] = inside
+    return out
+
+
+def first_part(course: Course, end_s: float) -> Course:
+    """The first part of a course.
+
+    Args:
+        course: The course.
+        end_s: Where it ends, s.
+    """
+    if end_s >= course.end_s:
+        return course
+    count = int(np.max(np.sum(course.time_s <= end_s, axis=1), initial=0))
+    part = slice(0, count)
+    time = np.where(course.time_s[:, part] <= end_s, course.time_s[:, part], np.inf)
+    measured = np.where(np.isfinite(time), course.measured_pa[:, part], np.nan)
+    return replace(
+        course, end_s=end_s, time_s=time, measured_pa=measured, gain=course.gain[:, part]
+    )
