@@ -23,7 +23,12 @@ class Tally:
         self._lock = Lock()
 
     def reached(self, part: int, fraction: float) -> None:
-        """Say that a fraction of one part is done."""
+        """Say that a fraction of one part is done.
+
+        Args:
+            part: Which part.
+            fraction: How much of it is done, 0 to 1.
+        """
         if self._tell is None:
             return
         with self._lock:
@@ -31,5 +36,9 @@ class Tally:
             self._tell(min(1.0, sum(self._done) / sum(self._amounts)))
 
     def of(self, part: int) -> Callable[[float], None]:
-        """Return what is to be called with the fraction of one part that is done."""
+        """Return what is to be called with the fraction of one part that is done.
+
+        Args:
+            part: Which part.
+        """
         return lambda fraction: self.reached(part, fraction)
