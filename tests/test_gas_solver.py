@@ -256,7 +256,10 @@ def test_darcy_factor_over_all_reynolds_numbers(roughness: float) -> None:
     ones = np.ones_like(reynolds)
     phi = np.empty_like(reynolds)
     haaland_term = np.full_like(reynolds, (roughness / 3.7) ** 1.11)
-    kernel._wall_drag(reynolds.size, reynolds, ones, haaland_term, ones, ones / 2300.0, phi)
+    kernel._wall_coefficients(
+        reynolds.size, 0.7, 1.0, reynolds, ones, haaland_term, ones, ones / 2300.0, ones, ones,
+        0.0 * ones, phi, np.empty_like(phi),
+    )  # fmt: skip
     factor = 64.0 / reynolds * phi
     for re, f in zip(reynolds, factor, strict=True):
         low, high = pipe_flow.laminar(re), pipe_flow.haaland(re, roughness)
@@ -266,6 +269,44 @@ def test_darcy_factor_over_all_reynolds_numbers(roughness: float) -> None:
             assert f == pytest.approx(high, rel=3e-4)
         else:
             assert low <= f <= high * 1.001
+
+
+@pytest.mark.parametrize("reynolds", [1e3, 8e3, 3e4, 1e5])
+def test_wall_heat_of_steady_flow(reynolds: float) -> None:
+    """Hot gas through a cool tube: its excess of temperature decays by the Nusselt number."""
+    diameter, length, mu = 4e-3, 1.0, float(AIR.viscosity(T0))
+    area = np.pi * diameter**2 / 4.0
+    density = 7e5 / (287.05 * 303.0)
+    speed = reynolds * mu / (density * diameter)
+    turbulent = reynolds > 4000.0
+    factor = pipe_flow.haaland(reynolds, 0.0) if turbulent else pipe_flow.laminar(reynolds)
+    drop = (factor * length / diameter + 1.0) * 0.5 * density * speed**2
+    line = rig(
+        {"line": pipe("high", "low", length, area, wall={"nusselt": 3.66})},
+        {"dx_m": 0.02},
+        reservoirs={
+            "high": {"pressure_pa": 7e5 + drop, "temperature_k": 313.15},
+            "low": {"pressure_pa": 7e5, "temperature_k": T0},
+        },
+    )
+    simulator = Simulator(line)
+    simulator.run(round(1.0 + 5.0 * length / speed), sample_s=0.01)
+    state = simulator.state("line")
+    inner = slice(5, -5)
+    flow = area * (state["density"] * state["velocity"])[inner].mean()
+    at = 4.0 * flow / (np.pi * diameter * mu)
+    assert at == pytest.approx(reynolds, rel=0.2)
+    # what heats is wall less the gas's own temperature; what is carried is its total temperature
+    gas = state["pressure"] / (287.05 * state["density"])
+    carried = gas + state["velocity"] ** 2 / (2.0 * 1004.7)
+    slope = -np.gradient(carried, state["x_m"])[inner] / (gas - T0)[inner]
+    found = slope[gas[inner] - T0 > 1.0].mean() * flow * 1004.7
+    found /= np.pi * float(AIR.conductivity(T0))
+    if turbulent:
+        assert found == pytest.approx(pipe_flow.gnielinski(at, 0.7), rel=0.05)
+        assert found == pytest.approx(pipe_flow.dittus_boelter(at, 0.7), rel=0.2)
+    else:
+        assert found == pytest.approx(3.66, rel=0.02)
 
 
 @pytest.mark.parametrize("oscillating", [False, True])
@@ -280,7 +321,7 @@ def test_unsteady_drag_follows_zielke(oscillating: bool) -> None:
     viscous, unsteady = one * 8.0 * np.pi * mu / area, one * 4.0 * np.pi * mu / area
     memory = [np.zeros(1) for _ in range(L.UNSTEADY_TERMS)]
     a_u, a_t, fade = np.empty(1), np.empty(1), np.empty(1)
-    kernel._decay(1, dt, 0.7, rho_a, relax, one, a_u, a_t, fade)
+    kernel._decay(1, dt, 0.7, rho_a, relax, one, one, a_u, a_t, fade)
     velocity = np.zeros(steps + 1)
     for k in range(steps):
         momentum += dt * force[k]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wall friction in round pipes: steady drop, Darcy factors, and Zielke's unsteady weighting.
+"""Walls of round pipes: steady drop, Darcy factors, Zielke's unsteady weighting, and heat.
 
 All friction factors are Darcy's, ``dp = f (L / D) rho u^2 / 2``; laminar flow has 64 / Re.
 """
@@ -117,3 +117,18 @@ def zielke_wall_shear(
         memory = memory * decay + acceleration[i] * (1.0 - decay) / rates
         history[i + 1] = memory.sum()
     return 4.0 * rho * nu * velocity / radius + 2.0 * rho * nu / radius * history
+
+
+def gnielinski(reynolds: float, prandtl: float) -> float:
+    """Nusselt number of turbulent flow in a smooth pipe, with Petukhov's friction factor.
+
+    Incropera et al., Fundamentals of Heat and Mass Transfer, 6th ed., eq. 8.21 and 8.62.
+    """
+    f = (0.79 * np.log(reynolds) - 1.64) ** -2
+    top = f / 8.0 * (reynolds - 1000.0) * prandtl
+    return float(top / (1.0 + 12.7 * np.sqrt(f / 8.0) * (prandtl ** (2.0 / 3.0) - 1.0)))
+
+
+def dittus_boelter(reynolds: float, prandtl: float) -> float:
+    """Nusselt number of turbulent flow that is cooled; Incropera et al., eq. 8.60."""
+    return float(0.023 * reynolds**0.8 * prandtl**0.3)

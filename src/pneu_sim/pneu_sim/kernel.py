@@ -268,14 +268,19 @@ def _conserve(n, w, dt, rho, mom, ene, face, inv, p, fm, fp, fe, ri):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _wall_drag(n, mom, re_coef, rough, turb, onset, phi):
-    """Steady wall drag relative to laminar, phi = f Re / 64, over the whole Reynolds range.
+def _wall_coefficients(
+    n, prandtl, per_relax, mom, re_coef, rough, turb, onset, relax, heat, heat_turb, phi, film
+):
+    """Steady wall drag relative to laminar, phi = f Re / 64, and wall heat, at any Reynolds number.
 
-    Laminar below the onset (Re 2300), Haaland's friction factor above 1.74 times that (4000), a
-    smooth blend between; ``onset`` is the inverse of that Reynolds number. Haaland's
-    logarithm is ln x = 8 ln x^(1/8), with a Pade form of the inner logarithm: relative error < 1e-4
-    in the friction factor, and nothing but square roots and divisions, which vectorise.
+    Laminar below the onset (Re 2300), Haaland's friction factor and with it Gnielinski's (1976)
+    Nusselt number above 1.74 times that (4000), a smooth blend between; ``onset`` is the inverse of
+    that Reynolds number, ``per_relax`` times ``relax`` the wall heat per Nusselt number, ``film``
+    the wall heat in W/(m^3 K). Haaland's logarithm is ln x = 8 ln x^(1/8), with a Pade form of the
+    inner logarithm: relative error < 1e-4 in the friction factor, and nothing but square roots and
+    divisions, which vectorise.
     """
+    gnielinski = 12.7 * (prandtl ** (2.0 / 3.0) - 1.0) / math.sqrt(8.0)
     for i in range(n):
         re = abs(mom[i]) * re_coef[i] + 1.0
         x = 6.9 / re + rough[i]
@@ -284,16 +289,19 @@ def _wall_drag(n, mom, re_coef, rough, turb, onset, phi):
         z2 = z * z
         ln_y = 2.0 * z * (1.0 + z2 * (1.0 / 3.0 + z2 * (0.2 + z2 * (1.0 / 7.0 + z2 / 9.0))))
         # log10(x) = 8 (ln y) / ln 10, ln y = ln_y + ln 0.4
-        g = -1.8 * 8.0 * 0.43429448190325176 * (ln_y - 0.916290731874155)
+        # below Re 30 or so, where nothing asks for it, the formula has no meaning: f is 1 at most
+        g = max(-1.8 * 8.0 * 0.43429448190325176 * (ln_y - 0.916290731874155), 1.0)
         s = min(max((re * onset[i] - 1.0) / 0.74, 0.0), 1.0)
-        blend = s * s * (3.0 - 2.0 * s) * turb[i]
-        phi[i] = 1.0 + blend * max(re / (64.0 * g * g) - 1.0, 0.0)
+        blend = s * s * (3.0 - 2.0 * s)
+        phi[i] = 1.0 + blend * turb[i] * max(re / (64.0 * g * g) - 1.0, 0.0)
+        # f / 8 = 1 / (8 g^2)
+        nusselt = (re - 1000.0) * prandtl / (8.0 * g * (g + gnielinski))
+        more = max(nusselt - L.NUSSELT_LAMINAR, 0.0) * per_relax * relax[i]
+        film[i] = heat[i] + blend * heat_turb[i] * more
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _steady_wall(
-    n, gamma, r_gas, dt, rho, mom, ene, phi, visc, loss, heat, heat_turb, wall_t, drag, warm
-):
+def _steady_wall(n, gamma, r_gas, dt, rho, mom, ene, phi, film, visc, loss, wall_t, drag, warm):
     """Quasi-steady friction and heat, implicit in the end-of-step velocity and temperature."""
     cv = r_gas / (gamma - 1.0)
     i_dt = 1.0 / dt
@@ -302,7 +310,7 @@ def _steady_wall(
         v0 = mom[i] * ri
         v = v0 / (1.0 + dt * (visc[i] * phi[i] * ri + 0.5 * loss[i] * abs(v0)))
         t0 = (ene[i] * ri - 0.5 * v0 * v0) / cv
-        h = dt * heat[i] * (1.0 + heat_turb[i] * (phi[i] - 1.0)) * ri / cv
+        h = dt * film[i] * ri / cv
         t = (t0 + h * wall_t[i]) / (1.0 + h)
         # Friction turns kinetic energy into heat, so it leaves the total alone (thesis 5.1).
         mom[i] = rho[i] * v
@@ -320,12 +328,12 @@ def _inverse(n, x, y):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _decay(n, dt, prandtl, rho, relax, phi, a_u, a_t, fade):
+def _decay(n, dt, prandtl, rho, relax, quicken, phi, a_u, a_t, fade):
     """Decay over one step of the slowest memory states of wall drag and wall heat.
 
     ``exp(-x)`` as a Pade quotient; each faster state decays by the fourth power of the one before.
     In turbulent flow every memory fades faster, by ``fade`` (after Vardy and Brown 2003, with their
-    decay tied to the drag ratio).
+    decay tied to the drag ratio; ``quicken`` is the gain on that).
     """
     i_pr = 1.0 / prandtl
     for i in range(n):
@@ -333,7 +341,7 @@ def _decay(n, dt, prandtl, rho, relax, phi, a_u, a_t, fade):
         y = x * i_pr
         a_u[i] = (12.0 - 6.0 * x + x * x) / (12.0 + 6.0 * x + x * x)
         a_t[i] = (12.0 - 6.0 * y + y * y) / (12.0 + 6.0 * y + y * y)
-        fade[i] = 1.0 / (1.0 + (110.0 / 28.0) * x * (phi[i] - 1.0))
+        fade[i] = 1.0 / (1.0 + quicken[i] * (110.0 / 28.0) * x * (phi[i] - 1.0))
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -413,12 +421,10 @@ def _unsteady_heat(
     ene,
     ri,
     t_old,
-    phi,
+    film,
     a1,
     fade,
     stay,
-    heat,
-    heat_turb,
     unst,
     wall_t,
     warm,
@@ -472,7 +478,7 @@ def _unsteady_heat(
         z5 = a * x5
         h = per_heat * r
         c = h * unst[i]
-        q = h * heat[i] * (1.0 + heat_turb[i] * (phi[i] - 1.0))
+        q = h * film[i]
         b = 0.5 * xi * (b0 + b1 + b2 + b3 + b4 + b5)
         s = 0.5 * ((x0 + x1 + x2 + x3 + x4 + x5) + f * (z0 + z1 + z2 + z3 + z4 + z5))
         t = (t0 + q * wall_t[i] - c * (s - b * t_old[i])) / (1.0 + q + c * b)
@@ -1460,6 +1466,8 @@ def advance(
     now = np.zeros((n_ports, w))
     rho, mom, ene = S[L.RHO], S[L.MOM], S[L.ENE]
     soft = np.zeros((5, n if compliant else 0))
+    # wall heat of a Nusselt number of 1, pi k / A, over RELAX: k / mu is cp / Pr
+    per_relax = gamma * r_gas / ((gamma - 1.0) * prandtl * L.UNSTEADY_RATE)
     stay = np.zeros(n)
     for i in range(n):
         # ghosts have no wall; the floor keeps their unused memory finite
@@ -1747,8 +1755,20 @@ def advance(
             # Drag ratio and decay factors follow density and Reynolds number, which change little
             # within a few steps: refreshed every WALL_EVERY steps.
             if step % WALL_EVERY == 0:
-                _wall_drag(
-                    n, mom, P[L.REYNOLDS], P[L.ROUGH], P[L.TURBULENT], P[L.ONSET], X[L.W_PHI]
+                _wall_coefficients(
+                    n,
+                    prandtl,
+                    per_relax,
+                    mom,
+                    P[L.REYNOLDS],
+                    P[L.ROUGH],
+                    P[L.TURBULENT],
+                    P[L.ONSET],
+                    P[L.RELAX],
+                    P[L.HEAT],
+                    P[L.HEAT_TURBULENT],
+                    X[L.W_PHI],
+                    X[L.W_FILM],
                 )
                 if unsteady:
                     _decay(
@@ -1757,6 +1777,7 @@ def advance(
                         prandtl,
                         rho,
                         P[L.RELAX],
+                        P[L.QUICKEN],
                         X[L.W_PHI],
                         X[L.W_AU],
                         X[L.W_AT],
@@ -1775,12 +1796,10 @@ def advance(
                     ene,
                     X[L.W_RI],
                     X[L.W_T],
-                    X[L.W_PHI],
+                    X[L.W_FILM],
                     X[L.W_AT],
                     X[L.W_FADE],
                     stay,
-                    P[L.HEAT],
-                    P[L.HEAT_TURBULENT],
                     P[L.HEAT_UNSTEADY],
                     P[L.WALL_T],
                     X[L.W_WARM],
@@ -1823,10 +1842,9 @@ def advance(
                     mom,
                     ene,
                     X[L.W_PHI],
+                    X[L.W_FILM],
                     P[L.VISCOUS],
                     P[L.LOSS],
-                    P[L.HEAT],
-                    P[L.HEAT_TURBULENT],
                     P[L.WALL_T],
                     X[L.W_DRAG],
                     X[L.W_WARM],

@@ -29,15 +29,16 @@ REYNOLDS: Final = 7  # D / mu, so that Re = rho |u| D / mu
 ROUGH: Final = 8  # (epsilon / (3.7 D))^1.11 of Haaland's formula
 TURBULENT: Final = 9  # gain on the turbulent excess of the drag, 1 = Haaland
 LOSS: Final = 10  # local losses, K / length, 1/m
-HEAT: Final = 11  # quasi-steady wall heat, W/(m^3 K)
+HEAT: Final = 11  # quasi-steady wall heat in laminar flow, W/(m^3 K)
 HEAT_UNSTEADY: Final = 12  # unsteady wall heat 4 pi k / A times the chosen factor, W/(m^3 K)
-HEAT_TURBULENT: Final = 13  # gain of turbulence on wall heat (Reynolds analogy)
+HEAT_TURBULENT: Final = 13  # gain on the turbulent excess of the wall heat, 1 = Gnielinski
 WALL_T: Final = 14  # wall temperature, K
 COMPLIANCE: Final = 15  # relative growth of the area per pascal, 1/Pa
 REST_P: Final = 16  # pressure at which the wall has its nominal area, Pa
 TAPER: Final = 17  # relative growth of the area along the pipe, where it tapers smoothly, 1/m
 ONSET: Final = 18  # 1 / Reynolds number at which turbulence sets in
-PARAM_ROWS: Final = 19
+QUICKEN: Final = 19  # gain on how much faster memory fades in turbulent flow
+PARAM_ROWS: Final = 20
 
 # --- work rows ------------------------------------------------------------------------------------
 W_U: Final = 0
@@ -62,7 +63,8 @@ W_IL: Final = 18  # inverse density at the left face
 W_IR: Final = 19  # inverse density at the right face
 W_DRAG: Final = 20  # momentum that the wall gave in the last step, per volume and time, N/m^3
 W_WARM: Final = 21  # heat that the wall gave in the last step, W/m^3
-WORK_ROWS: Final = 22
+W_FILM: Final = 22  # quasi-steady wall heat, W/(m^3 K)
+WORK_ROWS: Final = 23
 
 # --- pipe ends (integer columns) ------------------------------------------------------------------
 E_CELL: Final = 0  # slot of the last cell
@@ -137,6 +139,8 @@ EXACT: Final = 1
 MINMOD: Final = 0
 VAN_LEER: Final = 1
 
+NUSSELT_LAMINAR: Final = 3.66
+"""Nusselt number of developed laminar flow in a round pipe at constant wall temperature."""
 UNSTEADY_TERMS: Final = 6
 """Memory states per cell of the unsteady wall friction (and of the unsteady wall heat)."""
 UNSTEADY_RATE: Final = 28.0

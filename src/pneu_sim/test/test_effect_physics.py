@@ -324,7 +324,7 @@ def test_unsteady_friction_gives_one_pipe_of_a_thesis_rig_a_memory(rig: Rig) -> 
 
 def test_wall_heat_sags_after_a_fill_and_rises_after_an_exhaust(rig: Rig) -> None:
     for pipe in rig.pipes.values():
-        pipe.wall.nusselt = pipe.wall.heat_unsteady = 0.0
+        pipe.wall.nusselt = pipe.wall.heat_turbulent = pipe.wall.heat_unsteady = 0.0
     warm = attach(rig, "wall_heat", "tube", gain=1.0)
     for volts, start, sign in ((9.0, 2e5, -1.0), (2.0, 6e5, 1.0)):
         command = np.repeat([volts, 5.0], [12, 300])

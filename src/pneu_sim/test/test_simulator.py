@@ -111,7 +111,8 @@ def test_mass_follows_the_port() -> None:
     simulator.run(0.3, {"volts": 10.0})
     after = float(simulator.mass_kg())
     gain = (6e5 - 101325.0) * (0.6 * 6e-6 + 2e-6) / (287.05 * 293.15)
-    assert after - before == pytest.approx(gain, rel=0.1)  # the chamber is still warm
+    # full, and warmer than the room: less than isothermal, more than without any heat to the walls
+    assert gain / 1.4 < after - before < 0.98 * gain
     assert simulator.energy_j() > 0.0
 
 

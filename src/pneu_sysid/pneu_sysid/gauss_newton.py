@@ -243,9 +243,13 @@ def _summary(
     # Invisible: even the whole allowed range would not move the residual by one noise deviation.
     visible = norms * span > 1.0
     at_bound = (x - lower < 1e-9 * span) | (upper - x < 1e-9 * span)
-    scale = np.where(norms > 0.0, norms, 1.0)
     prior = np.diag(precision**2) + tie_a.T @ tie_a
-    hessian = (flat.T @ flat + prior) / np.outer(scale, scale)
+    hessian = flat.T @ flat + prior
+    # Scaled by data and prior together: a variable that only rounding moves would else have a unit
+    # column of noise and a prior beside which all others vanish.
+    scale = np.sqrt(np.diag(hessian))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    hessian /= np.outer(scale, scale)
     values = np.linalg.eigvalsh(hessian)
     condition = float(np.sqrt(values[-1] / max(values[0], 1e-300)))
     inverse = np.linalg.pinv(hessian, rcond=1e-12)

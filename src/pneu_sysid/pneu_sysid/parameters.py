@@ -97,6 +97,7 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
         around(f"chambers.{name}.volume_m3", 4.0, 0.5)
     add("pipes.*.wall.laminar", 0.3, 3.0, 0.3)
     add("pipes.*.wall.unsteady", 0.0, 3.0, 0.5)
+    add("pipes.*.wall.turbulent_fade", 0.0, 3.0, 0.5)
     add("pipes.*.wall.heat_unsteady", 0.0, 3.0, 0.5)
     add("pipes.*.wall.heat_turbulent", 0.0, 3.0, 0.5)
     add("pipes.*.wall.onset_reynolds", 1000.0, 20000.0, 1500.0, log=True)

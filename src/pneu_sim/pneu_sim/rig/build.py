@@ -395,9 +395,10 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         # the kernel multiplies the laminar drag, so its factor is taken out of the turbulent part
         cell[L.TURBULENT, span] = wall.turbulent / max(wall.laminar, 1e-9)
         cell[L.ONSET, span] = 1.0 / wall.onset_reynolds
+        cell[L.QUICKEN, span] = wall.turbulent_fade
         if wall.heat_kappa is None:
             cell[L.HEAT, span] = wall.nusselt * math.pi * k_gas / area
-            cell[L.HEAT_TURBULENT, span] = wall.heat_turbulent * wall.laminar
+            cell[L.HEAT_TURBULENT, span] = wall.heat_turbulent
         else:
             cell[L.HEAT, span] = wall.heat_kappa / np.sqrt(area)
         cell[L.HEAT_UNSTEADY, span] = wall.heat_unsteady * 4.0 * math.pi * k_gas / area
@@ -408,12 +409,11 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
             for i, share in _spread(loss.position_m, centres):
                 cell[L.LOSS, first + i] += share * loss.k / dx
                 if loss.resistance_pa_s_m > 0.0:
-                    # A viscous part that turbulence does not raise: taken out of the gains on it.
+                    # A viscous part that turbulence does not raise: taken out of the gain on it.
                     own = cell[L.VISCOUS, first + i]
                     total = own + share * loss.resistance_pa_s_m / dx
                     cell[L.VISCOUS, first + i] = total
                     cell[L.TURBULENT, first + i] *= own / total
-                    cell[L.HEAT_TURBULENT, first + i] *= total / max(own, 1e-30)
         for leak in pipe.leaks:
             for i, share in _spread(leak.position_m, centres):
                 leaks[first + i] = leaks.get(first + i, 0.0) + share * leak.area_m2

@@ -82,10 +82,12 @@ class Wall(Part):
         onset_reynolds: Reynolds number at which turbulence sets in; full at 1.74 times that.
         roughness_m: Height of the wall's roughness.
         unsteady: Factor on frequency-dependent friction (Zielke).
+        turbulent_fade: Gain on how much faster the memory of friction and heat fades in turbulent
+            flow; 1 is Vardy and Brown (2003), 0 as in laminar flow.
         nusselt: Nusselt number of quasi-steady wall heat, on the section's mean temperature; 8 is
             the limit that belongs to the unsteady kernel, 3.66 the developed flow at constant wall
-            temperature, 0 an adiabatic wall.
-        heat_turbulent: Gain of turbulence on wall heat (Reynolds analogy).
+            temperature, 0 (with no gain on what follows) an adiabatic wall.
+        heat_turbulent: Gain on what turbulence adds to wall heat (Gnielinski).
         heat_unsteady: Factor on frequency-dependent wall heat.
         heat_kappa: Conductivity of thesis eq. 5.3, W/(m^2 K); replaces ``nusselt`` where given.
         compliance_per_pa: Relative growth of the cross-section per pascal.
@@ -96,6 +98,7 @@ class Wall(Part):
     onset_reynolds: Positive = 2300.0
     roughness_m: NonNegative = 0.0
     unsteady: NonNegative = 1.0
+    turbulent_fade: NonNegative = 1.0
     nusselt: NonNegative = 8.0
     heat_turbulent: NonNegative = 1.0
     heat_unsteady: NonNegative = 1.0
