@@ -83,6 +83,7 @@ class Diagnosis:
         left_over: The same after the best candidate.
         numerics: Whether the grid is to blame.
         problem: The problem it was made on.
+        readings: What the model predicts on it before anything is added.
         standing: How the model stood before.
         statements: Of a change since the calibration, and of the noise, a sentence each.
         unchanged: Recordings that the verdict is not about, the model explaining them as it is.
@@ -98,6 +99,7 @@ class Diagnosis:
     left_over: float
     numerics: Numerics | None
     problem: Problem = field(repr=False)
+    readings: Floats = field(repr=False)
     standing: Standing = field(repr=False)
     statements: list[str] = field(default_factory=list)
     unchanged: list[str] = field(default_factory=list)
@@ -180,7 +182,7 @@ def diagnose(
     tell("grid", 1.0)
     standing = standing_of(rig, own, base)
     judged = base if project is None else project(base)
-    result = _judge(own, standing, judged, refits, best, rmse, numerics)
+    result = _judge(own, standing, judged, refits, best, rmse, numerics, readings)
     names = [r.name for r in own.recordings]
     found = result.verdict in ("effect", "ambiguous", "unknown")
     result.statements = [since_calibration(standing, names, found), against_noise(standing)]
@@ -250,6 +252,7 @@ def _judge(
     scores: list[Score],
     rmse: dict[str, float],
     numerics: Numerics | None,
+    readings: Floats,
 ) -> Diagnosis:
     held = problem.held_out if problem.held_out.any() else np.ones(base.shape[0], dtype=bool)
     weight = np.isfinite(problem.target()[held]).sum(axis=(0, 1))
@@ -277,6 +280,7 @@ def _judge(
         left_over=left,
         numerics=numerics,
         problem=problem,
+        readings=readings,
         standing=standing,
     )
     over = held_sum - floor_sum

@@ -126,9 +126,11 @@ def refit_effects(
     return rig_of(estimate.values), estimate
 
 
-def _errors(problem: Problem, rig: Rig) -> tuple[Floats, dict[str, float], dict[str, float]]:
+def _errors(
+    problem: Problem, rig: Rig, readings: Floats | None = None
+) -> tuple[Floats, dict[str, float], dict[str, float]]:
     """Residual, and error per tap on the used and on the held-out part."""
-    y = problem.predict([rig])[0]
+    y = problem.predict([rig])[0] if readings is None else readings
     used = ~problem.held_out
     return residual_matrix(problem, y), tap_rmse(problem, y, used), tap_rmse(problem, y, ~used)
 
@@ -257,7 +259,7 @@ def learn(
     first = diagnose_apart(rig, recordings, FINALISTS, True, workers, progress)
     problem = first.problem
     differ = problem.recordings
-    residual, rmse, held = _errors(problem, rig)
+    residual, rmse, held = _errors(problem, rig, first.readings)
     steps = [_step(0, problem, residual, rmse, held)]
     state = Learned(rig, steps, [first], "nothing_missing", "", [rig])
     given = len(rig.effects)
