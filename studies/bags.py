@@ -23,6 +23,7 @@ from pneu_sysid.fit import fit_rig
 from pneu_sysid.learn import learn
 from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import record_for
+from studies.digest import digest_of, sources_digest
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -84,7 +85,13 @@ def main(arguments: list[str] | None = None) -> int:
         console.print(f"{folder}: no such folder")
         return 2
     bags = sorted(p for p in folder.iterdir() if p.is_dir() and p.name[1:2] == "_")
-    lines = ["# The labelled recordings", "", "Made by `make bags BAGS=folder`.", ""]
+    lines = [
+        "# The labelled recordings",
+        "",
+        "Made by `make bags BAGS=folder`.",
+        f"Made from bags {digest_of(bags)} and sources {sources_digest()}.",
+        "",
+    ]
     letters = sorted({b.name[0] for b in bags})
     rigs = {}
     for letter in letters:
@@ -122,6 +129,9 @@ def main(arguments: list[str] | None = None) -> int:
             recording = record_for(rig, str(bag))
         except InputError as error:
             console.print(str(error))
+            failed = (bag.name, f"could not be read: {error}", *[""] * 6, "NO")
+            table.add_row(*failed)
+            lines.append("| " + " | ".join(failed) + " |")
             continue
         out = ROOT / "out" / "bags" / bag.name
         out.mkdir(parents=True, exist_ok=True)

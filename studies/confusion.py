@@ -23,6 +23,7 @@ from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.run import add_noise, run_rig
 from pneu_sysid.diagnose import diagnose
 from pneu_sysid.records import Recording, even_recording
+from studies.digest import sources_digest
 
 ROOT = Path(__file__).resolve().parent.parent
 RATE_HZ = 500.0
@@ -103,7 +104,10 @@ def main(arguments: list[str] | None = None) -> int:
     )
     store = ROOT / "out" / "confusion.json"
     store.parent.mkdir(exist_ok=True)
-    done = json.loads(store.read_text()) if store.exists() else {}
+    made_from = sources_digest()
+    kept = json.loads(store.read_text()) if store.exists() else {}
+    # What other sources found does not belong on the same page.
+    done = kept["cases"] if kept.get("sources") == made_from else {}
     planned = cases(rig, options.seeds)
     total = len(planned)
     started = time.monotonic()
@@ -134,7 +138,7 @@ def main(arguments: list[str] | None = None) -> int:
             "excess": found.excess,
         }
         part = store.with_suffix(".part")
-        part.write_text(json.dumps(done, indent=1))
+        part.write_text(json.dumps({"sources": made_from, "cases": done}, indent=1))
         part.replace(store)
         console.print(key, "->", done[key]["verdict"], done[key]["named"], done[key]["alike"])
     (ROOT / "docs" / "confusion.md").write_text(page(done, total), encoding="utf-8")
@@ -164,6 +168,7 @@ def page(done: dict[str, dict], total: int) -> str:  # type: ignore[type-arg]
         " recording of rig A, at its typical strength and at twice that, and diagnosed. A recording"
         " whose residual stays within 10 % of the noise does not show its effect and is not counted"
         " in the recall.",
+        f"Made from the sources {sources_digest()}.",
         "",
         f"* injections and healthy recordings run: {len(done)} of {total}"
         + ("" if len(done) == total else " (run again to go on)"),
