@@ -31,7 +31,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from pneu_hw_bridge.lab.sealed import open_sealed
-from pneu_policy.evaluate import Conditions, Tasks, evaluate_simulated
+from pneu_policy.evaluate import evaluate_simulated
 from pneu_policy.learn.settings import load_document
 from pneu_policy.learn.sweep import Run, expand
 from pneu_policy.learn.trainer import HISTORY, POLICY
@@ -40,6 +40,7 @@ from pneu_policy.live import evaluate_live
 from pneu_policy.live_rig import LivePlant
 from pneu_policy.policy_file import PolicyFile
 from pneu_policy.results import Evaluation, error_rows, load, rich_table
+from pneu_policy.tasks import Conditions, Tasks
 from pneu_sim.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig

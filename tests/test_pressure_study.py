@@ -5,10 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from pneu_policy.evaluate import Tasks, file_for, provenance
+from pneu_policy.evaluate import file_for, provenance
 from pneu_policy.live import evaluate_live
 from pneu_policy.live_rig import LivePlant
 from pneu_policy.results import Evaluation, load, spread
+from pneu_policy.tasks import Tasks
 
 ROOT = Path(__file__).parent.parent
 POLICIES = ROOT / "policies"

@@ -9,7 +9,6 @@ import typer
 
 from pneu_hw_bridge.lab.asking import CONTROL_PORT, MODBUS_PORT, ask
 from pneu_hw_bridge.lab.faults import KINDS
-from pneu_hw_bridge.lab.sealed import open_sealed, read_effects, seal
 from pneu_sim.errors import InputError
 
 ControlPort = Annotated[
@@ -203,6 +202,8 @@ def seal_effects(
     output: Annotated[Path, typer.Argument(help="The sealed file.")],
 ) -> None:
     """Hide effects in a file that shows nothing at a glance."""
+    from pneu_hw_bridge.lab.sealed import read_effects, seal
+
     seal(read_effects(effects), output)
 
 
@@ -210,6 +211,8 @@ def reveal(
     sealed: Annotated[Path, typer.Argument(help="Sealed file.")],
 ) -> None:
     """Show what a sealed file hides."""
+    from pneu_hw_bridge.lab.sealed import open_sealed
+
     for effect in open_sealed(sealed):
         numbers = ", ".join(f"{name}={value:g}" for name, value in effect.parameters.items())
         print(f"{effect.effect}@{effect.place} {numbers}".rstrip())

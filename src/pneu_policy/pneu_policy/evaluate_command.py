@@ -7,29 +7,18 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from pneu_hw_bridge.lab.sealed import open_sealed
-from pneu_policy.controllers import load_controller
-from pneu_policy.evaluate import Conditions, Tasks, evaluate_simulated, names_of
-from pneu_policy.limit import evaluate_limit
-from pneu_policy.results import (
-    LIMIT,
-    Evaluation,
-    error_rows,
-    load,
-    markdown,
-    rich_table,
-    rows,
-    save,
-)
+from pneu_policy.tasks import Conditions, Tasks
 from pneu_sim.errors import InputError
-from pneu_sim.rig import load_rig
-from pneu_sim.rig.schema import Rig
+
+if TYPE_CHECKING:
+    from pneu_policy.results import Evaluation
+    from pneu_sim.rig.schema import Rig
 
 _DEFAULT = Tasks()
 _SEEDS = re.compile(r"(\d+)(?:-(\d+))?$")
@@ -107,6 +96,10 @@ def evaluate(
     ] = None,
 ) -> None:
     """Try controllers on the same targets and tell errors, latency, effort and oscillation."""
+    from pneu_policy.controllers import load_controller
+    from pneu_policy.evaluate import evaluate_simulated
+    from pneu_policy.results import save
+
     tasks = Tasks(
         kinds=cast(Any, tuple(word.strip() for word in targets.split(","))),
         seeds=_seeds(seeds),
@@ -150,6 +143,8 @@ def evaluate(
         else:
             evaluate_simulated(evaluation, tried, plants, tasks, conditions, told)
         if limit:
+            from pneu_policy.limit import evaluate_limit
+
             tap = load_controller(next(iter(tried.values()))[0]).tap
             evaluate_limit(evaluation, plants, tap, tasks, workers=workers, progress=told)
     report(evaluation, output, console)
@@ -162,7 +157,7 @@ def evaluate(
         raise typer.Exit(1)
 
 
-def report(evaluation: Evaluation, folder: Path, console: Console) -> None:
+def report(evaluation: "Evaluation", folder: Path, console: Console) -> None:
     """Prints the tables and writes them, with the figures, beside the results.
 
     Args:
@@ -171,6 +166,7 @@ def report(evaluation: Evaluation, folder: Path, console: Console) -> None:
         console: Where to print.
     """
     from pneu_policy.figures import write_figures
+    from pneu_policy.results import error_rows, markdown, rich_table, rows
 
     errors, figures = error_rows(evaluation), rows(evaluation)
     console.print(rich_table("mean ± standard deviation over runs", *errors))
@@ -198,6 +194,9 @@ def _seeds(text: str) -> tuple[int, ...]:
 
 def _named_controllers(texts: Sequence[str]) -> dict[str, list[Path]]:
     """Files of controllers by name: the one given, else that of the file."""
+    from pneu_policy.evaluate import names_of
+    from pneu_policy.results import LIMIT
+
     named = {n: [Path(f) for f in rest.split(",")] for n, e, rest in _parted(texts) if e}
     plain = names_of([Path(name) for name, equals, _ in _parted(texts) if not equals])
     if len(named) + len(plain) < len(texts) or LIMIT in named or set(named) & set(plain):
@@ -225,7 +224,10 @@ def _named_rigs(texts: Sequence[str]) -> dict[str, Path]:
     return out
 
 
-def _with_effects(file: Path, hidden: Path | None) -> Rig:
+def _with_effects(file: Path, hidden: Path | None) -> "Rig":
+    from pneu_hw_bridge.lab.sealed import open_sealed
+    from pneu_sim.rig import load_rig
+
     rig = load_rig(file)
     if hidden is None:
         return rig
@@ -233,9 +235,11 @@ def _with_effects(file: Path, hidden: Path | None) -> Rig:
 
 
 def _opened(
-    folder: Path, tasks: Tasks, conditions: Conditions, live: bool, plants: dict[str, Rig]
-) -> Evaluation:
+    folder: Path, tasks: Tasks, conditions: Conditions, live: bool, plants: "dict[str, Rig]"
+) -> "Evaluation":
     """What a folder holds already, if it was made alike; else an empty evaluation."""
+    from pneu_policy.results import Evaluation, load
+
     digests = {
         name: hashlib.sha256(rig.model_dump_json().encode()).hexdigest()
         for name, rig in plants.items()

@@ -23,10 +23,10 @@ from pathlib import Path
 from typing import Any
 
 from pneu_hw_bridge.lab.asking import ask
-from pneu_policy.evaluate import NOISE_PA, Tasks
 from pneu_policy.live_bag import NAMESPACE, LateError
 from pneu_policy.metrics import EARLY_S
 from pneu_policy.targets import Target
+from pneu_policy.tasks import NOISE_PA, Tasks
 from pneu_runtime import hook
 from pneu_runtime.launch.guard import on_death_of_parent
 from pneu_runtime.tools.executables import command_of

@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
-from scipy.signal import butter, sosfiltfilt
 
 Floats = NDArray[np.float64]
 
@@ -175,6 +173,8 @@ def latency_of(track: Track, time_s: Floats, pressure_pa: Floats) -> tuple[float
     errors = [error(float(delay)) for delay in delays]
     best = float(delays[int(np.argmin(errors))])
     low, high = max(best - SEARCH_STEP_S, -EARLY_S), min(best + SEARCH_STEP_S, LATE_S)
+    from scipy.optimize import minimize_scalar  # slow to import; a list of commands does without
+
     finer = minimize_scalar(error, bounds=(low, high), method="bounded", options={"xatol": 1e-6})
     if finer.fun < min(errors):
         return float(finer.x), float(finer.fun)
@@ -214,6 +214,8 @@ def _held(track: Track, begin_s: float, end_s: float) -> tuple[Floats, Floats]:
 
 def _above(values: Floats, step_s: float, frequency_hz: float) -> Floats:
     """What of a signal lies above a frequency: Butterworth, forth and back, so without delay."""
+    from scipy.signal import butter, sosfiltfilt
+
     sections = butter(4, frequency_hz, "highpass", fs=1.0 / step_s, output="sos")
     return np.asarray(sosfiltfilt(sections, values))
 

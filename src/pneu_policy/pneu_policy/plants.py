@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim import layout as L
-from pneu_sim import lumped
 from pneu_sim import tile as tiles
 from pneu_sim.errors import InputError
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.lumped import batch as lumped_batch
 from pneu_sim.lumped import filling
+from pneu_sim.lumped.build import build as build_lumped
 from pneu_sim.rig.build import (
     S_BIAS,
     S_GAIN,
@@ -398,7 +398,7 @@ class LumpedPlant(Plant):
             InputError: The rigs do not share one structure, or have no such reduction.
         """
         plan, _ = _on_one_plan(rigs, None, gas)
-        models = [lumped.build(rig, plan, gas) for rig in rigs]
+        models = [build_lumped(rig, plan, gas) for rig in rigs]
         super().__init__(rigs, [m.base for m in models], period_s)
         first = models[0]
         self._gas = gas

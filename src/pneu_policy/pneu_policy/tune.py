@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +23,13 @@ from pneu_policy.feed_forward import HALF_WINDOW_S, FeedForward
 from pneu_policy.pid import Gains
 from pneu_policy.plants import make_plant
 from pneu_policy.search import Search
-from pneu_policy.targets import KINDS, Kind, Target
+from pneu_policy.targets import Target
+from pneu_policy.tune_settings import TuneSettings
 from pneu_sim.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 
 Floats = NDArray[np.float64]
-PidKind = Literal["pid", "feed_forward"]
 
 TARGETS_WITHIN_S = 60.0
 """Targets are taken from a random place within this time of their start."""
@@ -86,77 +86,6 @@ FORWARD_KNOBS = (
     Knob("lead_s", HALF_WINDOW_S, PREVIEW_S - HALF_WINDOW_S, 0.03, log=False),
     Knob("target_lead_s", 0.0, 0.1, 0.01, log=False),
 )
-
-
-@dataclass(frozen=True)
-class TuneSettings:
-    """What is tuned, and on what.
-
-    Attributes:
-        rig: Rig file.
-        kind: ``pid`` or ``feed_forward``.
-        seed: Seed of the search and of all that is drawn.
-        tap: Tap whose pressure is controlled.
-        period_s: Control period, s.
-        kinds: Kinds of target, in turn.
-        low_pa: Lowest target, Pa.
-        high_pa: Highest target, Pa.
-        target_period_s: Typical time between a target's extremes, s.
-        jitter: Share of that by which corners of jagged targets are moved.
-        trials: Runs of each candidate, each with a rig and a target of its own.
-        seconds: Length of a run, s.
-        spread: Rigs are drawn by this many standard errors of the calibration; 0 takes it as is.
-        delay_s: Least and most delay of commands, s.
-        noise_pa: Noise of the readings, one sigma, Pa.
-        dx_m: Cell length of the full model, m. With 0.15 instead of 0.025 the pressures at the end
-            of the tubes of 2.5 and 5 m differ by 0.3 kPa rms under steps of the command.
-        candidates: Candidates of a generation.
-        generations: Generations.
-    """
-
-    rig: str
-    kind: PidKind = "pid"
-    seed: int = 0
-    tap: str = "end"
-    period_s: float = 0.004
-    kinds: tuple[Kind, ...] = ("smooth", "jagged")
-    low_pa: float = 150e3
-    high_pa: float = 550e3
-    target_period_s: float = 0.3
-    jitter: float = 0.6
-    trials: int = 6
-    seconds: float = 2.0
-    spread: float = 1.0
-    delay_s: tuple[float, float] = (0.002, 0.01)
-    noise_pa: float = 250.0
-    dx_m: float = 0.15
-    candidates: int = 20
-    generations: int = 35
-
-    def __post_init__(self) -> None:
-        """Raises InputError where a number is out of range."""
-        if self.kind not in get_args(PidKind):
-            allowed = ", ".join(get_args(PidKind))
-            raise InputError(f"kind: found {self.kind!r}, allowed are {allowed}")
-        if not self.kinds or any(kind not in KINDS for kind in self.kinds):
-            raise InputError(f"kinds: found {list(self.kinds)}, allowed are {', '.join(KINDS)}")
-        for name, low, high in (
-            ("seed", 0, 2**31 - 1),
-            ("trials", 1, 1000),
-            ("candidates", 5, 1000),
-            ("generations", 1, 1000),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise InputError(
-                    f"{name}: found {getattr(self, name)}, allowed are {low} to {high}"
-                )
-        if not (math.isfinite(self.seconds) and self.seconds >= self.period_s > 0.0):
-            raise InputError(f"seconds: found {self.seconds:g}, needed is a period or more")
-        if not (math.isfinite(self.noise_pa) and self.noise_pa >= 0.0):
-            raise InputError(f"noise_pa: found {self.noise_pa}, it must not be negative")
-        least, most = self.delay_s
-        if not 0.0 <= least <= most <= 0.2:
-            raise InputError(f"delay_s: found {least:g} to {most:g}, allowed are 0 to 0.2 s")
 
 
 @dataclass(frozen=True)

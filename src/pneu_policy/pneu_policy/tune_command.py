@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -13,11 +13,13 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from pneu_policy.controllers import FeedForwardPid, PidController, load_controller, save_pid
-from pneu_policy.policy_file import PolicyFile
-from pneu_policy.tune import Tuned, TuneSettings, tune
+from pneu_policy.tune_settings import TuneSettings
 from pneu_sim.errors import InputError
-from pneu_sim.rig import load_rig
+
+if TYPE_CHECKING:
+    from pneu_policy.controllers import FeedForwardPid, PidController
+    from pneu_policy.policy_file import PolicyFile
+    from pneu_policy.tune import Tuned
 
 ATM_PA = 101325.0
 
@@ -64,6 +66,9 @@ def tune_pid(
     ] = TuneSettings.generations,
 ) -> None:
     """Tune a PID, or one with feed-forward, on simulated rigs: same seed, same gains."""
+    from pneu_policy.controllers import save_pid
+    from pneu_policy.tune import tune
+
     if output.suffix not in (".yaml", ".yml"):
         raise InputError(f"{output}: a PID is written as .yaml")
     if not output.parent.is_dir():
@@ -101,6 +106,10 @@ def show(
     ] = None,
 ) -> None:
     """Show what the file of a controller is: what it sees, its rig, its training."""
+    from pneu_policy.controllers import FeedForwardPid, PidController, load_controller
+    from pneu_policy.policy_file import PolicyFile
+    from pneu_sim.rig import load_rig
+
     if file.suffix == ".npz":
         policy = PolicyFile.load(file)
         if rig is not None:
@@ -115,7 +124,7 @@ def show(
     _console().print(_table(file.name, rows))
 
 
-def _rows_of_policy(policy: PolicyFile) -> list[tuple[str, str]]:
+def _rows_of_policy(policy: "PolicyFile") -> list[tuple[str, str]]:
     r = policy.recipe
     widths = [str(policy.weights[0][0].shape[1]), *(str(len(b)) for _, b in policy.weights)]
     numbers = sum(w.size + b.size for w, b in policy.weights)
@@ -139,7 +148,9 @@ def _rows_of_policy(policy: PolicyFile) -> list[tuple[str, str]]:
     return rows + _rows_of(policy.training, "training")
 
 
-def _rows_of_pid(controller: PidController | FeedForwardPid) -> list[tuple[str, str]]:
+def _rows_of_pid(controller: "PidController | FeedForwardPid") -> list[tuple[str, str]]:
+    from pneu_policy.controllers import FeedForwardPid
+
     rows = [
         ("controls", controller.tap),
         ("every", f"{1e3 * controller.period_s:g} ms"),
@@ -156,7 +167,7 @@ def _rows_of_pid(controller: PidController | FeedForwardPid) -> list[tuple[str, 
     return rows + _rows_of(controller.tuned, "tuned")
 
 
-def _rows_of_tuned(tuned: Tuned) -> list[tuple[str, str]]:
+def _rows_of_tuned(tuned: "Tuned") -> list[tuple[str, str]]:
     rows = _rows_of_pid(tuned.controller)
     rows.append(("rmse", f"{tuned.rmse_pa / ATM_PA:.4f} atm"))
     rows += [(f"rmse, {k}", f"{v / ATM_PA:.4f} atm") for k, v in tuned.of_kind_pa.items()]

@@ -14,9 +14,9 @@ from pneu_msgs.msg import PressureTarget, ValveCommand  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 from sensor_msgs.msg import FluidPressure  # noqa: E402
 
-from pneu_policy.evaluate import Tasks  # noqa: E402
 from pneu_policy.live_bag import LateError, track_of  # noqa: E402
 from pneu_policy.metrics import ATM_PA  # noqa: E402
+from pneu_policy.tasks import Tasks  # noqa: E402
 from pneu_runtime.bag.bag_writer import BagWriter  # noqa: E402
 from pneu_runtime.bag.metadata import Topic  # noqa: E402
 from pneu_runtime.bag.qos import OfferedQos  # noqa: E402

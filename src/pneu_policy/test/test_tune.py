@@ -15,8 +15,9 @@ from pneu_policy.observations import Recipe
 from pneu_policy.pid import Gains
 from pneu_policy.policy_file import PolicyFile, rig_identity
 from pneu_policy.search import Search
-from pneu_policy.tune import Trials, TuneSettings, tune
+from pneu_policy.tune import Trials, tune
 from pneu_policy.tune_command import register_policy, register_tune
+from pneu_policy.tune_settings import TuneSettings
 from pneu_sim.errors import InputError
 from pneu_sim.rig import load_rig
 

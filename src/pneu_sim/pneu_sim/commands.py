@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subcommands of `pneu` that need no recording: `effects`, `check` and `simulate`."""
+"""Subcommands of `pneu` that need no recording: `effects`, `check` and `simulate`.
+
+The numerics are imported by the command that uses them: `pneu --help` does without.
+"""
 
 import csv
 import math
@@ -7,27 +10,18 @@ import os
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from pneu_sim.bag import write_bag
-from pneu_sim.effects import load_effect_file
-from pneu_sim.effects.document import as_table
 from pneu_sim.errors import InputError
-from pneu_sim.lumped import reduce_network
-from pneu_sim.rig.build import build, plan_grid
-from pneu_sim.rig.load import load_rig
-from pneu_sim.rig.schema import Rig
-from pneu_sim.run import add_noise, check_commands, run_rig
-from pneu_sim.signals import Signal
 
-Floats = NDArray[np.float64]
+if TYPE_CHECKING:
+    from pneu_sim.rig.schema import Rig
+    from pneu_sim.signals import Floats
 
 PLAIN_WIDTH = 160
 """Width of tables that go to a file or a pipe."""
@@ -58,6 +52,10 @@ def effects(
     ] = None,
 ) -> None:
     """List the physical effects that a rig may have."""
+    from pneu_sim.effects import load_effect_file
+    from pneu_sim.effects.document import as_table
+    from pneu_sim.rig.load import load_rig
+
     if effects_file is not None:
         load_effect_file(effects_file)
     rows = as_table(None if rig is None else load_rig(rig))
@@ -73,6 +71,10 @@ def check(
     effects_file: EffectsPath = None,
 ) -> None:
     """Check a rig file and show what would be simulated."""
+    from pneu_sim.effects import load_effect_file
+    from pneu_sim.rig.build import build, plan_grid
+    from pneu_sim.rig.load import load_rig
+
     if effects_file is not None:
         load_effect_file(effects_file)
     rig = load_rig(rig_file)
@@ -189,6 +191,14 @@ def simulate(
     effects_file: EffectsPath = None,
 ) -> None:
     """Run a rig from rest along valve commands and write what its sensors read."""
+    import numpy as np
+
+    from pneu_sim.bag import write_bag
+    from pneu_sim.effects import load_effect_file
+    from pneu_sim.rig.load import load_rig
+    from pneu_sim.run import add_noise, check_commands, run_rig
+    from pneu_sim.signals import Signal
+
     if effects_file is not None:
         load_effect_file(effects_file)
     if noise is not None and (seed is None or not noise >= 0.0):
@@ -244,8 +254,10 @@ def _print_table(title: str, columns: tuple[str, ...], rows: Iterable[tuple[str,
     console.print(table)
 
 
-def _volumes(rig: Rig) -> str:
+def _volumes(rig: "Rig") -> str:
     """The volumes that a lumped model of a rig would have, in words."""
+    from pneu_sim.lumped.network import reduce_network
+
     try:
         network = reduce_network(rig)
     except InputError:
@@ -266,8 +278,10 @@ def _named(option: str, texts: list[str] | None) -> list[tuple[str, str]]:
     return pairs
 
 
-def _from_steps(name: str, text: str) -> tuple[Floats, Floats, float]:
+def _from_steps(name: str, text: str) -> "tuple[Floats, Floats, float]":
     """Start times, volts and total duration of ``VOLTS:SECONDS,...``."""
+    import numpy as np
+
     volts, lengths = [], []
     for part in text.split(","):
         try:
@@ -284,8 +298,10 @@ def _from_steps(name: str, text: str) -> tuple[Floats, Floats, float]:
     return np.concatenate([[0.0], ends[:-1]]), np.array(volts), float(ends[-1])
 
 
-def _from_file(name: str, path: Path) -> tuple[Floats, Floats, float]:
+def _from_file(name: str, path: Path) -> "tuple[Floats, Floats, float]":
     """Times, volts and last time of a file with two columns; a heading is skipped."""
+    import numpy as np
+
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             rows = [row for row in csv.reader(stream) if any(word.strip() for word in row)]
@@ -314,14 +330,16 @@ def _number(word: str) -> bool:
         return False
 
 
-def _held(times_s: Floats, volts: Floats, at_s: Floats) -> Floats:
+def _held(times_s: "Floats", volts: "Floats", at_s: "Floats") -> "Floats":
     """Volts at given times, each held until the next."""
+    import numpy as np
+
     latest = np.searchsorted(times_s, at_s + 1e-9, side="right") - 1
     return np.asarray(volts[np.maximum(latest, 0)])
 
 
 def _write_csv(
-    path: Path, time_s: Floats, commands: dict[str, Floats], taps: dict[str, Floats]
+    path: Path, time_s: "Floats", commands: "dict[str, Floats]", taps: "dict[str, Floats]"
 ) -> None:
     """Writes a table of time, commands in volts and pressures in Pa, whole or not at all."""
     aside = path.with_name(f".{path.name}.part")

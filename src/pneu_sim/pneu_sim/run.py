@@ -6,8 +6,10 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim import lumped, sensors
+from pneu_sim import sensors
 from pneu_sim.errors import InputError
+from pneu_sim.lumped.batch import predict as predict_lumped
+from pneu_sim.lumped.build import build as build_lumped
 from pneu_sim.rig.build import plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
@@ -68,7 +70,7 @@ def run_rig(rig: Rig, commands: Mapping[str, Floats], sample_s: float) -> dict[s
         np.zeros_like(nothing),
         rest(rig, plan),
     )
-    out = lumped.predict([[lumped.build(rig, plan)]], [course])[0]
+    out = predict_lumped([[build_lumped(rig, plan)]], [course])[0]
     return {name: out.readings[0, t] for t, name in enumerate(rig.taps)}
 
 

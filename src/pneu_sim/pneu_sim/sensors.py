@@ -3,7 +3,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from pneu_sim.rig import build as B
 
@@ -34,6 +33,8 @@ def read(model: "B.Model", pressures: Floats, dt_s: float) -> Floats:
             f = (at - i).reshape((-1,) + (1,) * (x.ndim - 1))
             x = (1.0 - f) * x[i] + f * x[i + 1]
         if lag > 0.0:
+            from scipy.signal import lfilter  # slow to import, and most sensors have no lag
+
             # First-order lag, exact for an input that is linear between samples.
             r = dt_s / lag
             a = float(np.exp(-r))

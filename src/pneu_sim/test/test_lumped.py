@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from tests.references import iso6358
 
-from pneu_sim import lumped
 from pneu_sim.errors import InputError
+from pneu_sim.lumped.batch import predict
+from pneu_sim.lumped.build import build
 from pneu_sim.rig import with_parameters
 from pneu_sim.rig.build import plan_grid
 from pneu_sim.rig.load import load_rig
@@ -104,10 +105,10 @@ def roll(
     plan = plan_grid(rigs[0])
     measured = np.broadcast_to(np.asarray(taps_pa, dtype=float), (samples, len(plan.taps)))
     commands = {} if volts is None else {"volts": volts}
-    models = [lumped.build(rig, plan) for rig in rigs]
+    models = [build(rig, plan) for rig in rigs]
     field = initial_field(rigs[0], plan)
     course = even_course(field, commands, dt_s, measured, **more)
-    return lumped.predict([models], [course], flows=True)[0]
+    return predict([models], [course], flows=True)[0]
 
 
 def choked(conductance: float, p_up: float) -> float:
@@ -262,7 +263,7 @@ def test_one_pressure_for_a_branched_volume() -> None:
 )
 def test_rigs_without_a_reduction_are_refused(changes: dict[str, Any], fault: str) -> None:
     with pytest.raises(InputError, match=fault):
-        lumped.build(vessel_rig(8e5, 1.0, **changes))
+        build(vessel_rig(8e5, 1.0, **changes))
 
 
 def test_batch_is_the_same_as_one_by_one() -> None:

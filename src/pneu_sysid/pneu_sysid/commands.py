@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subcommands of `pneu` that work on a recording: fit, compare, diagnose, add, learn."""
+"""Subcommands of `pneu` that work on a recording: fit, compare, diagnose, add, learn.
+
+The numerics are imported by the command that uses them: `pneu --help` does without.
+"""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -12,31 +15,14 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from pneu_sim.effects import load_effect_file
 from pneu_sim.errors import InputError
-from pneu_sim.rig import load_rig, save_rig
-from pneu_sim.rig.schema import Rig
-from pneu_sysid.compare import compare as run_compare
-from pneu_sysid.compare import compare_table, recordings_table
-from pneu_sysid.diagnose import Diagnosis, result_of_diagnosis
-from pneu_sysid.diagnose import diagnose_apart as run_diagnose
-from pneu_sysid.fit import FitOutcome, fit_rig, pairs_above
-from pneu_sysid.learn import add_effect, result_of_learning
-from pneu_sysid.learn import learn as run_learn
-from pneu_sysid.parameters import value_of
-from pneu_sysid.problem import make_problem, record_for
-from pneu_sysid.records import Recording
-from pneu_sysid.report import write_report
-from pneu_sysid.results import (
-    Correlation,
-    FitResult,
-    FittedParameter,
-    Head,
-    LearnResult,
-    Step,
-    pneu_version,
-    write_json,
-)
+
+if TYPE_CHECKING:
+    from pneu_sim.rig.schema import Rig
+    from pneu_sysid.diagnose import Diagnosis
+    from pneu_sysid.fit import FitOutcome
+    from pneu_sysid.records import Recording
+    from pneu_sysid.results import FitResult, Head, Step
 
 BagPaths = Annotated[
     list[Path],
@@ -118,7 +104,19 @@ def _progress() -> Iterator[Progress]:
         yield bar
 
 
-def _read(bags: list[Path], rig: Rig, console: Console) -> list[Recording]:
+def _load(rig: Path, effects: Path | None) -> "Rig":
+    """Loads a rig, effects of the user's own first."""
+    from pneu_sim.effects import load_effect_file
+    from pneu_sim.rig import load_rig
+
+    if effects is not None:
+        load_effect_file(effects)
+    return load_rig(rig)
+
+
+def _read(bags: list[Path], rig: "Rig", console: Console) -> "list[Recording]":
+    from pneu_sysid.problem import record_for
+
     recordings = [record_for(rig, str(bag)) for bag in bags]
     names = [recording.name for recording in recordings]
     for name in names:
@@ -134,7 +132,7 @@ def _read(bags: list[Path], rig: Rig, console: Console) -> list[Recording]:
     return recordings
 
 
-def read_findings(recordings: Sequence[Recording]) -> list[str]:
+def read_findings(recordings: "Sequence[Recording]") -> list[str]:
     """What was found while recordings were read, one line each.
 
     Args:
@@ -144,7 +142,7 @@ def read_findings(recordings: Sequence[Recording]) -> list[str]:
     return [f"{r.name}: {f}" if several else str(f) for r in recordings for f in r.report]
 
 
-def _titled(recordings: Sequence[Recording]) -> str:
+def _titled(recordings: "Sequence[Recording]") -> str:
     return ", ".join(recording.name for recording in recordings)
 
 
@@ -177,12 +175,13 @@ def fit(
     workers: Workers = None,
 ) -> None:
     """Fit a rig's base parameters to recordings."""
+    from pneu_sim.rig import save_rig
+    from pneu_sysid.fit import fit_rig
+
     console = _console()
     for path in (output, json_path, report):
         _writable(path)
-    if effects is not None:
-        load_effect_file(effects)
-    start = load_rig(rig)
+    start = _load(rig, effects)
     recordings = _read(bag, start, console)
     with _progress() as bar:
         task = bar.add_task("fitting", total=None)
@@ -225,8 +224,8 @@ def fit(
 
 
 def fit_result(
-    rig: str, output: str | None, recordings: Sequence[Recording], outcome: FitOutcome
-) -> FitResult:
+    rig: str, output: str | None, recordings: "Sequence[Recording]", outcome: "FitOutcome"
+) -> "FitResult":
     """The JSON result of a fit.
 
     Args:
@@ -235,6 +234,10 @@ def fit_result(
         recordings: The recordings.
         outcome: The outcome.
     """
+    from pneu_sysid.fit import pairs_above
+    from pneu_sysid.parameters import value_of
+    from pneu_sysid.results import Correlation, FitResult, FittedParameter, pneu_version
+
     estimate = outcome.estimate
     parameters = [
         FittedParameter(
@@ -287,12 +290,13 @@ def compare(
     report: HtmlPath = None,
 ) -> None:
     """Show how far models are from recordings, and where."""
+    from pneu_sysid.compare import compare as run_compare
+    from pneu_sysid.compare import compare_table
+
     console = _console()
     for path in (json_path, report):
         _writable(path)
-    if effects is not None:
-        load_effect_file(effects)
-    rigs = [load_rig(path) for path in rig]
+    rigs = [_load(path, effects if k == 0 else None) for k, path in enumerate(rig)]
     recordings = _read(bag, rigs[0], console)
     with _progress() as bar:
         task = bar.add_task("comparing", total=1.0)
@@ -306,7 +310,7 @@ def compare(
     _finish(result, json_path, report, console, compare=result.as_dict())
 
 
-def _model_name(rig: Rig, path: Path) -> str:
+def _model_name(rig: "Rig", path: Path) -> str:
     return path.stem if rig.model == "pde" else f"{path.stem} ({rig.model.replace('_', '-')})"
 
 
@@ -320,16 +324,16 @@ def diagnose(
     workers: Workers = None,
 ) -> None:
     """Rank what is missing in a model, and say which effect it is."""
+    from pneu_sysid.diagnose import diagnose_apart, result_of_diagnosis
+
     console = _console()
     for path in (json_path, report):
         _writable(path)
-    if effects is not None:
-        load_effect_file(effects)
-    loaded = load_rig(rig)
+    loaded = _load(rig, effects)
     recordings = _read(bag, loaded, console)
     with _progress() as bar:
         tell = _stages(bar)
-        found = run_diagnose(loaded, recordings, refine=refine, workers=workers, progress=tell)
+        found = diagnose_apart(loaded, recordings, refine=refine, workers=workers, progress=tell)
     console.print(diagnosis_table(found))
     console.print(f"[bold]{escape(found.sentence)}[/bold]")
     for statement in found.statements:
@@ -351,7 +355,7 @@ def _stages(bar: Progress):  # type: ignore[no-untyped-def]
     return tell
 
 
-def diagnosis_table(found: Diagnosis) -> Table:
+def diagnosis_table(found: "Diagnosis") -> Table:
     """The ranking as a table.
 
     Args:
@@ -396,11 +400,14 @@ def add(
     workers: Workers = None,
 ) -> None:
     """Add an effect to a rig and refit it."""
+    from pneu_sim.rig import save_rig
+    from pneu_sysid.learn import add_effect
+    from pneu_sysid.problem import make_problem
+    from pneu_sysid.results import LearnResult, pneu_version, write_json
+
     console = _console()
     for path in (output, json_path):
         _writable(path)
-    if effects is not None:
-        load_effect_file(effects)
     name, _, where = effect.partition("@")
     place, _, position = where.partition(":")
     try:
@@ -409,7 +416,7 @@ def add(
         raise InputError(
             f"effect {effect!r}: position {position!r} is no number of metres"
         ) from None
-    loaded = load_rig(rig)
+    loaded = _load(rig, effects)
     recordings = _read(bag, loaded, console)
     better, before, after = add_effect(loaded, recordings, name, place or None, at, workers)
     save_rig(better, output)
@@ -435,7 +442,7 @@ def add(
         )
 
 
-def step_table(steps: list[Step]) -> Table:
+def step_table(steps: "list[Step]") -> Table:
     """Errors after every added effect, held-out part, as a table.
 
     Args:
@@ -471,12 +478,20 @@ def learn(
     workers: Workers = None,
 ) -> None:
     """Name, add and refit effect after effect until nothing more is worth adding."""
+    from pneu_sim.rig import save_rig
+    from pneu_sysid.compare import compare as run_compare
+    from pneu_sysid.compare import recordings_table
+    from pneu_sysid.diagnose import result_of_diagnosis
+    from pneu_sysid.learn import learn as run_learn
+    from pneu_sysid.learn import result_of_learning
+    from pneu_sysid.problem import make_problem
+    from pneu_sysid.report import write_report
+    from pneu_sysid.results import write_json
+
     console = _console()
     _writable(json_path)
     _folder(output)
-    if effects is not None:
-        load_effect_file(effects)
-    loaded = load_rig(rig)
+    loaded = _load(rig, effects)
     recordings = _read(bag, loaded, console)
     with _progress() as bar:
         learned = run_learn(loaded, recordings, out=output, workers=workers, progress=_stages(bar))
@@ -507,8 +522,15 @@ def learn(
 
 
 def _finish(
-    result: Head, json_path: Path | None, report: Path | None, console: Console, **sections: object
+    result: "Head",
+    json_path: Path | None,
+    report: Path | None,
+    console: Console,
+    **sections: object,
 ) -> None:
+    from pneu_sysid.report import write_report
+    from pneu_sysid.results import write_json
+
     if json_path is not None:
         write_json(json_path, result)
         console.print(f"wrote {json_path}")

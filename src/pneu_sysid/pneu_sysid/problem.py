@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim import layout as L
-from pneu_sim import lumped
 from pneu_sim.errors import InputError
+from pneu_sim.lumped.batch import predict as predict_lumped
+from pneu_sim.lumped.build import build as build_lumped
 from pneu_sim.rig import rig_in_recording
 from pneu_sim.rig.build import Model, Plan, build, plan_grid
 from pneu_sim.rig.schema import Rig
@@ -358,8 +359,8 @@ class Problem:
         plan = ready.plan
         own = [[rig_in_recording(rig, self.recordings[c].name) for rig in rigs] for c in of]
         if rigs[0].model != "pde":
-            reduced = [[lumped.build(rig, plan) for rig in of_course] for of_course in own]
-            return lumped.predict(reduced, courses, self.workers, progress, flows)
+            reduced = [[build_lumped(rig, plan) for rig in of_course] for of_course in own]
+            return predict_lumped(reduced, courses, self.workers, progress, flows)
         if any(rig.recordings for rig in rigs):
             models = [[build(rig, plan) for rig in of_course] for of_course in own]
         else:
