@@ -19,6 +19,13 @@ def pneu(*words: object):
     return CliRunner().invoke(build_app(), [str(word) for word in words], prog_name="pneu")
 
 
+def coarse(shape: str, rng: np.random.Generator) -> Rig:
+    """A rig on longer cells, for what takes many runs."""
+    rig = draw_rig(shape, rng)
+    rig.grid.dx_m = 0.1
+    return rig
+
+
 def with_channels(rig: Rig) -> Rig:
     """The rig with a topic for each signal."""
     rig = rig.model_copy(deep=True)
@@ -36,7 +43,7 @@ def rig_and_bags(tmp_path_factory):
     """A line, its rig file with two numbers wrong, and three recordings of it."""
     folder = tmp_path_factory.mktemp("several")
     rng = np.random.default_rng(21)
-    rig = with_channels(draw_rig("line", rng))
+    rig = with_channels(coarse("line", rng))
     bags = []
     for k in range(3):
         recording = record(rig, rng, 125.0, 3.0, moving=k == 1, name=f"run_{k}")
@@ -127,7 +134,7 @@ def test_the_same_recording_twice(rig_and_bags) -> None:
 def test_a_recording_of_another_rig(rig_and_bags, tmp_path) -> None:
     _, file, bags = rig_and_bags
     rng = np.random.default_rng(22)
-    other = with_channels(draw_rig("tee", rng))
+    other = with_channels(coarse("tee", rng))
     strange = tmp_path / "strange.mcap"
     write_bag(strange, other, record(other, rng, 125.0, 1.0, moving=False, name="strange"))
     for command in ("compare", "diagnose"):

@@ -11,7 +11,7 @@ from studies.exact_rigs import RATES, SHAPES, draw_rig, record
 
 from pneu_sim.errors import InputError
 from pneu_sim.rig import with_parameters
-from pneu_sim.rig.schema import AttachedEffect, FitParameter
+from pneu_sim.rig.schema import AttachedEffect, FitParameter, Rig
 from pneu_sim.signals import Signal
 from pneu_sysid.diagnose import diagnose, diagnose_apart
 from pneu_sysid.fit import fit_rig
@@ -22,6 +22,13 @@ from pneu_sysid.together import each_of
 SECONDS = 6.0
 TOLERANCE = 0.10
 SIGMAS = 3.0
+
+
+def coarse(shape: str, rng: np.random.Generator) -> Rig:
+    """A rig on longer cells, for what takes many runs; the step in time shows a little there."""
+    rig = draw_rig(shape, rng)
+    rig.grid.dx_m = 0.1
+    return rig
 
 
 def times_noise(rig, recordings, **more) -> tuple[np.ndarray, np.ndarray]:
@@ -97,7 +104,8 @@ def test_models_run_together_are_those_run_alone() -> None:
     together = each_of(rounds, problem, estimate)
     for found, values in zip(together, rounds, strict=True):
         for one, alone in zip(found, estimate(problem, values), strict=True):
-            np.testing.assert_array_equal(one, alone)
+            # vectorised or not, by the place in a batch: equal but for the last bit
+            np.testing.assert_allclose(one, alone, rtol=1e-12)
 
     def fail(shared: Problem, values: list[float]) -> None:
         if len(values) == 2:
@@ -110,7 +118,7 @@ def test_models_run_together_are_those_run_alone() -> None:
 
 def test_an_exact_model_is_not_accused_and_stays_where_it_is() -> None:
     rng = np.random.default_rng(15)
-    rig = draw_rig("tee", rng)
+    rig = coarse("tee", rng)
     recording = record(rig, rng, 125.0, SECONDS, moving=True)
     parameters = [
         FitParameter(path="chambers.chamber_a.volume_m3", lower=1e-6, upper=2e-4, log=True),
@@ -135,7 +143,7 @@ def test_an_exact_model_is_not_accused_and_stays_where_it_is() -> None:
 def test_the_recording_that_differs_is_named() -> None:
     """A leak in one of four recordings: the verdict is of that one."""
     rng = np.random.default_rng(16)
-    rig = draw_rig("line", rng)
+    rig = coarse("line", rng)
     rig.fit.horizon_s = 0.5
     leak = AttachedEffect(
         effect="leak", place="tube", parameters={"area_m2": 2e-8, "position_m": 0.7}
@@ -163,7 +171,7 @@ def test_the_recording_that_differs_is_named() -> None:
 def test_a_value_that_differs_from_recording_to_recording() -> None:
     """Two supplies: shared parameters from both, the supply once for each."""
     rng = np.random.default_rng(17)
-    rig = draw_rig("line", rng)
+    rig = coarse("line", rng)
     recordings = []
     for name, factor in (("low", 0.97), ("high", 1.02)):
         other = rig.model_copy(deep=True)
