@@ -371,3 +371,27 @@ def test_in_a_process_of_its_own(tmp_path):
     )
     assert (result.returncode, result.stdout) == (2, "")
     assert re.fullmatch(r"pneu: \S*rig\.yaml: pipes\.tube\.length_m: .*-2\.5\n", result.stderr)
+
+
+def test_brackets_in_names_are_brackets(tmp_path, good_bag):
+    """Names are not markup: neither lost nor an error after all the work is done."""
+    path = changed_rig(
+        tmp_path,
+        ("  end: {pipe", '  "[/end]": {pipe'),
+        ("name: rig_a", 'name: "[red]x"'),
+        ("{warm_up_s: 0.4}", "{warm_up_s: 0.0, horizon_s: 0.1}"),
+    )
+    result = CliRunner().invoke(
+        build_app(), ["compare", str(good_bag), "--rig", str(path), "--no-refine"], prog_name="pneu"
+    )
+    assert result.exit_code == 0, result.output
+    assert "[/end]" in result.output
+
+
+def test_a_position_that_is_no_number(tmp_path, good_bag):
+    words = ["add", "leak@tube:nan", "--rig", str(RIG), "--bag", str(good_bag)]
+    result = CliRunner().invoke(
+        build_app(), [*words, "-o", str(tmp_path / "better.yaml")], prog_name="pneu"
+    )
+    assert result.exit_code == 2
+    assert "position 'nan' is no number of metres" in result.stderr

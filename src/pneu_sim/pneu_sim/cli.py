@@ -163,6 +163,9 @@ def _report(error: BaseException) -> int:
         hint = f" (see {context.command_path} --help)" if context else ""
         _say(f"{error.format_message().rstrip('.')}{hint}")
         return int(getattr(error, "exit_code", EXIT_BAD_INPUT))
+    if isinstance(error, MemoryError):
+        _say("the machine's memory is not enough for this")
+        return EXIT_INTERNAL_ERROR
     if isinstance(error, OSError) and error.filename is not None:
         _say(f"{error.filename}: {error.strerror}")
         return EXIT_BAD_INPUT

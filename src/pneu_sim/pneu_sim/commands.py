@@ -74,10 +74,17 @@ def check(
     from pneu_sim.effects import load_effect_file
     from pneu_sim.rig.build import build, plan_grid
     from pneu_sim.rig.load import load_rig
+    from pneu_sim.rig.plausible import misfit
 
     if effects_file is not None:
         load_effect_file(effects_file)
     rig = load_rig(rig_file)
+    try:
+        objection = misfit(rig)
+    except InputError as error:
+        objection = f"fit: {error}"
+    if objection:
+        raise InputError(f"{rig_file}: {objection}")
     plan = plan_grid(rig)
     build(rig, plan)
     cells = sum(n for _, n in plan.pipes.values())

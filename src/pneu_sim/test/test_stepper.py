@@ -109,6 +109,7 @@ def test_vent_is_the_voltage_asked_for():
     assert Inputs(RIG, 0.1, 0.0).now(0.0) == {"voltage": 0.0}
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("factor", [1.0, 2.0])
 def test_real_time_is_kept_at_the_factor_asked_for(factor):
     stepper, _, samples = make("real_time", factor)
@@ -128,6 +129,7 @@ def test_real_time_is_kept_at_the_factor_asked_for(factor):
     assert set(steps) == {round(PERIOD_S * 1e9)}
 
 
+@pytest.mark.realtime
 def test_what_cannot_keep_time_says_so_and_lets_time_slip():
     stepper, _, _ = make("real_time", 50.0, dx_m=0.02)
     stepper.start()
@@ -141,6 +143,7 @@ def test_what_cannot_keep_time_says_so_and_lets_time_slip():
     assert report.behind and report.reached < 45.0 and report.slipped_s > 0.0
 
 
+@pytest.mark.realtime
 def test_a_clock_that_others_set_is_followed_through_pause_and_jump_back():
     clock = SetClock()
     clock.nanoseconds = 5 * 10**9

@@ -4,6 +4,7 @@
 The numerics are imported by the command that uses them: `pneu --help` does without.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -60,8 +60,9 @@ def register(app: typer.Typer) -> None:
 
 
 def _console() -> Console:
-    console = Console()
-    return console if console.is_terminal else Console(width=140)
+    # Without markup: brackets in names, of users and of files, are brackets.
+    console = Console(markup=False, emoji=False)
+    return console if console.is_terminal else Console(width=140, markup=False, emoji=False)
 
 
 def _writable(path: Path | None) -> None:
@@ -128,7 +129,7 @@ def _read(bags: list[Path], rig: "Rig", console: Console) -> "list[Recording]":
     for recording in recordings:
         head = f"{recording.name}: " if len(recordings) > 1 else ""
         for finding in recording.report:
-            console.print(f"[yellow]{escape(head + str(finding))}[/yellow]")
+            console.print(head + str(finding), style="yellow")
     return recordings
 
 
@@ -218,7 +219,7 @@ def fit(
         columns["held out"] = result.held_out_rmse_pa
     console.print(_error_table("error per tap", columns))
     for warning in outcome.warnings:
-        console.print(f"[yellow]{escape(warning)}[/yellow]")
+        console.print(warning, style="yellow")
     console.print(f"condition number {outcome.estimate.condition:.2g}; wrote {output}")
     _finish(result, json_path, report, console, fit=result.as_dict())
 
@@ -335,12 +336,12 @@ def diagnose(
         tell = _stages(bar)
         found = diagnose_apart(loaded, recordings, refine=refine, workers=workers, progress=tell)
     console.print(diagnosis_table(found))
-    console.print(f"[bold]{escape(found.sentence)}[/bold]")
+    console.print(found.sentence, style="bold")
     for statement in found.statements:
-        console.print(escape(statement))
+        console.print(statement)
     result = result_of_diagnosis(loaded.name, found, read_findings(recordings))
     if result.numerics.discretisation:
-        console.print(f"[yellow]{escape(result.numerics.sentence)}[/yellow]")
+        console.print(result.numerics.sentence, style="yellow")
     _finish(result, json_path, report, console, diagnose=result.as_dict())
 
 
@@ -413,9 +414,9 @@ def add(
     try:
         at = float(position) if position else None
     except ValueError:
-        raise InputError(
-            f"effect {effect!r}: position {position!r} is no number of metres"
-        ) from None
+        at = math.nan
+    if at is not None and not math.isfinite(at):
+        raise InputError(f"effect {effect!r}: position {position!r} is no number of metres")
     loaded = _load(rig, effects)
     recordings = _read(bag, loaded, console)
     better, before, after = add_effect(loaded, recordings, name, place or None, at, workers)
@@ -496,7 +497,7 @@ def learn(
     with _progress() as bar:
         learned = run_learn(loaded, recordings, out=output, workers=workers, progress=_stages(bar))
     console.print(step_table(learned.steps))
-    console.print(f"[bold]{escape(learned.sentence)}[/bold]")
+    console.print(learned.sentence, style="bold")
     problem = make_problem(learned.rig, recordings)
     findings = read_findings(recordings)
     result = result_of_learning(loaded.name, learned, problem, findings, str(output))

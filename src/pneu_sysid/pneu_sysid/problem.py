@@ -41,6 +41,7 @@ from pneu_sysid.start import (
     moved,
     remembered_s,
 )
+from pneu_sysid.units import checked
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -413,7 +414,7 @@ def record_for(
         end_s: End of the part to keep, in s after the start of the recording.
 
     Raises:
-        InputError: The recording cannot be read as the rig describes.
+        InputError: The recording cannot be read as the rig describes, or is in other units.
     """
     commands = {n: c.channel for n, c in rig.commands.items() if c.channel is not None}
     missing = set(rig.commands) - set(commands)
@@ -422,7 +423,7 @@ def record_for(
     pressures = {n: t.channel for n, t in rig.taps.items() if t.channel is not None}
     if not pressures:
         raise InputError(f"rig {rig.name!r}: no tap has a channel, so nothing can be compared")
-    return read_recording(
+    recording = read_recording(
         path,
         commands=commands,
         pressures=pressures,
@@ -431,6 +432,7 @@ def record_for(
         start_s=start_s,
         end_s=end_s,
     )
+    return checked(rig, str(path), recording)
 
 
 def pull_of(rig: Rig) -> float | None:

@@ -16,6 +16,8 @@ from pneu_sim.rig.schema import CLOSED, Pipe, Port, Rig, Valve
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+MOST_CELLS = 1_000_000
+"""More would fill the memory, and a second of simulation would take hours."""
 CURVE_POINTS = 4097
 """Points of the uniform table into which an opening curve is drawn out."""
 
@@ -117,7 +119,8 @@ def plan_grid(rig: Rig, dx_m: float | None = None) -> Plan:
         dx_m: Cell length that replaces the rig's, for every pipe alike in proportion.
 
     Raises:
-        InputError: The rig asks for a time step above the stable limit.
+        InputError: The rig asks for a time step above the stable limit, or for more cells or
+            steps than any run could be waited for.
     """
     scale = 1.0 if dx_m is None else dx_m / rig.grid.dx_m
     pipes: dict[str, tuple[int, int]] = {}
@@ -128,6 +131,11 @@ def plan_grid(rig: Rig, dx_m: float | None = None) -> Plan:
         pipes[name] = (slot + 1, cells)
         slot += cells + 2
         shortest = min(shortest, pipe.length_m / cells)
+    if slot > MOST_CELLS:
+        raise InputError(
+            f"grid.dx_m: found {rig.grid.dx_m * scale:g} m, which makes {slot:.2g} cells; allowed"
+            f" are {MOST_CELLS}"
+        )
     reservoirs = list(rig.reservoirs)
     chambers = list(rig.chambers)
     at_node: dict[str, list[int]] = {}

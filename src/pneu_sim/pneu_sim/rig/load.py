@@ -12,6 +12,7 @@ from ruamel.yaml.error import YAMLError
 
 from pneu_sim.errors import InputError
 from pneu_sim.rig.build import plan_grid
+from pneu_sim.rig.plausible import implausible
 from pneu_sim.rig.schema import SCHEMA_VERSION, Rig
 
 
@@ -71,6 +72,10 @@ def load_rig(path: str | Path) -> Rig:
         raise InputError(f"{path}: cannot be read as a rig file ({error})") from None
     try:
         data = YAML(typ="safe").load(text)
+    except RecursionError:
+        raise InputError(f"{path}: is nested too deeply for a rig file") from None
+    except (ValueError, OverflowError) as error:  # a number of thousands of digits
+        raise InputError(f"{path}: is not a rig file ({error})") from None
     except YAMLError as error:
         line = getattr(getattr(error, "problem_mark", None), "line", None)
         at = f", line {line + 1}" if line is not None else ""
@@ -85,11 +90,13 @@ def load_rig(path: str | Path) -> Rig:
         rig = Rig.model_validate(data)
     except ValidationError as error:
         raise InputError(_sentence(str(path), error)) from None
-    if rig.grid.dt_s is not None:
-        try:
-            plan_grid(rig)  # knows the stable limit; better refused now than after a long run
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+    objection = implausible(rig)
+    if objection:
+        raise InputError(f"{path}: {objection}")
+    try:
+        plan_grid(rig)  # knows the limits of the grid; better refused now than after a long run
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     return rig
 
 

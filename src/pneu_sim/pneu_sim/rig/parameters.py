@@ -41,6 +41,8 @@ def get_parameter(rig: Rig, path: str) -> float:
     node: Any = rig
     for part in path.split("."):
         if part == "*":
+            if not isinstance(node, dict) or not node:
+                raise InputError(f"parameter {path!r}: there is nothing for '*' to stand for")
             part = next(iter(node))
         node = _step(node, part, path)
     if isinstance(node, bool) or not isinstance(node, int | float):
@@ -64,6 +66,8 @@ def with_parameters(rig: Rig, values: dict[str, float]) -> Rig:
         nodes: list[Any] = [copy]
         for part in parents:
             if part == "*":
+                if not all(isinstance(node, dict) and node for node in nodes):
+                    raise InputError(f"parameter {path!r}: there is nothing for '*' to stand for")
                 nodes = [child for node in nodes for child in node.values()]
             else:
                 nodes = [_step(node, part, path) for node in nodes]

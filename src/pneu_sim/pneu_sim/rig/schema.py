@@ -9,17 +9,26 @@ wall. All quantities are SI, pressures absolute.
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from pneu_sim.channels import Channel, TextFormat
 
 SCHEMA_VERSION = 1
 CLOSED = "closed"
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Ratio = Annotated[float, Field(ge=0.0, lt=1.0)]
+
+def _no_truth(value: Any) -> Any:
+    """Refuses true and false where a number is meant; Python would take them for 1 and 0."""
+    if isinstance(value, bool):
+        raise ValueError("a number is needed")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_no_truth)]
+Positive = Annotated[Number, Field(gt=0.0, allow_inf_nan=False)]
+NonNegative = Annotated[Number, Field(ge=0.0, allow_inf_nan=False)]
+Finite = Annotated[Number, Field(allow_inf_nan=False)]
+Ratio = Annotated[Number, Field(ge=0.0, lt=1.0)]
 
 
 class Part(BaseModel):

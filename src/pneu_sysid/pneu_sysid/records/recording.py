@@ -20,7 +20,7 @@ class Finding:
             ``clock_offset``, ``clock_rate``, ``clock_jump``, ``out_of_order``,
             ``duplicate``, ``not_finite``, ``unreadable``, ``short_row``, ``irregular``,
             ``missing``, ``gap``, ``event_driven``, ``frozen``, ``constant``, ``cropped``,
-            ``thinned``, ``suspicious_unit``.
+            ``thinned``, ``suspicious_unit``, ``mark``.
         count: Number of samples, gaps or rows concerned.
         action: What was found in figures and what was done, in one sentence.
     """

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers of a rig file that no laboratory has: mostly another unit than the SI's.
+
+The schema refuses what has no meaning; this refuses what has one that nobody means. Rigs that
+programs build are not asked.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel
+
+from pneu_sim.rig.parameters import get_parameter
+from pneu_sim.rig.schema import FitParameter, Rig
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a kind of number may be.
+
+    Attributes:
+        low: Least value.
+        high: Greatest value.
+        unit: Its unit.
+        others: Units in which it is often given: name, factor to the SI unit, offset.
+        usual: Values that need no second thought; a number in another unit falls there.
+        zero: Whether 0 is allowed besides.
+    """
+
+    low: float
+    high: float
+    unit: str
+    others: tuple[tuple[str, float, float], ...] = ()
+    usual: tuple[float, float] = (0.0, 0.0)
+    zero: bool = True
+
+    def objection(self, value: float) -> str:
+        """What is wrong with a value; empty if nothing is.
+
+        Args:
+            value: The value, in the SI unit.
+        """
+        if self.low <= value <= self.high or (self.zero and value == 0.0):
+            return ""
+        text = f"found {value:g} {self.unit}, allowed are {self.low:g} to {self.high:g}"
+        for name, factor, offset in self.others:
+            meant = value * factor + offset
+            if self.usual[0] <= meant <= self.usual[1]:
+                return f"{text}; {value:g} {name} are {meant:.6g} {self.unit}"
+        return text
+
+
+_BAR = (("bar", 1e5, 0.0), ("kPa", 1e3, 0.0), ("psi", 6894.757, 0.0), ("MPa", 1e6, 0.0))
+_MM = (("mm", 1e-3, 0.0),)
+_MM2 = (("mm2", 1e-6, 0.0),)
+_CM3 = (("cm3", 1e-6, 0.0), ("litres", 1e-3, 0.0))
+
+RANGES = {
+    "pressure_pa": Range(1e3, 1e8, "Pa", _BAR, (5e4, 2e7), zero=False),
+    "temperature_k": Range(150.0, 1000.0, "K", (("°C", 1.0, 273.15),), (230.0, 400.0), zero=False),
+    "length_m": Range(1e-3, 1e3, "m", _MM, (1e-2, 1e2), zero=False),
+    "position_m": Range(0.0, 1e3, "m", _MM, (1e-2, 1e2)),
+    "dx_m": Range(1e-4, 1e2, "m", _MM, (1e-3, 1.0), zero=False),
+    "area_m2": Range(1e-12, 0.1, "m2", _MM2, (1e-9, 1e-3)),
+    "leak_area_m2": Range(1e-15, 0.1, "m2", _MM2, (1e-9, 1e-3)),
+    "volume_m3": Range(1e-10, 100.0, "m3", _CM3, (1e-8, 1.0)),
+    "volume_from_m3": Range(0.0, 0.1, "m3", _CM3, (1e-9, 1e-2)),
+    "volume_to_m3": Range(0.0, 0.1, "m3", _CM3, (1e-9, 1e-2)),
+    "conductance_m3_s_pa": Range(
+        0.0, 1e-5, "m3/(s Pa)", (("dm3/(s bar)", 1e-8, 0.0), ("l/min/bar", 1e-8 / 60.0, 0.0)),
+        (1e-11, 1e-6),
+    ),
+    "roughness_m": Range(0.0, 1e-2, "m", (("um", 1e-6, 0.0),), (1e-7, 1e-3)),
+    "bandwidth_hz": Range(1e-3, 1e5, "Hz", zero=False),
+    "damping": Range(1e-3, 1e3, ""),
+    "delay_s": Range(0.0, 10.0, "s", (("ms", 1e-3, 0.0),), (1e-4, 1.0)),
+    "lag_s": Range(0.0, 100.0, "s", (("ms", 1e-3, 0.0),), (1e-4, 10.0)),
+    "offset_s": Range(-100.0, 100.0, "s", (("ms", 1e-3, 0.0),), (1e-4, 1.0)),
+    "noise_pa": Range(0.0, 1e6, "Pa"),
+    "quantum_pa": Range(0.0, 1e6, "Pa"),
+    "bias_pa": Range(-1e7, 1e7, "Pa"),
+    "heat_w_per_k": Range(0.0, 1e4, "W/K"),
+    "compliance_m3_per_pa": Range(0.0, 1e-2, "m3/Pa"),
+    "droop_pa_s_per_kg": Range(0.0, 1e12, "Pa s/kg"),
+    "droop_tau_s": Range(0.0, 100.0, "s", (("ms", 1e-3, 0.0),), (1e-4, 1.0)),
+    "dt_s": Range(1e-8, 1.0, "s", zero=False),
+    "wave_speed_m_s": Range(100.0, 1e4, "m/s", zero=False),
+    "rate_hz": Range(1e-3, 1e6, "Hz", zero=False),
+}  # fmt: skip
+"""By the name of a field; pressures are absolute."""
+
+
+def implausible(rig: Rig) -> str:
+    """The first number that no laboratory has, as a sentence without the file's name; else empty.
+
+    Args:
+        rig: The rig.
+    """
+    for path, name, value in _numbers(rig, ""):
+        known = RANGES.get(name)
+        objection = "" if known is None else known.objection(value)
+        if objection:
+            return f"{path}: {objection}"
+    return ""
+
+
+def misfit(rig: Rig) -> str:
+    """The first parameter to fit that the rig has not, or that starts outside its bounds.
+
+    Args:
+        rig: The rig.
+
+    Returns:
+        A sentence without the file's name; empty if there is none.
+
+    Raises:
+        InputError: A path leads nowhere.
+    """
+    for k, p in enumerate(rig.fit.parameters):
+        value = _start(rig, p)
+        slack = 1e-6 * (p.upper - p.lower)
+        if not p.lower - slack <= value <= p.upper + slack:
+            return (
+                f"fit.parameters.{k}: {p.path} starts at {value:g}, outside its bounds"
+                f" {p.lower:g} to {p.upper:g}"
+            )
+    return ""
+
+
+def _start(rig: Rig, parameter: FitParameter) -> float:
+    own = rig.recordings.get(parameter.recording or "", {})
+    return own.get(parameter.path, get_parameter(rig, parameter.path))
+
+
+def _numbers(node: Any, path: str) -> Iterator[tuple[str, str, float]]:
+    """Path, field and value of every number of the rig's own parts."""
+    if isinstance(node, BaseModel):
+        children = [(name, getattr(node, name)) for name in type(node).model_fields]
+    elif isinstance(node, dict):
+        children = list(node.items())
+    else:
+        children = [(str(k), value) for k, value in enumerate(node)]
+    for name, value in children:
+        if path == "" and name in ("effects", "fit", "calibration", "recordings"):
+            continue  # in units of their own
+        where = f"{path}.{name}" if path else name
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            yield where, name, float(value)
+        elif isinstance(value, BaseModel | dict | list):
+            yield from _numbers(value, where)
