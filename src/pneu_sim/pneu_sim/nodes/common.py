@@ -20,6 +20,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
 
 from pneu_sim.errors import InputError
 from pneu_sim.nodes.lifetime import initialised
@@ -42,6 +43,19 @@ READINGS_QOS = QoSProfile(
 
 EXIT_BAD_INPUT = 2
 CLOCK_TOPIC = "/clock"
+
+
+def from_another_thread(node: Node) -> Future:
+    """A future that a callback of a node may await and another thread may complete.
+
+    Completing one wakes no executor; scheduling its done-callbacks does, so this one has one.
+
+    Args:
+        node: The node whose executor runs the callback.
+    """
+    done: Future = Future(executor=node.executor)
+    done.add_done_callback(lambda _: None)
+    return done
 
 
 def declare(

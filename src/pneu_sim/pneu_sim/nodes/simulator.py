@@ -14,7 +14,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from pneu_msgs.msg import LineState, TapPressures, ValveCommand
 from pneu_msgs.srv import ResetSimulator, StepSimulator
 from rclpy.node import Node
-from rclpy.task import Future
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import FluidPressure
 
@@ -198,7 +197,7 @@ class SimulatorNode(Node):
     ) -> StepSimulator.Response:
         assert self._stepper is not None
         duration_s = request.duration.sec + request.duration.nanosec * 1e-9
-        done = Future(executor=self.executor)
+        done = common.from_another_thread(self)
         try:
             self._stepper.ask_step(duration_s, done.set_result)
         except InputError as error:
@@ -224,7 +223,7 @@ class SimulatorNode(Node):
         elif not all(math.isfinite(p) and p > 0.0 for p in pressures):
             response.message = "a pressure is not positive and finite; they are absolute, in Pa"
         else:
-            done = Future(executor=self.executor)
+            done = common.from_another_thread(self)
             self._stepper.ask_reset(dict(zip(names, pressures, strict=True)), done.set_result)
             response.message, _ = await done
             response.success = not response.message

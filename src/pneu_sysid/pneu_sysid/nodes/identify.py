@@ -19,7 +19,6 @@ from pneu_msgs.msg import TapResiduals
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from rclpy.task import Future
 
 from pneu_sim import topics
 from pneu_sim.errors import InputError
@@ -163,7 +162,7 @@ class IdentifyNode(Node):
             self._busy = False
             goal_handle.abort()
             return Identify.Result(success=False, message=str(error))
-        done: Future = Future(executor=self.executor)
+        done = common.from_another_thread(self)
 
         def tell(stage: str, fraction: float) -> None:
             self._stage = stage

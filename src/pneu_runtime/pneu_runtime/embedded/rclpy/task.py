@@ -259,9 +259,11 @@ class Task(Future):
             self._resume()
 
     def _resume(self) -> None:
+        # Nobody is woken, as in rclpy: what a callback completes is found in the next round, what
+        # another thread completes when something else wakes the executor (a done-callback does).
         executor = self._executor()
         if executor is not None:
-            executor._add_task(self)
+            executor._tasks.append(self)
 
     def _complete_task(self) -> None:
         """Let go of what a finished task would otherwise keep alive."""
