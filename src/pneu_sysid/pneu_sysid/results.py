@@ -8,7 +8,6 @@ not finite becomes null on the way in, so no file ever holds NaN.
 import importlib.metadata
 import json
 import math
-import os
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -16,6 +15,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from pneu_sim.errors import InputError
+from pneu_sim.files import write_whole
 
 
 def _finite(value: Any) -> Any:
@@ -425,12 +425,7 @@ def write_json(path: str | Path, result: Head | dict[str, Any]) -> None:
     data = checked.as_dict()
     data = {"schema": data.pop("schema"), **data}
     lines = [f"  {json.dumps(k)}: {json.dumps(v, allow_nan=False)}" for k, v in data.items()]
-    aside = path.with_name(f".{path.name}.part")
-    try:
-        aside.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
-        os.replace(aside, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+    write_whole(path, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
 # ---- the page ------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 """Reading and writing rig files: one YAML file, one clear sentence where it is wrong."""
 
 import difflib
-import os
+import io
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from pneu_sim.errors import InputError
+from pneu_sim.files import write_whole
 from pneu_sim.rig.build import plan_grid
 from pneu_sim.rig.plausible import implausible
 from pneu_sim.rig.schema import SCHEMA_VERSION, Rig
@@ -114,10 +115,6 @@ def save_rig(rig: Rig, path: str | Path) -> None:
     yaml = YAML()
     yaml.default_flow_style = None
     yaml.width = 100
-    aside = path.with_name(f".{path.name}.part")
-    try:
-        with aside.open("w", encoding="utf-8") as stream:
-            yaml.dump(rig.dump(), stream)
-        os.replace(aside, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+    text = io.StringIO()
+    yaml.dump(rig.dump(), text)
+    write_whole(path, text.getvalue())
