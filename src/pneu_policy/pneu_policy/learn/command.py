@@ -63,7 +63,8 @@ def train(
     """
     if importlib.util.find_spec("torch") is None:
         raise InputError(
-            "training needs PyTorch, which is not installed: `pip install pneu[learn]`"
+            "training needs PyTorch, which is not installed: `pip install '.[learn]'` in a checkout"
+            " of pneu, or 'FILE.whl[learn]' for a wheel of it"
         )
     from pneu_policy.learn import sweep
     from pneu_policy.learn.settings import load_document

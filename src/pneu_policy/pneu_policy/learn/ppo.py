@@ -25,7 +25,8 @@ try:
     from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 except ModuleNotFoundError as error:
     raise InputError(
-        f"PPO needs stable-baselines3, which is not installed ({error}): `pip install pneu[study]`"
+        f"PPO needs stable-baselines3, which is not installed ({error}):"
+        " `pip install '.[study]'` in a checkout of pneu"
     ) from None
 
 
