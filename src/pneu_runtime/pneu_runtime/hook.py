@@ -3,10 +3,13 @@
 
 `install()` adds a finder to Python's import system. It provides `rclpy` and the other packages in
 `embedded/`, and `<package>.msg`, `.srv` and `.action` of every interface package whose definitions
-are known. A package that is really installed is always preferred, and where the real rclpy is
-found nothing is changed at all, since its messages need support that only ROS can give.
+are known. A package that is really installed is always preferred, and where the real rclpy can be
+imported nothing is changed at all, since its messages need support that only ROS can give. Where
+one is found that cannot be imported (ROS is sourced, and this Python is another, or lacks what
+rclpy needs), it is left out with all that lies beside it, and a line on stderr says so.
 """
 
+import importlib
 import importlib.abc
 import importlib.machinery
 import importlib.util
@@ -70,7 +73,8 @@ def _part(name: str) -> Any:
 class _Finder(importlib.abc.MetaPathFinder):
     """Finds what this package provides, unless something real is installed under that name."""
 
-    def __init__(self) -> None:
+    def __init__(self, broken: Path | None = None) -> None:
+        self._broken = broken  # where the packages lie of a ROS that cannot be imported
         self._packages = {name.split("/")[0] for name in known_types()}
         self._embedded = {path.parent.name: path for path in _EMBEDDED.glob("*/__init__.py")}
 
@@ -82,7 +86,7 @@ class _Finder(importlib.abc.MetaPathFinder):
     ) -> importlib.machinery.ModuleSpec | None:
         package, _, kind = fullname.partition(".")
         if package in self._embedded and not kind:
-            if _is_installed(fullname, path, self):
+            if self._is_installed(fullname, path):
                 return None
             file = self._embedded[package]
             return importlib.util.spec_from_file_location(
@@ -90,45 +94,72 @@ class _Finder(importlib.abc.MetaPathFinder):
             )
         if package not in self._packages or (kind and kind not in _KINDS):
             return None
-        if _is_installed(fullname, path, self):
+        if self._is_installed(fullname, path):
             return None
         loader = _InterfaceLoader(package, kind)
         return importlib.machinery.ModuleSpec(fullname, loader, is_package=not kind)
 
+    def _is_installed(self, name: str, path: Sequence[str] | None) -> bool:
+        origin = _origin(name, path)
+        if origin is None:
+            return False
+        return self._broken is None or self._broken not in Path(origin).parents
 
-def _is_installed(
-    name: str, path: Sequence[str] | None, but: importlib.abc.MetaPathFinder | None = None
-) -> bool:
-    """Whether another finder knows a module.
+
+def _origin(name: str, path: Sequence[str] | None) -> str | None:
+    """Where another finder knows a module; None if none does.
 
     A mere folder of that name, such as the one with the message definitions in a workspace, which
     Python would take for a namespace package, does not count.
     """
     for finder in sys.meta_path:
-        if finder is but or isinstance(finder, _Finder):
+        if isinstance(finder, _Finder):
             continue
         find = getattr(finder, "find_spec", None)
         spec = find(name, path, None) if find else None
         if spec is not None and spec.loader is not None and spec.origin is not None:
-            return True
-    return False
+            return spec.origin
+    return None
+
+
+def _import_fails(name: str) -> str:
+    """Why a package that is found cannot be imported; empty where it can."""
+    before = set(sys.modules)
+    try:
+        importlib.import_module(name)
+    except Exception as error:
+        for module in set(sys.modules) - before:
+            if module.partition(".")[0] == name:
+                del sys.modules[module]
+        return f"{type(error).__name__}: {error}"
+    return ""
 
 
 def install() -> bool:
     """Makes `rclpy` and messages importable, where they are not. Further calls do nothing.
 
     Returns:
-        bool: whether the embedded runtime is what `import rclpy` gives; False where the real one is
-        installed.
+        bool: whether the embedded runtime is what `import rclpy` gives; False where the real one
+        works.
     """
     if any(isinstance(finder, _Finder) for finder in sys.meta_path):
         return True
-    module = sys.modules.get("rclpy")
-    if module is not None or _is_installed("rclpy", None):
+    if sys.modules.get("rclpy") is not None:
         return False
+    broken, origin = None, _origin("rclpy", None)
+    if origin is not None:
+        why = _import_fails("rclpy")
+        if not why:
+            return False
+        broken = Path(origin).parent.parent
+        print(
+            f"pneu: the rclpy in {broken} cannot be imported here ({why}); the embedded runtime"
+            " takes its place",
+            file=sys.stderr,
+        )
     # Before the finder of files, which would take a folder of definitions for a package; what
     # is really installed is still preferred, see `_is_installed`.
     files = [finder for finder in sys.meta_path if finder is importlib.machinery.PathFinder]
     position = sys.meta_path.index(files[0]) if files else len(sys.meta_path)
-    sys.meta_path.insert(position, _Finder())
+    sys.meta_path.insert(position, _Finder(broken))
     return True

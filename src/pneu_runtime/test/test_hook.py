@@ -74,6 +74,30 @@ assert rclpy.real and std_msgs.real
     run(code, tmp_path, PYTHONPATH=str(tmp_path))
 
 
+def test_an_rclpy_that_cannot_be_imported_is_left_out_and_told(tmp_path):
+    """As with ROS sourced for another Python: found, but not to be used, nor its messages."""
+    for package in ("rclpy", "std_msgs", "std_msgs/msg"):
+        (tmp_path / package).mkdir()
+        text = "raise ImportError('no native half')\n" if package != "std_msgs" else ""
+        (tmp_path / package / "__init__.py").write_text(text)
+    (tmp_path / "rclpy" / "__init__.py").write_text("import no_such_yaml\n")
+    code = """
+import contextlib, io, sys
+said = io.StringIO()
+with contextlib.redirect_stderr(said):
+    from pneu_runtime import hook
+    assert hook.install()
+import rclpy, rclpy.node
+from std_msgs.msg import String
+assert "embedded" in rclpy.__file__, rclpy.__file__
+assert said.getvalue().count("\\n") == 1
+assert "No module named 'no_such_yaml'" in said.getvalue()
+print(String(data="x"))
+"""
+    found = run(code, tmp_path, PYTHONPATH=str(tmp_path))
+    assert found == "std_msgs.msg.String(data='x')"
+
+
 def test_scripts_and_modules_are_run(tmp_path):
     script = tmp_path / "talk.py"
     script.write_text(
