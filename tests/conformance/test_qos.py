@@ -71,10 +71,11 @@ def test_presets():
 
 
 def test_short_keys():
-    assert ReliabilityPolicy.get_from_short_key("best_effort") is ReliabilityPolicy.BEST_EFFORT
+    assert ReliabilityPolicy.get_from_short_key("best_effort") == ReliabilityPolicy.BEST_EFFORT
+    assert type(ReliabilityPolicy.get_from_short_key("best_effort")) is int
     assert DurabilityPolicy.TRANSIENT_LOCAL.short_key == "transient_local"
     assert "keep_all" in HistoryPolicy.short_keys()
-    assert LivelinessPolicy.get_from_short_key("automatic") is LivelinessPolicy.AUTOMATIC
+    assert LivelinessPolicy.get_from_short_key("automatic") == LivelinessPolicy.AUTOMATIC
 
 
 @pytest.mark.parametrize(

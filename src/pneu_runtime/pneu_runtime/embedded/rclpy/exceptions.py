@@ -56,10 +56,6 @@ class NameValidationException(Exception):
     ) -> None:
         marker = " " * (len("  '") + invalid_index) + "^"
         super().__init__(f"Invalid {name_type}: {error_msg}:\n  '{name}'\n{marker}", *args)
-        self.name_type = name_type
-        self.name = name
-        self.error_msg = error_msg
-        self.invalid_index = invalid_index
 
 
 class InvalidNamespaceException(NameValidationException):

@@ -71,16 +71,16 @@ class QoSPolicyEnum(IntEnum):
         return [name.lower() for name in cls.__members__ if name != "UNKNOWN"]
 
     @classmethod
-    def get_from_short_key(cls: type[_Policy], name: str) -> _Policy:
+    def get_from_short_key(cls, name: str) -> int:
         """Return the value of a name.
 
         Args:
             name: Its name, in either case.
 
         Returns:
-            QoSPolicyEnum: The value.
+            int: The value, as a plain number.
         """
-        return cls[name.upper()]
+        return int(cls[name.upper()].value)
 
     @property
     def short_key(self) -> str:

@@ -44,7 +44,8 @@ def _fault(name: str) -> tuple[str, int] | None:
     tilde = name.rfind("~")
     if tilde > 0:
         return "topic name must not have tilde '~' unless it is the first character", tilde
-    if name[0] == "~" and len(name) > 1 and name[1] != "/":
+    # rcl looks at the second character of longer names only
+    if name[0] == "~" and len(name) > 2 and name[1] != "/":
         return "topic name has a tilde '~' that is not followed by a forward slash", 1
     if (double := name.find("//")) >= 0:
         return "topic name must not contain repeated '/'", double + 1
