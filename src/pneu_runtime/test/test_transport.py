@@ -466,7 +466,7 @@ def test_wrong_domains_are_refused(text):
         domain.domain_id_from({"ROS_DOMAIN_ID": text})
 
 
-def test_settings_follow_the_variables():
+def test_settings_follow_the_variables(tmp_path):
     assert domain.domain_id_from({}) == 0
     assert domain.domain_id_from({"ROS_DOMAIN_ID": "42"}) == 42
     local = domain.configuration({})
@@ -479,6 +479,15 @@ def test_settings_follow_the_variables():
     assert "Tag" in domain.configuration({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"})
     own = "<CycloneDDS><Domain/></CycloneDDS>"
     assert domain.configuration({"CYCLONEDDS_URI": own}).endswith("," + own)
+    # a file that chooses interfaces, such as the usual loopback profile: ours would collide
+    profile = tmp_path / "loopback.xml"
+    profile.write_text(
+        '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
+        "</General></Domain></CycloneDDS>"
+    )
+    asked = domain.configuration({"CYCLONEDDS_URI": f"file://{profile}"})
+    assert "<Interfaces>" in local or not domain._has_network_interface()
+    assert "<Interfaces>" not in asked and asked.endswith(f",file://{profile}")
     with pytest.raises(EnvironmentVariableError, match="ROS_AUTOMATIC_DISCOVERY_RANGE"):
         domain.configuration({"ROS_AUTOMATIC_DISCOVERY_RANGE": "EVERYWHERE"})
 

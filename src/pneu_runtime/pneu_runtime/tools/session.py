@@ -4,7 +4,7 @@
 import contextlib
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from pneu_runtime import hook
@@ -46,6 +46,21 @@ def tool_node(look_around: bool = True) -> Iterator[Any]:
             yield node
         finally:
             node.destroy_node()
+
+
+def nobody_found(environment: Mapping[str, str]) -> str:
+    """Why a command may have found no other node, in a line.
+
+    Args:
+        environment: The variables of the process.
+    """
+    domain = environment.get("ROS_DOMAIN_ID", "") or "0"
+    reach = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
+    looked = f"ROS_AUTOMATIC_DISCOVERY_RANGE {reach or 'LOCALHOST, as it is not set'}"
+    return (
+        f"no other node was found in domain {domain} ({looked}); nodes meet where both agree, and a"
+        " ROS 2 that is not told otherwise takes SUBNET"
+    )
 
 
 def settle(node: Any) -> None:

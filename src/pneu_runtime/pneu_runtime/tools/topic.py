@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`pneu topic`: which topics there are, what is on them, and publishing by hand."""
 
+import os
+import sys
 import time
 from typing import Annotated, Any
 
@@ -17,7 +19,7 @@ from pneu_runtime.tools.message_text import (
     yaml_text,
 )
 from pneu_runtime.tools.qos_options import chosen_profile, matching_profile
-from pneu_runtime.tools.session import absolute, hidden, spin_while, tool_node
+from pneu_runtime.tools.session import absolute, hidden, nobody_found, spin_while, tool_node
 from pneu_sim.errors import InputError
 
 app = typer.Typer(help="Show topics, and publish by hand.", no_args_is_help=True)
@@ -74,8 +76,11 @@ def list_topics(
     """Lists the topics."""
     with tool_node() as node:
         topics = topics_of(node, with_hidden)
+        alone = len(node.get_node_names()) <= 1
         counts = {name: (node.count_publishers(name), node.count_subscribers(name))
                   for name, _ in topics} if verbose else {}  # fmt: skip
+    if alone:
+        print(nobody_found(os.environ), file=sys.stderr)
     if count:
         print(len(topics))
     elif verbose:

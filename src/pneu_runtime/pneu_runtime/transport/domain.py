@@ -6,12 +6,14 @@ that both find one another. One thing is added: the loopback interface beside th
 one, because processes on one machine have to reach each other also while a cable is unplugged.
 """
 
+import contextlib
 import fcntl
 import os
 import socket
 import struct
 import threading
 from collections.abc import Mapping
+from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from pneu_runtime.transport import dds
@@ -66,7 +68,7 @@ def configuration(environment: Mapping[str, str]) -> str:
     user = environment.get("CYCLONEDDS_URI", "")
     general, discovery = "", ""
     if reach in ("LOCALHOST", "OFF"):
-        interfaces = "" if "Interface" in user else _interfaces()
+        interfaces = "" if _names_interfaces(user) else _interfaces()
         general = f"<General><AllowMulticast>false</AllowMulticast>{interfaces}</General>"
     peers = [peer.strip() for peer in environment.get("ROS_STATIC_PEERS", "").split(";")]
     peers = [peer for peer in peers if peer] if reach in ("LOCALHOST", "SUBNET") else []
@@ -85,6 +87,20 @@ def configuration(environment: Mapping[str, str]) -> str:
         discovery = f"<Discovery><Tag>{tag}</Tag></Discovery>"
     own = f"<CycloneDDS><Domain>{general}{discovery}{_INTERNAL}</Domain></CycloneDDS>"
     return f"{own},{user}" if user else own
+
+
+def _names_interfaces(uri: str) -> bool:
+    """Whether the user's configuration, given as it is or by files, chooses interfaces itself."""
+    if "Interface" in uri:
+        return True
+    for item in uri.split(","):
+        name = item.strip().removeprefix("file://")
+        if name and not name.startswith("<"):
+            # one that cannot be read is Cyclone's to complain of
+            with contextlib.suppress(OSError, UnicodeDecodeError):
+                if "Interface" in Path(name).read_text(encoding="utf-8"):
+                    return True
+    return False
 
 
 def _interfaces() -> str:
