@@ -98,6 +98,18 @@ def process(*words):
         running.wait()
 
 
+def test_a_recording_that_cannot_begin_stops_the_launch(tmp_path):
+    """Who asks for one does not want to run without."""
+    (tmp_path / "there").mkdir()
+    words = ["launch", "pneu_bringup", "rig.launch.yaml", f"record:={tmp_path / 'there'}"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pneu_sim.cli", *words],
+        cwd=ROOT, capture_output=True, text=True, timeout=90.0,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "exists already; a bag is written to a new path" in done.stdout + done.stderr
+
+
 def parameters_of(graph, node):
     """All parameters of a running node."""
     names = graph.call(ListParameters, f"{node}/list_parameters", ListParameters.Request())
