@@ -150,14 +150,16 @@ def diagnose(
     readings = own.predict([rig])[0]
     rmse = tap_rmse(own, readings, np.ones(own.stretches, dtype=bool))
     base = residual_matrix(own, readings)
-    problem = rough = own
-    if rig.model == "pde":
-        problem = own.coarsened(rig, REFIT_CELLS, readings)
-        rough = own.coarsened(rig, SCORE_CELLS, readings)
     # The check of the grid is one long run; it fills what the search leaves of the processor.
     checking = ThreadPoolExecutor(1)
     grid = checking.submit(_grid, own, rig, readings, refine)
     checking.shutdown(wait=False)
+    problem = rough = own
+    if rig.model == "pde":
+        with ThreadPoolExecutor(2) as pool:
+            problem, rough = pool.map(
+                lambda cells: own.coarsened(rig, cells, readings), (REFIT_CELLS, SCORE_CELLS)
+            )
     nuisance = nuisance_of(rig, rough)
     project = None if nuisance is None else nuisance.without(~own.held_out)
     _, scores = score(rough, rig, all_sites(rig), project, lambda f: tell("scores", f))

@@ -114,7 +114,7 @@ def refit_effects(
 
     rough = problem
     if rig.model == "pde":
-        rough = problem.coarsened(rig, REFIT_CELLS, problem.predict([rig])[0])
+        rough = problem.coarsened(rig, REFIT_CELLS)
     estimate = minimise(
         residual_function(rough, ~problem.held_out, rig_of),
         variables,

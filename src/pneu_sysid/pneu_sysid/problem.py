@@ -9,6 +9,7 @@ percent of it at the worst. See docs/residual.md.
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -205,7 +206,7 @@ class Problem:
         """
         return replace(self, dx_m=dx_m, grid_pa=None, _prepared={}, _finer=dict(self._prepared))
 
-    def coarsened(self, rig: Rig, factor: float, readings: Floats) -> "Problem":
+    def coarsened(self, rig: Rig, factor: float, readings: Floats | None = None) -> "Problem":
         """The same problem on longer cells, whose error at a rig is made good.
 
         What changes between this rig and another is told by the longer cells, which cost a
@@ -214,10 +215,15 @@ class Problem:
         Args:
             rig: The rig.
             factor: By how much longer.
-            readings: (n_stretches, horizon, n_taps) its predictions on this grid.
+            readings: (n_stretches, horizon, n_taps) its predictions on this grid, where they are
+                known.
         """
+        self._prepare(rig)
         out = self.with_grid(factor * (self.dx_m or rig.grid.dx_m))
-        out.grid_pa = readings - out.predict([rig])[0]
+        with ThreadPoolExecutor(1) as pool:  # beside the run on this grid
+            coarse = pool.submit(out.predict, [rig])
+            fine = self.predict([rig])[0] if readings is None else readings
+            out.grid_pa = fine - coarse.result()[0]
         return out
 
     def _prepare(self, rig: Rig) -> "_Prepared":
