@@ -39,6 +39,7 @@ import resource
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
@@ -314,11 +315,22 @@ class TestWithoutTheController:
         """A message that is published at 250 Hz, as it is at the time, and its publisher."""
         publisher = rig.graph.probe.create_publisher(ValveCommand, COMMANDS, common.COMMAND_QOS)
         message = ValveCommand(name=["voltage"], voltage_v=[6.0])
-        timer = rig.graph.probe.create_timer(0.004, lambda: publisher.publish(message))
-        rig.follows()
-        yield message, publisher
-        rig.graph.probe.destroy_timer(timer)
-        rig.graph.probe.destroy_publisher(publisher)
+        sending, over = threading.Lock(), []
+
+        def send():  # in the thread that spins, which must not meet a closed publisher
+            with sending:
+                if not over:
+                    publisher.publish(message)
+
+        timer = rig.graph.probe.create_timer(0.004, send)
+        try:
+            rig.follows()
+            yield message, publisher
+        finally:
+            with sending:
+                over.append(True)
+            rig.graph.probe.destroy_timer(timer)
+            rig.graph.probe.destroy_publisher(publisher)
 
     @pytest.mark.parametrize("volts", [math.nan, math.inf, -math.inf, 1e9, -50.0])
     def test_commands_that_make_no_sense(self, rig, commands, volts):
