@@ -18,6 +18,8 @@ REALTIME = (
     "src/pneu_sim/test/test_simulator_node",
     "src/pneu_sysid/test/test_identify_node",
     "src/pneu_sysid/test/test_replay_node",
+    "tests/conformance/test_executors",
+    "tests/conformance/test_timers",
     "tests/test_faults",
     "tests/test_graph",
     "tests/test_pressure_study",

@@ -15,8 +15,9 @@ def test_a_timer_keeps_its_period(node, executor):
     end_s = time.monotonic() + 1.0
     while time.monotonic() < end_s:
         executor.spin_once(timeout_sec=0.1)
-    # the first call comes after one period; no call is lost or added by drift
-    assert 40 <= len(calls_s) <= 50
+    # the first call comes after one period (and the last wait may end after the second); no call
+    # is lost or added by drift
+    assert 40 <= len(calls_s) <= 51
     steps = (calls_s[-1] - calls_s[0]) / 0.02
     assert abs(steps - round(steps)) < 0.45
 
