@@ -5,8 +5,8 @@ A controller is stepped once per period with the newest reading of each of its t
 now and ahead, and answers with a voltage. It knows nothing of clocks, topics or plants.
 """
 
+import io
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -22,6 +22,7 @@ from pneu_policy.observations import Observer
 from pneu_policy.pid import Gains, Pid
 from pneu_policy.policy_file import PolicyFile
 from pneu_sim.errors import InputError
+from pneu_sim.files import write_whole
 
 Floats = NDArray[np.float64]
 
@@ -279,14 +280,10 @@ def save_pid(
     yaml = YAML()
     yaml.default_flow_style = None
     yaml.width = 100
-    aside = path.with_name(f".{path.name}.part")
-    try:
-        with aside.open("w", encoding="utf-8") as stream:
-            stream.write("# SPDX-License-Identifier: Apache-2.0\n")
-            yaml.dump(data, stream)
-        os.replace(aside, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+    text = io.StringIO()
+    text.write("# SPDX-License-Identifier: Apache-2.0\n")
+    yaml.dump(data, text)
+    write_whole(path, text.getvalue())
 
 
 def _load_pid(path: Path) -> PidController | FeedForwardPid:

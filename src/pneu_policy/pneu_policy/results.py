@@ -18,6 +18,7 @@ from rich.table import Table
 
 from pneu_policy.metrics import Metrics, Track
 from pneu_sim.errors import InputError
+from pneu_sim.files import write_whole
 
 VERSION = 1
 LIMIT = "limit"
@@ -254,14 +255,11 @@ def save(evaluation: Evaluation, path: Path) -> None:
         "controllers": evaluation.controllers,
         "runs": runs,
     }
-    aside = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(data, indent=1, allow_nan=False) + "\n"
-        aside.write_text(text, encoding="utf-8")
-        os.replace(aside, path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+    write_whole(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
 def load(path: Path) -> Evaluation:

@@ -5,10 +5,9 @@ The numerics are imported by the command that uses them: `pneu --help` does with
 """
 
 import csv
+import io
 import math
-import os
 from collections.abc import Iterable
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +17,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pneu_sim.errors import InputError
+from pneu_sim.files import write_whole
 
 if TYPE_CHECKING:
     from pneu_sim.rig.schema import Rig
@@ -74,7 +74,7 @@ def check(
     from pneu_sim.effects import load_effect_file
     from pneu_sim.rig.build import build, plan_grid
     from pneu_sim.rig.load import load_rig
-    from pneu_sim.rig.plausible import misfit
+    from pneu_sim.rig.parameters import misfit
 
     if effects_file is not None:
         load_effect_file(effects_file)
@@ -349,16 +349,9 @@ def _write_csv(
     path: Path, time_s: "Floats", commands: "dict[str, Floats]", taps: "dict[str, Floats]"
 ) -> None:
     """Writes a table of time, commands in volts and pressures in Pa, whole or not at all."""
-    aside = path.with_name(f".{path.name}.part")
-    try:
-        with aside.open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.writer(stream)
-            writer.writerow(["time_s", *commands, *taps])
-            for row in zip(time_s, *commands.values(), *taps.values(), strict=True):
-                writer.writerow([f"{value:.9g}" for value in row])
-        os.replace(aside, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
-    finally:
-        with suppress(OSError):
-            aside.unlink(missing_ok=True)
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(["time_s", *commands, *taps])
+    for row in zip(time_s, *commands.values(), *taps.values(), strict=True):
+        writer.writerow([f"{value:.9g}" for value in row])
+    write_whole(path, text.getvalue())

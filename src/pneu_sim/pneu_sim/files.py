@@ -20,7 +20,7 @@ def write_whole(path: Path, text: str) -> None:
     aside = path.with_name(f".{path.name}.part")
     try:
         try:
-            aside.write_text(text, encoding="utf-8")
+            aside.write_text(text, encoding="utf-8", newline="")
             os.replace(aside, path)
         except BaseException:
             aside.unlink(missing_ok=True)

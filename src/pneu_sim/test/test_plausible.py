@@ -7,7 +7,7 @@ import pytest
 
 from pneu_sim.errors import InputError
 from pneu_sim.rig import load_rig
-from pneu_sim.rig.plausible import misfit
+from pneu_sim.rig.parameters import misfit
 
 ROOT = Path(__file__).parents[3]
 RIG = ROOT / "rigs" / "rig_a.yaml"

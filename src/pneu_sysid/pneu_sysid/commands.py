@@ -235,8 +235,8 @@ def fit_result(
         recordings: The recordings.
         outcome: The outcome.
     """
+    from pneu_sim.rig.parameters import value_of
     from pneu_sysid.fit import pairs_above
-    from pneu_sysid.parameters import value_of
     from pneu_sysid.results import Correlation, FitResult, FittedParameter, pneu_version
 
     estimate = outcome.estimate

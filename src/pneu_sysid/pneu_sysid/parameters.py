@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from pneu_sim.rig.parameters import get_parameter, with_parameters
+from pneu_sim.rig.parameters import get_parameter, value_of, with_parameters
 from pneu_sim.rig.schema import CLOSED, FitParameter, Rig
 from pneu_sysid.gauss_newton import Variable
 
@@ -174,17 +174,6 @@ def rig_at(rig: Rig, parameters: list[FitParameter], x: np.ndarray) -> Rig:
         shared[path] = float(np.mean([of[path] for of in own.values() if path in of]))
     out = with_parameters(rig, shared)
     return out.model_copy(update={"recordings": own}) if own else out
-
-
-def value_of(rig: Rig, parameter: FitParameter) -> float:
-    """The value of a parameter, in the recording that it is for.
-
-    Args:
-        rig: The rig.
-        parameter: The parameter.
-    """
-    own = rig.recordings.get(parameter.recording or "", {})
-    return own.get(parameter.path, get_parameter(rig, parameter.path))
 
 
 def one_each(parameters: list[FitParameter], recordings: list[str]) -> list[FitParameter]:

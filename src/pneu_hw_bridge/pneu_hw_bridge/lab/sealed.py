@@ -9,7 +9,6 @@ import base64
 import binascii
 import hashlib
 import json
-import os
 import zlib
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from pneu_sim.errors import InputError
+from pneu_sim.files import write_whole
 from pneu_sim.rig.schema import AttachedEffect
 
 SEAL_VERSION = 1
@@ -64,12 +64,7 @@ def seal(effects: list[AttachedEffect], path: str | Path) -> None:
         "sha256": hashlib.sha256(content).hexdigest(),
         "content": base64.b64encode(zlib.compress(content)).decode(),
     }
-    aside = path.with_name(f".{path.name}.part")
-    try:
-        aside.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-        os.replace(aside, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+    write_whole(path, json.dumps(document, indent=1) + "\n")
 
 
 def open_sealed(path: str | Path) -> list[AttachedEffect]:

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of a rig by dotted path: reading one, and a copy of the rig with some changed."""
+"""Numbers of a rig by dotted path: reading one, a copy with some changed, those to be fitted."""
 
 from typing import Any
 
 from pydantic import BaseModel
 
 from pneu_sim.errors import InputError
-from pneu_sim.rig.schema import Rig
+from pneu_sim.rig.schema import FitParameter, Rig
 
 
 def _step(node: Any, part: str, path: str) -> Any:
@@ -92,3 +92,37 @@ def rig_in_recording(rig: Rig, name: str) -> Rig:
     """
     own = rig.recordings.get(name)
     return with_parameters(rig, own) if own else rig
+
+
+def value_of(rig: Rig, parameter: FitParameter) -> float:
+    """The value of a parameter, in the recording that it is for.
+
+    Args:
+        rig: The rig.
+        parameter: The parameter.
+    """
+    own = rig.recordings.get(parameter.recording or "", {})
+    return own.get(parameter.path, get_parameter(rig, parameter.path))
+
+
+def misfit(rig: Rig) -> str:
+    """The first parameter to fit that the rig has not, or that starts outside its bounds.
+
+    Args:
+        rig: The rig.
+
+    Returns:
+        A sentence without the file's name; empty if there is none.
+
+    Raises:
+        InputError: A path leads nowhere.
+    """
+    for k, p in enumerate(rig.fit.parameters):
+        value = value_of(rig, p)
+        slack = 1e-6 * (p.upper - p.lower)
+        if not p.lower - slack <= value <= p.upper + slack:
+            return (
+                f"fit.parameters.{k}: {p.path} starts at {value:g}, outside its bounds"
+                f" {p.lower:g} to {p.upper:g}"
+            )
+    return ""

@@ -11,8 +11,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from pneu_sim.rig.parameters import get_parameter
-from pneu_sim.rig.schema import FitParameter, Rig
+from pneu_sim.rig.schema import Rig
 
 
 @dataclass(frozen=True)
@@ -103,34 +102,6 @@ def implausible(rig: Rig) -> str:
         if objection:
             return f"{path}: {objection}"
     return ""
-
-
-def misfit(rig: Rig) -> str:
-    """The first parameter to fit that the rig has not, or that starts outside its bounds.
-
-    Args:
-        rig: The rig.
-
-    Returns:
-        A sentence without the file's name; empty if there is none.
-
-    Raises:
-        InputError: A path leads nowhere.
-    """
-    for k, p in enumerate(rig.fit.parameters):
-        value = _start(rig, p)
-        slack = 1e-6 * (p.upper - p.lower)
-        if not p.lower - slack <= value <= p.upper + slack:
-            return (
-                f"fit.parameters.{k}: {p.path} starts at {value:g}, outside its bounds"
-                f" {p.lower:g} to {p.upper:g}"
-            )
-    return ""
-
-
-def _start(rig: Rig, parameter: FitParameter) -> float:
-    own = rig.recordings.get(parameter.recording or "", {})
-    return own.get(parameter.path, get_parameter(rig, parameter.path))
 
 
 def _numbers(node: Any, path: str) -> Iterator[tuple[str, str, float]]:
