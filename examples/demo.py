@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from pneu_sim.cli import build_app
+from pneu_sim.cli import build_app, show_log
 
 ROOT = Path(__file__).resolve().parent.parent
 HEALTHY = "data/bags/a_healthy_2"
@@ -58,7 +58,7 @@ def main() -> int:
     console = Console(width=140) if not sys.stdout.isatty() else Console()
     (ROOT / OUT).mkdir(parents=True, exist_ok=True)
     started = time.monotonic()
-    console.print("Compiling the kernels (once; they are kept)...")
+    show_log()
     app = build_app()
     for text, arguments in STORY:
         console.rule()

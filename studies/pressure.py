@@ -28,7 +28,6 @@ from pathlib import Path
 
 import joblib
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from pneu_hw_bridge.lab.sealed import open_sealed
 from pneu_policy.evaluate import evaluate_simulated
@@ -42,6 +41,7 @@ from pneu_policy.policy_file import PolicyFile
 from pneu_policy.results import Evaluation, error_rows, load, rich_table
 from pneu_policy.tasks import Conditions, Tasks
 from pneu_sim.errors import InputError
+from pneu_sim.progress import progress
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 from studies import pressure_page
@@ -308,13 +308,7 @@ def run_stage(console: Console, stage: str, workers: int) -> None:
         stage: Name of the stage.
         workers: Processes for the limit.
     """
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(stage, total=1.0)
-
-        def told(what: str, part: float) -> None:
-            bar.update(task, description=what, completed=part)
-
+    with progress(stage) as told:
         if stage == "simulate":
             simulate(console, told)
         elif stage == "live":

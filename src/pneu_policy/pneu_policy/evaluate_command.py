@@ -3,18 +3,17 @@
 
 import hashlib
 import re
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from pneu_policy.tasks import Conditions, Tasks
 from pneu_sim.errors import InputError
+from pneu_sim.progress import progress
 
 if TYPE_CHECKING:
     from pneu_policy.results import Evaluation
@@ -130,7 +129,7 @@ def evaluate(
     conditions = Conditions(noise_pa=noise, delay_s=0.0 if live else delay, dx_m=dx)
     evaluation = _opened(output, tasks, conditions, live, plants)
     console = _console()
-    with _progress(console) as told:
+    with progress("evaluating") as told:
         if live:
             from pneu_policy.live import evaluate_live
             from pneu_policy.live_rig import LivePlant
@@ -278,15 +277,3 @@ def _other(path: Path, what: str) -> InputError:
 def _console() -> Console:
     console = Console()
     return console if console.is_terminal else Console(width=200)
-
-
-@contextmanager
-def _progress(console: Console) -> Iterator[Callable[[str, float], None]]:
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
-        task = bar.add_task("", total=1.0)
-
-        def told(what: str, part: float) -> None:
-            bar.update(task, description=what, completed=part)
-
-        yield told

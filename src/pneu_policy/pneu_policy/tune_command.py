@@ -2,19 +2,18 @@
 """`pneu tune`, which tunes a PID in simulation, and `pneu policy`, which shows what a file is."""
 
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from pneu_policy.tune_settings import TuneSettings
 from pneu_sim.errors import InputError
+from pneu_sim.progress import progress
 
 if TYPE_CHECKING:
     from pneu_policy.controllers import FeedForwardPid, PidController
@@ -83,12 +82,10 @@ def tune_pid(
         candidates=candidates,
         generations=generations,
     )
-    with _progress() as bar:
-        task = bar.add_task(f"tuning {kind}", total=generations)
+    with progress(f"tuning {kind}") as tell:
 
         def after(generation: int, rmse_pa: float) -> None:
-            text = f"tuning {kind}: rmse {rmse_pa / ATM_PA:.4f} atm"
-            bar.update(task, completed=generation, description=text)
+            tell(f"tuning {kind}", generation / generations, f"rmse {rmse_pa / ATM_PA:.4f} atm")
 
         tuned = tune(settings, after)
     save_pid(tuned.controller, tuned.provenance(), output)
@@ -198,18 +195,3 @@ def _table(title: str, rows: list[tuple[str, str]]) -> Table:
 def _console() -> Console:
     console = Console()
     return console if console.is_terminal else Console(width=140)
-
-
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    console = Console(stderr=True)
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    ) as bar:
-        yield bar

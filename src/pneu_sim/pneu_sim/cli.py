@@ -6,9 +6,11 @@ Subcommands come from the entry-point group `pneu.commands`. Each entry is a fun
 
 Exit status: 0 success, 1 an error inside the program, 2 bad input or usage, 130 interrupted. Errors
 are one line on stderr; with the environment variable PNEU_TRACEBACK=1 the traceback precedes it.
+What the packages log about themselves, such as that kernels are being compiled, is shown there.
 """
 
 import importlib.metadata
+import logging
 import os
 import sys
 import traceback
@@ -21,6 +23,8 @@ from typer.core import TyperGroup
 from pneu_sim.errors import InputError
 
 COMMANDS_GROUP = "pneu.commands"
+LOG = "pneu_sim"
+"""Name of the log whose messages are shown."""
 
 EXIT_INTERNAL_ERROR = 1
 EXIT_BAD_INPUT = 2
@@ -113,12 +117,27 @@ def _subcommands(app: typer.Typer) -> set[str | None]:
 
 def main() -> None:
     """Run the `pneu` command line on `sys.argv` and exit with its status."""
+    show_log()
     try:
         first = sys.argv[1] if len(sys.argv) > 1 else "-"
         app = build_app(wanted=None if first.startswith("-") else first)
     except KeyboardInterrupt as error:
         sys.exit(_report(error))
     app(prog_name="pneu")
+
+
+class _Shown(logging.Handler):
+    """Shows a log on stderr."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        _say(record.getMessage())
+
+
+def show_log() -> None:
+    """Has messages of the packages shown on stderr, as the command does."""
+    log = logging.getLogger(LOG)
+    log.setLevel(logging.INFO)
+    log.addHandler(_Shown())
 
 
 def _print_version(wanted: bool) -> None:

@@ -11,9 +11,9 @@ the arrays.
 import math
 
 import numpy as np
-from numba import njit
 
 from pneu_sim import layout as L
+from pneu_sim.compiling import njit
 from pneu_sim.riemann import exact_flux, hllc_flux
 
 # No reassociation: sums keep their order, so that results do not depend on the batch size.

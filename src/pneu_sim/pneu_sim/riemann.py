@@ -17,9 +17,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from pneu_sim.compiling import njit
 from pneu_sim.errors import InputError
 
 STEP_ITERATIONS = 2

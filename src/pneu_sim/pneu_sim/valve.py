@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from pneu_sim.compiling import njit
 from pneu_sim.rig import build as B
 from pneu_sim.signals import Signal
 

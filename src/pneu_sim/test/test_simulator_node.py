@@ -3,6 +3,9 @@
 
 import itertools
 import math
+import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -191,3 +194,25 @@ def test_there_is_one_clock(graph):
     graph.probe.create_publisher(Clock, "/clock", 1)
     with pytest.raises(InputError, match="/clock already has a publisher"):
         simulator(graph, publish_clock=True)
+
+
+def test_it_says_ready_when_it_answers_and_not_while_kernels_are_compiled(graph, tmp_path):
+    """Started as users do; where kernels are to be compiled that takes half a minute."""
+    command = [sys.executable, "-m", "pneu_sim.cli", "run", "pneu_sim", "simulator", "--ros-args"]
+    command += ["-p", f"rig:={LAB}", "-p", "pace:=lock_step"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            said = []
+            while "ready: rig 'lab'" not in (said or [""])[-1]:
+                said.append(process.stderr.readline())
+                assert said[-1], said
+            client = graph.probe.create_client(ResetSimulator, "/simulator/reset")
+            assert client.wait_for_service(timeout_sec=5.0)
+            begun = time.monotonic()
+            future = client.call_async(ResetSimulator.Request())
+            wait_for(future.done)
+            assert future.result().success
+            assert time.monotonic() - begun < 5.0
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait(10.0)

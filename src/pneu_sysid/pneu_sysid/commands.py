@@ -5,17 +5,16 @@ The numerics are imported by the command that uses them: `pneu --help` does with
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from pneu_sim.errors import InputError
+from pneu_sim.progress import progress
 
 if TYPE_CHECKING:
     from pneu_sim.rig.schema import Rig
@@ -89,20 +88,6 @@ def _folder(path: Path) -> None:
     except OSError as error:
         raise InputError(f"{path}: cannot be made a folder ({error.strerror})") from None
     _writable(path / "learn.json")
-
-
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    console = Console(stderr=True)
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    ) as bar:
-        yield bar
 
 
 def _load(rig: Path, effects: Path | None) -> "Rig":
@@ -184,8 +169,7 @@ def fit(
         _writable(path)
     start = _load(rig, effects)
     recordings = _read(bag, start, console)
-    with _progress() as bar:
-        task = bar.add_task("fitting", total=None)
+    with progress("fitting") as tell:
         outcome = fit_rig(
             start,
             recordings,
@@ -193,8 +177,8 @@ def fit(
             hold_out=hold_out,
             iterations=iterations,
             workers=workers,
-            progress=lambda stage, i, cost: bar.update(
-                task, description=f"horizon of {stage}, step {i}, cost {cost:.4g}"
+            progress=lambda stage, i, cost: tell(
+                f"fitting to a horizon of {stage}", i / iterations, f"cost {cost:.4g}"
             ),
         )
     save_rig(outcome.rig, output)
@@ -299,13 +283,12 @@ def compare(
         _writable(path)
     rigs = [_load(path, effects if k == 0 else None) for k, path in enumerate(rig)]
     recordings = _read(bag, rigs[0], console)
-    with _progress() as bar:
-        task = bar.add_task("comparing", total=1.0)
+    with progress("comparing") as tell:
         result = run_compare(
             recordings,
             [(_model_name(r, path), r, str(path)) for r, path in zip(rigs, rig, strict=True)],
             refine=refine,
-            progress=lambda done: bar.update(task, completed=done),
+            progress=lambda done: tell("comparing", done),
         )
     console.print(compare_table(result))
     _finish(result, json_path, report, console, compare=result.as_dict())
@@ -332,8 +315,7 @@ def diagnose(
         _writable(path)
     loaded = _load(rig, effects)
     recordings = _read(bag, loaded, console)
-    with _progress() as bar:
-        tell = _stages(bar)
+    with progress("diagnosing") as tell:
         found = diagnose_apart(loaded, recordings, refine=refine, workers=workers, progress=tell)
     console.print(diagnosis_table(found))
     console.print(found.sentence, style="bold")
@@ -343,17 +325,6 @@ def diagnose(
     if result.numerics.discretisation:
         console.print(result.numerics.sentence, style="yellow")
     _finish(result, json_path, report, console, diagnose=result.as_dict())
-
-
-def _stages(bar: Progress):  # type: ignore[no-untyped-def]
-    tasks: dict[str, object] = {}
-
-    def tell(stage: str, done: float) -> None:
-        if stage not in tasks:
-            tasks[stage] = bar.add_task(stage, total=1.0)
-        bar.update(tasks[stage], completed=done)  # type: ignore[arg-type]
-
-    return tell
 
 
 def diagnosis_table(found: "Diagnosis") -> Table:
@@ -494,8 +465,8 @@ def learn(
     _folder(output)
     loaded = _load(rig, effects)
     recordings = _read(bag, loaded, console)
-    with _progress() as bar:
-        learned = run_learn(loaded, recordings, out=output, workers=workers, progress=_stages(bar))
+    with progress("learning") as tell:
+        learned = run_learn(loaded, recordings, out=output, workers=workers, progress=tell)
     console.print(step_table(learned.steps))
     console.print(learned.sentence, style="bold")
     problem = make_problem(learned.rig, recordings)

@@ -41,6 +41,7 @@ from pneu_sim.nodes.common import (
     EXIT_BAD_INPUT,
     READINGS_QOS,
     Diagnostics,
+    say_ready,
     status,
     steady_clock,
     to_stamp,
@@ -436,6 +437,7 @@ def main(args: list[str] | None = None) -> None:
             try:
                 node = ValveBridge()
                 node.start_if_asked()
+                say_ready(node)
                 rclpy.spin(node)
             finally:
                 # The graph is already gone after a signal; the bus is not.

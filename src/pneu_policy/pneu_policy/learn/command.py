@@ -8,17 +8,10 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 
 from pneu_sim.errors import InputError
+from pneu_sim.progress import progress
 
 
 def register_train(app: typer.Typer) -> None:
@@ -118,15 +111,14 @@ def _train_one(run: Any) -> list[Any]:
 
     history = run.history()
     if history is None:
-        with _bar("{task.fields[said]}") as bar:
-            task = bar.add_task(run.name, total=run.settings.iterations, said="")
+        with progress(run.name) as tell:
 
             def report(row: dict[str, Any]) -> None:
                 judged = row["eval_rmse_atm"]
                 said = f"score {row['score']:.2f}  error {row['rmse_atm']:.3f} atm"
                 if judged is not None:
                     said += f"  (without exploration {judged:.3f})"
-                bar.update(task, completed=row["iteration"], said=said)
+                tell(run.name, row["iteration"] / run.settings.iterations, said)
 
             try:
                 history = sweep.train(run, report=report)
@@ -139,12 +131,11 @@ def _train_many(runs: list[Any], places: Any) -> list[Any]:
     from pneu_policy.learn import sweep
 
     outcomes = []
-    with _bar("{task.fields[said]}") as bar:
-        task = bar.add_task("runs", total=len(runs), said="")
+    with progress(f"training {len(runs)} policies") as tell:
         for outcome in sweep.train_all(runs, places):
             outcomes.append(outcome)
             ended = "failed" if outcome.fault else "finished"
-            bar.update(task, advance=1, said=f"{outcome.run.name} {ended}")
+            tell("runs", len(outcomes) / len(runs), f"{outcome.run.name} {ended}")
     return outcomes
 
 
@@ -159,21 +150,6 @@ def _draw(outcomes: list[Any], out: Path) -> None:
             groups.setdefault("_".join(words) or "all runs", []).append(outcome.history)
     if groups:
         learning_curves(groups, out / "curves.png")
-
-
-def _bar(said: str) -> Progress:
-    console = Console(stderr=True)
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn(said),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
 
 
 def _table(outcomes: list[Any]) -> Table:

@@ -9,8 +9,9 @@ kept for as long as something still waits for it. Zero delays give the thin-plat
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from pneu_sim.compiling import njit
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

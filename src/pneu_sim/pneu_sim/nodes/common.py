@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every node of the graph does alike: QoS, parameters, stamps, diagnostics, start and end."""
 
+import logging
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -17,6 +18,7 @@ from rcl_interfaces.msg import (
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -217,10 +219,39 @@ def pause(seconds: float) -> None:
     steady_clock().sleep_for(Duration(seconds=max(seconds, 0.0)))
 
 
+class _Forwarded(logging.Handler):
+    """Hands what the numerics log on to the log of the graph."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        get_logger(record.name).info(record.getMessage())
+
+
+def forward_log() -> None:
+    """Has messages of the numerics, such as that they are being compiled, in the graph's log.
+
+    Where the process shows them already, as the `pneu` command does, nothing is changed.
+    """
+    log = logging.getLogger("pneu_sim")
+    if not log.handlers:
+        log.setLevel(logging.INFO)
+        log.addHandler(_Forwarded())
+
+
+def say_ready(node: Node, about: str = "") -> None:
+    """Logs that a node answers; to be called when it is about to be spun.
+
+    Args:
+        node: The node.
+        about: What it does, in some words.
+    """
+    node.get_logger().info(f"ready: {about}" if about else "ready")
+
+
 def run_node(make: Callable[[], Node], args: list[str] | None) -> None:
     """Runs one node until it is told to end, or its attribute ``done``, a future, is set.
 
-    Bad input ends the process with one line and status 2.
+    Once it answers it says so, with its attribute ``about`` if it has one. Bad input ends the
+    process with one line and status 2.
 
     Args:
         make: Builds the node.
@@ -229,8 +260,10 @@ def run_node(make: Callable[[], Node], args: list[str] | None) -> None:
     node: Node | None = None
     try:
         with initialised(args):
+            forward_log()
             try:
                 node = make()
+                say_ready(node, getattr(node, "about", ""))
                 done = getattr(node, "done", None)
                 if done is None:
                     rclpy.spin(node)

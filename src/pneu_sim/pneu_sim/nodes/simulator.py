@@ -169,10 +169,9 @@ class SimulatorNode(Node):
             publish=self._publish,
             running=self.context.ok,
         )
-        self.get_logger().info(
-            f"rig {rig.name!r} at {rate_hz:g} Hz, {pace}"
-            + (f" times {factor:g}" if pace == "real_time" and factor != 1.0 else "")
-        )
+        self.about = f"rig {rig.name!r} at {rate_hz:g} Hz, {pace}"
+        if pace == "real_time" and factor != 1.0:
+            self.about += f" times {factor:g}"
         self._stepper.start()
 
     def destroy_node(self) -> None:

@@ -9,6 +9,7 @@ process that asked is gone: it clears up and ends.
 """
 
 import json
+import logging
 import math
 import os
 import shutil
@@ -176,13 +177,31 @@ def main() -> None:
     answers = sys.stdout
     sys.stdout = sys.stderr  # what a library prints must not come between the answers
     threading.Thread(target=_end_with_asker, args=(request,), daemon=True).start()
+
+    def tell(stage: str, done: float) -> None:
+        _say(answers, stage=stage, progress=done)
+
+    log = logging.getLogger("pneu_sim")
+    log.setLevel(logging.INFO)
+    log.addHandler(_AsStage(tell))
     try:
-        outcome = perform(request, lambda stage, done: _say(answers, stage=stage, progress=done))
+        outcome = perform(request, tell)
     except InputError as error:
         outcome = Outcome(False, str(error))
     except OSError as error:
         outcome = Outcome(False, f"{error.filename}: {error.strerror}")
     _say(answers, **asdict(outcome))
+
+
+class _AsStage(logging.Handler):
+    """Tells messages of the numerics, such as that they are being compiled, as stages."""
+
+    def __init__(self, tell: Tell) -> None:
+        super().__init__()
+        self._tell = tell
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._tell(record.getMessage(), 0.0)
 
 
 def _say(stream: TextIO, **values: Any) -> None:
