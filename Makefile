@@ -25,11 +25,8 @@ demo: $(VENV)/.ready-run  ## the whole story on a bag that comes with the reposi
 	@$(RUN) examples/demo.py
 	@$(RUN) examples/live.py
 
-# What runs against the clock comes last, apart from what computes. Another user may stall it all the
-# same, so it has three tries; pytest tells which tests needed them.
 test: lint  ## lint, type check and every test
-	@$(RUN) -m pytest -m "not realtime" --numprocesses=2 --dist=loadfile --no-loadscope-reorder
-	@$(RUN) -m pytest -m realtime --numprocesses=2 --dist=loadfile --reruns 2
+	@$(RUN) tools/run_tests.py
 
 lint: $(VENV)/.ready-dev  ## ruff (rules and format) and mypy
 	@$(RUN) -m ruff check --quiet .

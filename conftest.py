@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What holds for all tests: an interrupt reaches the processes they start.
+"""What holds for all tests: their order, what runs against the clock, and what is told at the end.
 
-A shell starts background jobs with SIGINT ignored, and children inherit that; tests that interrupt
-a node would then wait for it for ever.
+An interrupt reaches the processes they start: a shell starts background jobs with SIGINT ignored,
+and children inherit that; tests that interrupt a node would then wait for it for ever.
 """
 
+import json
 import signal
 from pathlib import Path
 
 import pytest
+from tests import measured
 
 ROOT = Path(__file__).parent
 REALTIME = (
@@ -54,3 +56,59 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.realtime)
     beginnings = (*LONGEST, "")
     items.sort(key=lambda item: [_name(item).startswith(b) for b in beginnings].index(True))
+
+
+def pytest_addoption(parser):
+    """Adds the option for `tools/run_tests.py`."""
+    parser.addoption("--outcome", type=Path, help="write what became of the tests as JSON")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    """Lets a test note the times that it proves."""
+    token = measured.properties.set(item.user_properties)
+    try:
+        return (yield)
+    finally:
+        measured.properties.reset(token)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """A time for which the machine was too busy at the last try counts as not proven."""
+    report = yield
+    stalled = call.excinfo is not None and call.excinfo.errisinstance(measured.MachineStalledError)
+    reruns = getattr(item.config.option, "reruns", None) or 0
+    if stalled and getattr(item, "execution_count", 1) > reruns:
+        report.outcome = "skipped"
+        reason = f"{measured.NOT_PROVEN}: {call.excinfo.value}"
+        report.longrepr = (str(item.path), item.location[1] or 0, reason)
+    return report
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """Writes what became of the tests, for the lines at the very end."""
+    path = config.getoption("--outcome")
+    if path is None:
+        return
+    stats = terminalreporter.stats
+    skipped = [
+        {"test": report.nodeid, "reason": report.longrepr[2].removeprefix("Skipped: ")}
+        for report in stats.get("skipped", [])
+    ]
+    times = {
+        report.nodeid: seconds
+        for report in stats.get("passed", [])
+        for name, seconds in report.user_properties
+        if name == measured.PROPERTY
+    }
+    outcome = {
+        "counts": {
+            kind: len(stats.get(kind, [])) for kind in ("passed", "failed", "error", "skipped")
+        },
+        "failed": [r.nodeid for kind in ("failed", "error") for r in stats.get(kind, [])],
+        "skipped": skipped,
+        "repeated": sorted({report.nodeid for report in stats.get("rerun", [])}),
+        "safe_after_s": times,
+    }
+    path.write_text(json.dumps(outcome, indent=2), encoding="utf-8")

@@ -2,7 +2,7 @@
 """Seven real chambers, filled and shut: the model without a leak fails, and the leak is named.
 
 Run ``python examples/closed_chambers.py``; it prints a table and draws
-docs/figures/closed_chambers.png.
+docs/figures/closed_chambers.png, which needs matplotlib.
 
 The e-folding time here is ``p / |dp/dt|`` of gauge pressure ``p``, taken at the middle of the
 stretch used (the geometric mean of its first and last pressure), where the chord of an exponential

@@ -2,7 +2,7 @@
 """Frequency response of a tube with an end volume: published curves, theory and our solver.
 
 ``python -m studies.line_response [PICTURE]`` draws all curves of ``data/line_response``
-(H. Bergh and H. Tijdeman, NLR-TR F.238, 1965).
+(H. Bergh and H. Tijdeman, NLR-TR F.238, 1965); it needs matplotlib.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 """For tests of faults: the processes of the launch file one by one, the lab, and what the lab saw.
 
 Times of the valves come from the lab, which notes by the machine's steady clock when they got their
-safe voltage. Where a mark is missed, it is asked whether the machine let the processes run: the
-lab notes its own stalls, and the kernel how long a thread that could run had to wait for a CPU.
+safe voltage; how they are judged: measured.py.
 """
 
 import contextlib
@@ -13,12 +12,11 @@ import signal
 import subprocess
 import sys
 import time
-import warnings
 from pathlib import Path
 
-import pytest
 from std_srvs.srv import Trigger
 from tests.live_graph import wait_and_see, wait_for
+from tests.measured import MachineStalledError, Watch
 
 from pneu_hw_bridge.lab.asking import ask
 from pneu_runtime.bag.reader import BagReader
@@ -28,7 +26,6 @@ from pneu_sim.errors import InputError
 ROOT = Path(__file__).parent.parent
 LAUNCH = ROOT / "ros_ws/src/pneu_bringup/launch/rig.launch.yaml"
 PARAMETERS = ROOT / "ros_ws/src/pneu_bringup/config/lab.yaml"
-SAFE_WITHIN_S = 0.15
 ALMOST_S = 0.02
 """A stall by which the device's watchdog may come before the bridge's."""
 
@@ -157,32 +154,8 @@ class Lab:
         return None if rest["ended_s"] is not None else (rest["begun_s"], rest["cause"])
 
 
-def waited_s(pids):
-    """How long the threads of processes have waited for a CPU, the sum of the longest ones."""
-    total = 0.0
-    for pid in pids:
-        longest = 0
-        for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
-            with contextlib.suppress(OSError):  # a thread, or the process, that has just ended
-                longest = max(longest, int(path.read_text().split()[1]))
-        total += longest * 1e-9
-    return total
-
-
-class MachineStalledError(Exception):
-    """The machine was too busy for what was to be measured."""
-
-
-class Watch:
-    """Measures how soon the valves are safe after something that is about to happen.
-
-    What the machine may be excused for is only what keeps these processes from running.
-    """
-
-    def __init__(self, lab, pids):
-        self._lab = lab
-        self._pids = pids
-        self._waited_s = waited_s(pids)
+class ValveWatch(Watch):
+    """Measures how soon the valves are safe after something that is about to happen."""
 
     def safe(self, begun_s, known_s=None, by=None):
         """Waits for the safe voltage, which must have come in time.
@@ -204,27 +177,10 @@ class Watch:
             raise MachineStalledError("the valves were at rest before")
         self.judge(at_s, begun_s, known_s)
         if by is not None and cause != by:
-            stalled_s = self._stalled_s(begun_s, at_s, known_s)
+            stalled_s = self.stalled_s(begun_s, at_s, known_s)
             text = f"by {cause} and not {by}; the machine stalled for {stalled_s:.3f} s"
             assert stalled_s > ALMOST_S, text
             raise MachineStalledError(text)
-
-    def judge(self, at_s, begun_s, known_s=None):
-        """Fails where something took too long for which the machine is no excuse.
-
-        Args:
-            at_s: Steady time at which it was done.
-            begun_s: Steady time before what happened.
-            known_s: Steady time after it, where that is known.
-        """
-        took_s = at_s - begun_s
-        print(f"safe after {1e3 * took_s:.0f} ms")  # shown by pytest -rP
-        if took_s <= SAFE_WITHIN_S:
-            return
-        stalled_s = self._stalled_s(begun_s, at_s, known_s)
-        text = f"safe after {took_s:.3f} s, of which the machine stalled for {stalled_s:.3f} s"
-        assert took_s - stalled_s <= SAFE_WITHIN_S, text
-        raise MachineStalledError(text)
 
     def judge_rests(self, rests, begun_s, end_s):
         """Fails where valves were vented without need, for which the machine is no excuse.
@@ -235,28 +191,10 @@ class Watch:
             end_s: Steady time at which it ended.
         """
         if rests:
-            stalled_s = self._stalled_s(begun_s, end_s, None)
+            stalled_s = self.stalled_s(begun_s, end_s)
             text = f"vented {len(rests)} times; the machine stalled for {stalled_s:.3f} s"
             assert stalled_s > ALMOST_S, text
             raise MachineStalledError(text)
-
-    def _stalled_s(self, begun_s, at_s, known_s):
-        stalled_s = waited_s(self._pids) - self._waited_s
-        for stall in self._lab.ask("status")["stalls"]:
-            end_s = stall["begun_s"] + stall["seconds"]
-            stalled_s += max(min(end_s, at_s) - max(stall["begun_s"], begun_s), 0.0)
-        return stalled_s + (known_s or begun_s) - begun_s
-
-
-def in_good_time(attempt, tries=3):
-    """Makes an attempt, again where the machine stalled meanwhile."""
-    for _ in range(tries):
-        try:
-            return attempt()
-        except MachineStalledError as error:
-            text = str(error)
-            warnings.warn(text, stacklevel=2)
-    pytest.skip(f"this machine is too busy to measure it: {text}")
 
 
 # So that the controller itself never commands what is safe to the bridge.
@@ -323,7 +261,7 @@ class HardwareRig:
     def watch(self, *others):
         """A watch for which the bridge, the lab, and other processes of the graph have to run."""
         pids = self.nodes.pids()
-        return Watch(self.lab, [pids[name] for name in ("valve_bridge", "lab", *others)])
+        return ValveWatch(self.lab, [pids[name] for name in ("valve_bridge", "lab", *others)])
 
     def stays_undisturbed(self, seconds):
         """Shows that the valves are followed all the time."""

@@ -50,7 +50,8 @@ from tests.live_graph import own_domain, running_graph, wait_for  # isort: skip
 from pneu_msgs.msg import PressureTarget, ValveCommand
 from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import FluidPressure
-from tests.live_rig import HardwareRig, in_good_time
+from tests.live_rig import HardwareRig
+from tests.measured import in_good_time
 
 from pneu_hw_bridge.lab.faults import KINDS
 from pneu_runtime import interfaces

@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 BAGS = ROOT / "data" / "bags"
 SECONDS = 4.0
 """Length of recordings made here."""
-PART_S = 7.0
+PART_S = 5.0
 """How much of a bag is used: the steps at its beginning and some tracking; docs/bags.md has all."""
 
 
@@ -33,11 +33,14 @@ def rig() -> Rig:
 
 @pytest.fixture(scope="module")
 def exact(rig: Rig) -> Rig:
-    """The same rig for recordings made from it: its calibration is exact there."""
+    """The same rig on longer cells, for recordings made from it: its calibration is exact there."""
     assert rig.calibration is not None
     floor = dict.fromkeys(rig.taps, NOISE_PA)
     return rig.model_copy(
-        update={"calibration": rig.calibration.model_copy(update={"rmse_pa": floor})}
+        update={
+            "calibration": rig.calibration.model_copy(update={"rmse_pa": floor}),
+            "grid": rig.grid.model_copy(update={"dx_m": 0.1}),
+        }
     )
 
 

@@ -2,6 +2,7 @@
 """`pneu evaluate`: controllers x rigs x targets x seeds, in simulation or on the emulated lab."""
 
 import hashlib
+import importlib.util
 import re
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -164,7 +165,6 @@ def report(evaluation: "Evaluation", folder: Path, console: Console) -> None:
         folder: Where they go.
         console: Where to print.
     """
-    from pneu_policy.figures import write_figures
     from pneu_policy.results import error_rows, markdown, rich_table, rows
 
     errors, figures = error_rows(evaluation), rows(evaluation)
@@ -176,6 +176,11 @@ def report(evaluation: "Evaluation", folder: Path, console: Console) -> None:
         (folder / "table.md").write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror or error})") from None
+    if importlib.util.find_spec("matplotlib") is None:
+        console.print("no figures: they need matplotlib, `pip install matplotlib`")
+        return
+    from pneu_policy.figures import write_figures
+
     for path in write_figures(evaluation, folder):
         console.print(f"{path}")
 

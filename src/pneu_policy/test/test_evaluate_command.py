@@ -2,6 +2,7 @@
 """`pneu evaluate` writes results, tables and figures, and tells bad input in a sentence."""
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,15 @@ def test_results_tables_and_figures(files, tmp_path):
     runs = json.loads((out / "evaluation.json").read_text())["runs"]
     added = {run["seed"]: run["metrics"]["rmse_atm"] for run in runs if run["controller"] == "both"}
     assert added == {0: errors["calm", 0], 1: errors["keen", 1]}
+
+
+def test_without_matplotlib_there_are_tables_and_no_figures(files, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    words = ["--rig", f"short={RIG}", *QUICK, "--targets", "smooth", "-o", tmp_path]
+    done = run(files[0], *words)
+    assert done.exit_code == 0, done.output
+    assert "no figures: they need matplotlib" in done.output
+    assert (tmp_path / "table.md").exists() and not list(tmp_path.glob("*.png"))
 
 
 @pytest.mark.parametrize(

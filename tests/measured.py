@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Times that tests measure against the clock: proven, too late, or the machine would not let them.
+
+A time is proven when it is kept, whatever else the machine does; nothing is subtracted. Where it is
+missed, the kernel is asked how long the threads concerned could run and had no CPU, and the lab how
+long it stalled. What the machine explains raises `MachineStalledError`, on which the test is tried
+again; if it still is so at the last try, the test counts as skipped, and the last line of the run
+says that this time was not proven.
+"""
+
+import contextlib
+import time
+import warnings
+from contextvars import ContextVar
+from pathlib import Path
+
+SAFE_WITHIN_S = 0.15
+PROPERTY = "safe after"
+"""Under this name times go into the report of a test, s."""
+
+NOT_PROVEN = "not proven"
+"""How the reason of a test begins that is skipped because the machine was too busy for it."""
+
+properties: ContextVar[list | None] = ContextVar("properties", default=None)
+"""Properties of the report of the test that runs; conftest.py sets it."""
+
+
+class MachineStalledError(Exception):
+    """The machine was too busy for what was to be measured."""
+
+
+def waited_s(pid):
+    """How long that thread of a process has waited for a CPU that waited longest; 0 if it ended."""
+    longest = 0
+    for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
+        with contextlib.suppress(OSError):  # a thread, or the process, that has just ended
+            longest = max(longest, int(path.read_text().split()[1]))
+    return longest * 1e-9
+
+
+class Watch:
+    """Judges how soon something was done, from when it is made.
+
+    What the machine may be excused for is only what keeps these processes from running.
+    """
+
+    def __init__(self, lab, pids):
+        """Begins to watch.
+
+        Args:
+            lab: The emulated device, which is asked for its stalls.
+            pids: The processes that have to run.
+        """
+        self._lab = lab
+        self._waited_s = {pid: waited_s(pid) for pid in pids}
+
+    def judge(self, at_s, begun_s, known_s=None, within_s=SAFE_WITHIN_S):
+        """Notes a time that was kept; fails where the machine is no excuse for one that was not.
+
+        Args:
+            at_s: Steady time at which it was done.
+            begun_s: Steady time before what happened.
+            known_s: Steady time after it, where that is known.
+            within_s: How soon it must be done, s.
+        """
+        took_s = at_s - begun_s
+        if took_s <= within_s:
+            noted = properties.get()
+            if noted is not None:
+                noted.append((PROPERTY, took_s))
+            return
+        stalled_s = self.stalled_s(begun_s, at_s, known_s)
+        text = f"safe after {took_s:.3f} s, of which the machine stalled for {stalled_s:.3f} s"
+        assert took_s - stalled_s <= within_s, text
+        raise MachineStalledError(text)
+
+    def stalled_s(self, begun_s, at_s, known_s=None):
+        """How long the machine kept the processes from running.
+
+        Args:
+            begun_s: Steady time before what happened.
+            at_s: Steady time at which it was done.
+            known_s: Steady time after what happened, where that is known.
+        """
+        stalled_s = sum(max(waited_s(pid) - s, 0.0) for pid, s in self._waited_s.items())
+        for stall in self._lab.ask("status")["stalls"]:
+            end_s = stall["begun_s"] + stall["seconds"]
+            stalled_s += max(min(end_s, at_s) - max(stall["begun_s"], begun_s), 0.0)
+        return stalled_s + (known_s or begun_s) - begun_s
+
+
+def in_good_time(attempt, tries=3):
+    """Makes an attempt, again where the machine stalled meanwhile."""
+    for left in reversed(range(tries)):
+        try:
+            return attempt()
+        except MachineStalledError as error:
+            warnings.warn(str(error), stacklevel=2)
+            if not left:
+                raise
+            time.sleep(0.2)
+    return None

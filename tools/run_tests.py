@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run every test: first what computes, then what runs against the clock; say what was left out.
+
+Another user may stall a machine, so what runs against the clock has three tries. The last lines say
+how many tests passed, which were skipped and why, which needed another try, and whether the times in
+which valves have to be safe were proven: nothing is subtracted from them, so on a machine too busy
+to keep them they are not, and this is said. Exit status 1 where a test fails.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+PARTS = {
+    "what computes": ["-m", "not realtime", "--no-loadscope-reorder"],
+    "what runs against the clock": ["-m", "realtime", "--no-loadscope-reorder", "--reruns", "2"],
+}
+PROCESSES = {"what computes": 2, "what runs against the clock": 3}
+"""Side by side; what runs against the clock mostly waits."""
+NONE_COLLECTED = 5
+ALLOWED_MS = 150
+
+
+def main():
+    """Run the command line and return its exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("paths", nargs="*", help="tests to run instead of all of them")
+    options = parser.parse_args()
+    outcomes, worst = [], 0
+    with tempfile.TemporaryDirectory(prefix="pneu-tests-") as folder:
+        for number, (part, words) in enumerate(PARTS.items()):
+            path = Path(folder) / f"{number}.json"
+            print(f"\n{part}", flush=True)
+            begun_s = time.monotonic()
+            command = [sys.executable, "-m", "pytest", *words, "--dist=loadfile"]
+            command += [f"--numprocesses={PROCESSES[part]}", f"--outcome={path}", *options.paths]
+            status = subprocess.run(command, check=False).returncode
+            if status in (2, 130):  # interrupted
+                return status
+            if status != NONE_COLLECTED:
+                worst = max(worst, status)
+            if path.exists():
+                outcome = json.loads(path.read_text(encoding="utf-8"))
+                outcomes.append({**outcome, "part": part, "took_s": time.monotonic() - begun_s})
+    print("\n".join(["", *summary(outcomes)]))
+    return worst
+
+
+def summary(outcomes):
+    """Return the last lines of a run.
+
+    Args:
+        outcomes: What `conftest.py` wrote of each part, with its name and how long it took.
+    """
+    lines = []
+    for outcome in outcomes:
+        counts = ", ".join(f"{n} {kind}" for kind, n in outcome["counts"].items() if n)
+        minutes, seconds = divmod(round(outcome["took_s"]), 60)
+        lines.append(f"{outcome['part']}: {counts or 'nothing'} in {minutes}:{seconds:02d}")
+    for outcome in outcomes:
+        lines += [f"failed: {test}" for test in outcome["failed"]]
+        lines += [f"needed another try: {test}" for test in outcome["repeated"]]
+    skipped = [one for outcome in outcomes for one in outcome["skipped"]]
+    unproven = [one for one in skipped if one["reason"].startswith("not proven")]
+    for one in skipped:
+        if one not in unproven:
+            lines.append(f"skipped: {one['test']}: {one['reason']}")
+    times = {test: s for outcome in outcomes for test, s in outcome["safe_after_s"].items()}
+    if unproven:
+        lines += [f"{one['test']}: {one['reason']}" for one in unproven]
+        lines.append(
+            f"SAFETY TIMES NOT PROVEN: this machine was too busy for {len(unproven)} of"
+            f" {len(unproven) + len(times)} tests that measure them; run `make test` again on a"
+            " quiet one"
+        )
+    elif times:
+        test, longest_s = max(times.items(), key=lambda item: item[1])
+        lines.append(
+            f"safety times proven in {len(times)} tests: at most {1e3 * longest_s:.0f} ms of"
+            f" {ALLOWED_MS} ms ({test})"
+        )
+    return lines
+
+
+if __name__ == "__main__":
+    sys.exit(main())
