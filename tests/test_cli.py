@@ -114,8 +114,10 @@ def test_installed_command_knows_both_packages():
     assert "effects" in result.stdout and "diagnose" in result.stdout
 
 
-@pytest.mark.parametrize("words", [["--help"], ["effects"], ["topic", "--help"], ["lab", "--help"]])
-def test_what_needs_no_numerics_does_not_wait_for_them(words: list[str]) -> None:
+@pytest.mark.parametrize(
+    "words", [["--help"], ["effects"], ["init"], ["topic", "--help"], ["lab", "--help"]]
+)
+def test_what_needs_no_numerics_does_not_wait_for_them(words: list[str], tmp_path: Path) -> None:
     """Compilers and solvers take seconds to load; a list of commands does without."""
     code = (
         "import sys; from pneu_sim.cli import main\n"
@@ -125,5 +127,7 @@ def test_what_needs_no_numerics_does_not_wait_for_them(words: list[str]) -> None
         "heavy = {'numba', 'scipy', 'mujoco', 'torch', 'pymodbus'} & set(sys.modules)\n"
         "sys.exit(f'loaded {heavy}' if heavy else 0)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subcommands of `pneu` that need no recording: `effects`, `check` and `simulate`.
+"""Subcommands of `pneu` that need no recording: `init`, `effects`, `check` and `simulate`.
 
 The numerics are imported by the command that uses them: `pneu --help` does without.
 """
@@ -18,6 +18,7 @@ from rich.table import Table
 
 from pneu_sim.errors import InputError
 from pneu_sim.files import write_whole
+from pneu_sim.init import init
 
 if TYPE_CHECKING:
     from pneu_sim.rig.schema import Rig
@@ -39,6 +40,7 @@ def register(app: typer.Typer) -> None:
     Args:
         app: The application.
     """
+    app.command("init")(init)
     app.command("effects")(effects)
     app.command("check")(check)
     app.command("simulate")(simulate)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pneu_sim.errors import InputError
-from pneu_sim.files import write_whole
+from pneu_sim.files import copy_whole, write_whole
 
 
 def test_what_was_there_is_replaced(tmp_path: Path) -> None:
@@ -41,3 +41,29 @@ def test_no_room_for_it(tmp_path: Path) -> None:
         signal.signal(signal.SIGXFSZ, ignored)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_is_copied(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    (source / "deep" / "er").mkdir(parents=True)
+    for name in ("a", "deep/er/b", "deep/not"):
+        (source / name).write_text(name)
+    copy_whole(source, ["a", "deep/er/b"], tmp_path / "copy")
+    copied = {p.relative_to(tmp_path / "copy").as_posix() for p in (tmp_path / "copy").rglob("*")}
+    assert copied == {"a", "deep", "deep/er", "deep/er/b"}
+    assert (tmp_path / "copy" / "deep" / "er" / "b").read_text() == "deep/er/b"
+    assert {p.name for p in tmp_path.iterdir()} == {"source", "copy"}
+
+
+def test_a_folder_that_cannot_be_copied_whole(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    (source / "a").write_text("a")
+    with pytest.raises(InputError, match=r"copy: cannot be written \(No such file"):
+        copy_whole(source, ["a", "gone"], tmp_path / "copy")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").write_text("mine")
+    with pytest.raises(InputError, match="full: cannot be written"):
+        copy_whole(source, ["a"], tmp_path / "full")
+    assert {p.name for p in tmp_path.iterdir()} == {"source", "full"}
+    assert [p.name for p in (tmp_path / "full").iterdir()] == ["mine"]
