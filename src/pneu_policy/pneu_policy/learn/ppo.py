@@ -26,7 +26,7 @@ try:
 except ModuleNotFoundError as error:
     raise InputError(
         f"PPO needs stable-baselines3, which is not installed ({error}):"
-        " `pip install '.[study]'` in a checkout of pneu"
+        " `pip install '.[study]'` in a checkout of pneu, or 'FILE.whl[study]' for a wheel of it"
     ) from None
 
 

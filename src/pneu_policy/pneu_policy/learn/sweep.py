@@ -230,8 +230,8 @@ def _join_ray(address: str | None) -> None:
         from ray.util.joblib import register_ray
     except ImportError as error:
         raise InputError(
-            f"backend: ray is not installed here ({error}); `pip install '.[cluster]'` in a"
-            " checkout, or take backend loky"
+            f"backend: ray is not installed here ({error}): `pip install '.[cluster]'` in a"
+            " checkout of pneu, or 'FILE.whl[cluster]' for a wheel of it; or take backend loky"
         ) from None
     if not ray.is_initialized():
         try:

@@ -17,7 +17,8 @@ _HEAD = """\
 One rig is one YAML file. It names the parts of the rig, what they are connected to, where their
 signals are recorded, and what identification may change. `pneu check RIG` says whether a file is
 sound and shows what would be simulated; an unknown key, a value out of range or a part that is not
-connected is refused with one sentence.
+connected is refused with one sentence. `pneu init` writes a file to begin with, whose comments say
+what to change and where to find it.
 
 A rig is a network of named *nodes*. A pipe runs from one node to another. A reservoir or a chamber
 sits at the node that has its name. Valve ports and orifices connect two nodes. The node `closed` is
