@@ -2,9 +2,9 @@
 """Run every test: first what computes, then what runs against the clock; say what was left out.
 
 Another user may stall a machine, so what runs against the clock has three tries. The last lines say
-how many tests passed, which were skipped and why, which needed another try, and whether the times in
-which valves have to be safe were proven: nothing is subtracted from them, so on a machine too busy
-to keep them they are not, and this is said. Exit status 1 where a test fails.
+how many tests passed, which were skipped and why, which needed another try, and whether the times
+in which valves have to be safe were proven: nothing is subtracted from them, so on a machine too
+busy to keep them they are not, and this is said. Exit status 1 where a test fails.
 """
 
 import argparse
