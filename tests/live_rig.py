@@ -36,6 +36,7 @@ class Processes:
     def __init__(self, folder):
         self.folder = folder
         self.running = {}
+        self.ended = {}
 
     def start(self, name, command, environment=None):
         """Starts one under a name that is free."""
@@ -73,10 +74,13 @@ class Processes:
         return when
 
     def end(self, name):
-        """Ends one as by Ctrl-C; returns its exit status."""
-        process = self.running.pop(name)
-        process.send_signal(signal.SIGINT)
-        return process.wait(20.0)
+        """Ends one as by Ctrl-C; returns its exit status, also when it is asked again."""
+        if name in self.running:
+            process = self.running[name]
+            process.send_signal(signal.SIGINT)
+            self.ended[name] = process.wait(60.0)
+            del self.running[name]
+        return self.ended[name]
 
     def close(self):
         for process in self.running.values():

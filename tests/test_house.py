@@ -10,6 +10,7 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
+from tests.parts import MIXED, REALTIME
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("pneu_sim", "pneu_hw_bridge", "pneu_sysid", "pneu_policy", "pneu_runtime")
@@ -138,8 +139,10 @@ def test_ament_marker_is_there(package):
 def test_what_the_package_imports_is_declared(package):
     declared = {distribution(requirement) for requirement in PROJECT["dependencies"]}
     extras = PROJECT["optional-dependencies"]
-    for_training = declared | {
-        distribution(one) for name in ("learn", "study", "cluster") for one in extras[name]
+    of_extras = declared | {
+        distribution(one)
+        for name in ("figures", "learn", "study", "cluster")
+        for one in extras[name]
     }
     undeclared = {
         f"{relative(path)} imports {module}"
@@ -149,7 +152,7 @@ def test_what_the_package_imports_is_declared(package):
         and module not in PACKAGES
         and module not in ROS_PACKAGES
         and DISTRIBUTION_OF.get(module, module)
-        not in (for_training if set(TRAINING) & set(path.parts) else declared)
+        not in (of_extras if {*TRAINING, "figures.py"} & set(path.parts) else declared)
     }
     assert not undeclared, "\n".join(sorted(undeclared))
 
@@ -258,3 +261,15 @@ def test_no_file_names_a_path_of_one_machine():
 )
 def test_machine_paths_are_recognised(line, is_one):
     assert bool(MACHINE_PATHS.search(line)) == is_one
+
+
+def test_no_test_is_left_out_when_the_parts_run_one_after_the_other():
+    """The runner names files to save time: those that are marked whole, and those with marks."""
+    mark = "@pytest.mark." + "realtime"
+    found = subprocess.run(
+        ["git", "grep", "-lF", mark, "--", "*.py"], cwd=ROOT, capture_output=True, text=True
+    ).stdout.split()
+    assert found
+    assert all(path.startswith(REALTIME + MIXED) for path in found), found
+    for start in REALTIME + MIXED:
+        assert list(ROOT.glob(f"{start.rstrip('/')}*")), f"{start}: no test begins so"

@@ -4,6 +4,7 @@
 from pathlib import Path
 
 import pytest
+from tests.measured import MachineStalledError
 
 from pneu_policy.evaluate import file_for, provenance
 from pneu_policy.live import evaluate_live
@@ -55,7 +56,8 @@ def test_on_the_lab_they_keep_the_order_of_the_table(table, tmp_path):
     controllers = {name: files_of(name, "long", table) for name in ("pde", "plate")}
     evaluate_live(found, controllers, [LONG], tasks)
     late = [run.note for run in found.runs if run.metrics is None]
-    assert not late  # after three tries; this machine is too busy
+    if late:  # each had three tries
+        raise MachineStalledError("; ".join(late))
 
     again = {run.controller: run.metrics.rmse_atm for run in found.runs}
     stated = {

@@ -19,7 +19,7 @@ from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.together import each_of
 
-SECONDS = 6.0
+SECONDS = 4.0
 TOLERANCE = 0.10
 SIGMAS = 3.0
 

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which tests run against the clock, and which take longest."""
+
+REALTIME = (
+    "src/pneu_hw_bridge/test/",
+    "src/pneu_policy/test/test_policy_nodes",
+    "src/pneu_runtime/test/test_recorder",
+    "src/pneu_sim/test/test_simulator_node",
+    "src/pneu_sysid/test/test_identify_node",
+    "src/pneu_sysid/test/test_replay_node",
+    "tests/conformance/test_executors",
+    "tests/conformance/test_timers",
+    "tests/test_faults",
+    "tests/test_graph",
+    "tests/test_pressure_study",
+)
+"""Beginnings of the paths of tests that run against the clock."""
+
+MIXED = ("src/pneu_sim/test/test_stepper",)
+"""Likewise of files in which single tests do, marked there."""
+
+LONGEST = (
+    "tests/test_hidden_effects",
+    "tests/test_real_data",
+    "tests/test_several_recordings",
+    "src/pneu_sysid/test/test_exact",
+    "src/pneu_sysid/test/",
+    "src/pneu_runtime/test/test_tools",
+)
+"""Beginnings of the paths of tests that take longest: they begin first, so that no worker is left
+alone with one of them at the end. Wants `--no-loadscope-reorder`."""
