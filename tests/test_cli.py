@@ -44,6 +44,8 @@ def register(app):
         return "a value that must not become the exit status"
 '''
 
+RIG = Path(__file__).parent.parent / "rigs" / "rig_a_fitted.yaml"
+
 
 @pytest.fixture
 def run(tmp_path, monkeypatch):
@@ -115,7 +117,15 @@ def test_installed_command_knows_both_packages():
 
 
 @pytest.mark.parametrize(
-    "words", [["--help"], ["effects"], ["init"], ["topic", "--help"], ["lab", "--help"]]
+    "words",
+    [
+        ["--help"],
+        ["effects"],
+        ["init"],
+        ["check", str(RIG)],
+        ["topic", "--help"],
+        ["lab", "--help"],
+    ],
 )
 def test_what_needs_no_numerics_does_not_wait_for_them(words: list[str], tmp_path: Path) -> None:
     """Compilers and solvers take seconds to load; a list of commands does without."""

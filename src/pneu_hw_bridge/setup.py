@@ -25,6 +25,6 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": ["valve_bridge = pneu_hw_bridge.nodes.valve_bridge:main"],
-        "pneu.commands": ["lab = pneu_hw_bridge.commands:register"],
+        "pneu.commands": ["3-lab = pneu_hw_bridge.commands:register"],
     },
 )

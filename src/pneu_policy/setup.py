@@ -29,6 +29,6 @@ setup(
             "policy = pneu_policy.nodes.policy:main",
             "target = pneu_policy.nodes.target:main",
         ],
-        "pneu.commands": ["policy = pneu_policy.commands:register"],
+        "pneu.commands": ["5-policy = pneu_policy.commands:register"],
     },
 )

@@ -33,6 +33,6 @@ setup(
             "player = pneu_runtime.nodes.player:main",
             "recorder = pneu_runtime.nodes.recorder:main",
         ],
-        "pneu.commands": ["graph = pneu_runtime.commands:register"],
+        "pneu.commands": ["4-graph = pneu_runtime.commands:register"],
     },
 )

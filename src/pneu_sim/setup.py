@@ -28,6 +28,6 @@ setup(
             "pneu = pneu_sim.cli:main",
             "simulator = pneu_sim.nodes.simulator:main",
         ],
-        "pneu.commands": ["sim = pneu_sim.commands:register"],
+        "pneu.commands": ["1-sim = pneu_sim.commands:register"],
     },
 )

@@ -28,6 +28,6 @@ setup(
             "identify = pneu_sysid.nodes.identify:main",
             "replay = pneu_sysid.nodes.replay:main",
         ],
-        "pneu.commands": ["sysid = pneu_sysid.commands:register"],
+        "pneu.commands": ["2-sysid = pneu_sysid.commands:register"],
     },
 )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pneu_sim import layout as L
 from pneu_sim.errors import InputError
 from pneu_sim.gas import AIR, Gas
+from pneu_sim.monotone import monotone_cubic
 from pneu_sim.rig.schema import CLOSED, Pipe, Port, Rig, Valve
 
 Floats = NDArray[np.float64]
@@ -311,16 +312,6 @@ def _spread(x: float, centres: Floats) -> list[tuple[int, float]]:
     return [(i, 1.0 - (s - i)), (i + 1, s - i)]
 
 
-def _monotone(x: Floats, y: Floats, at: Floats) -> Floats:
-    """Monotone cubic through points; two of them make a line."""
-    if x.size <= 2:
-        return np.interp(at, x, y)
-    # Here, because it takes longer to import than all else that a rig file needs.
-    from scipy.interpolate import PchipInterpolator
-
-    return np.asarray(PchipInterpolator(x, y)(at))
-
-
 def _curve(port: Port, valve: Valve) -> tuple[Floats, Floats]:
     """An opening curve as a table over voltage, with the leakage of the closed port added."""
     null = valve.spool.null_v
@@ -337,7 +328,7 @@ def _curve(port: Port, valve: Valve) -> tuple[Floats, Floats]:
         )
     else:
         table_v = np.linspace(x[0], x[-1], CURVE_POINTS)
-        table = _monotone(x, y, table_v)
+        table = monotone_cubic(x, y, table_v)
     if port.opening.mirror is not None:
         table_v, table = 2.0 * null - table_v[::-1], table[::-1]
     lift = port.leakage
@@ -350,7 +341,7 @@ def _power_law(s: Floats, f: Floats, at: Floats) -> Floats:
     out = np.zeros_like(at)
     ls, lf = np.log(s), np.log(f)
     inside = at >= s[0]
-    out[inside] = np.exp(_monotone(ls, lf, np.minimum(np.log(at[inside]), ls[-1])))
+    out[inside] = np.exp(monotone_cubic(ls, lf, np.minimum(np.log(at[inside]), ls[-1])))
     exponent = max((lf[1] - lf[0]) / (ls[1] - ls[0]), 0.2)
     below = ~inside & (at > 0.0)
     out[below] = f[0] * (at[below] / s[0]) ** exponent
