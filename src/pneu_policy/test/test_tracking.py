@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The training task: plants beside the simulator, features, episodes, drawn rigs."""
 
-import gymnasium
 import numpy as np
 import pytest
 
-from pneu_policy.ensembles import draw_rigs
-from pneu_policy.observations import Observer, Recipe
-from pneu_policy.plants import make_plant
-from pneu_policy.targets import Target
-from pneu_policy.tracking import EnvSettings, PressureTracking, Reward, make_env
-from pneu_sim.errors import InputError
-from pneu_sim.rig.load import load_rig
-from pneu_sim.rig.parameters import get_parameter, with_parameters
-from pneu_sim.run import run_rig
-from pneu_sim.simulator import Simulator
+gymnasium = pytest.importorskip("gymnasium")
+
+from pneu_policy.ensembles import draw_rigs  # noqa: E402
+from pneu_policy.observations import Observer, Recipe  # noqa: E402
+from pneu_policy.plants import make_plant  # noqa: E402
+from pneu_policy.targets import Target  # noqa: E402
+from pneu_policy.tracking import EnvSettings, PressureTracking, Reward, make_env  # noqa: E402
+from pneu_sim.errors import InputError  # noqa: E402
+from pneu_sim.rig.load import load_rig  # noqa: E402
+from pneu_sim.rig.parameters import get_parameter, with_parameters  # noqa: E402
+from pneu_sim.run import run_rig  # noqa: E402
+from pneu_sim.simulator import Simulator  # noqa: E402
 
 SHORT = "rigs/rig_a_fitted.yaml"
 PLATE = "rigs/rig_a_thin_plate.yaml"
