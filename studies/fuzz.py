@@ -4,13 +4,14 @@
 Rig files, bags, tables and command lines are spoilt at random, and the commands of `pneu` are run
 on them in a worker process. A command has to end in time with status 0, or with status 2 and one
 line on stderr that begins with ``pneu: ``; a refused command leaves no file, and no command leaves
-one half-written. A case is the same for the same seed and number; ``--only KIND:NUMBER`` repeats it.
-The inputs of failures are kept in ``out/fuzz``.
+one half-written. A case is the same for the same seed and number; ``--only KIND:NUMBER`` repeats
+it. The inputs of failures are kept in ``out/fuzz``.
 """
 
 import argparse
 import multiprocessing
 import os
+import re
 import resource
 import shlex
 import shutil
@@ -134,9 +135,7 @@ def run_one(app: Any, words: list[str], folder: Path) -> Ended:
     return Ended(words, status, fault, stderr, seconds)
 
 
-def _fault(
-    status: int | None, stderr: str, before: dict[str, Any], after: dict[str, Any]
-) -> str:
+def _fault(status: int | None, stderr: str, before: dict[str, Any], after: dict[str, Any]) -> str:
     """What is wrong with how a command ended; empty where nothing is."""
     new = sorted(name for name, what in after.items() if before.get(name) != what)
     lost = sorted(set(before) - set(after))
@@ -345,11 +344,18 @@ def main(arguments: list[str] | None = None) -> int:
             f"{kind}: {tally.cases} cases, {tally.accepted} commands accepted, {tally.refused}"
             f" refused, {len(tally.failed)} failures"
         )
+        alike: dict[str, list[tuple[str, Ended]]] = {}
         for label, end in tally.failed:
+            said = re.sub(r"[0-9]+|'.*?'", "_", end.stderr[:300])
+            alike.setdefault(f"{end.words[0]} {end.fault[:20]} {said}", []).append((label, end))
+        for group in alike.values():
+            label, end = group[0]
             print(f"\n  {label}: {end.fault} ({end.seconds:.1f} s)")
             print(f"    pneu {shlex.join(end.words)[:1500]}")
             for line in end.stderr.splitlines()[-4:]:
                 print(f"    | {line[:400]}")
+            if len(group) > 1:
+                print(f"    and alike: {', '.join(one for one, _ in group[1:])}"[:400])
     print(f"{len(cases)} cases in {seconds:.0f} s; inputs of failures are in {KEPT}")
     return 1 if any(tally.failed for tally in tallies.values()) else 0
 

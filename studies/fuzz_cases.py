@@ -142,7 +142,16 @@ def _warm_case() -> Case:
     yield ["check", "rig.yaml"]
     for rig in ("rig.yaml", "plate.yaml"):
         yield ["simulate", "--rig", rig, "--steps", "voltage=6:0.01", "-o", f"{rig}.csv"]
-    yield ["compare", "good.mcap", *tiny, "--rig", "plate.yaml", "--no-refine", "--report", "c.html"]
+    yield [
+        "compare",
+        "good.mcap",
+        *tiny,
+        "--rig",
+        "plate.yaml",
+        "--no-refine",
+        "--report",
+        "c.html",
+    ]
     yield ["fit", "good.mcap", *tiny, "--iterations", "1", "-o", "f.yaml"]
     yield ["diagnose", "good.mcap", *tiny, "--no-refine"]
     yield ["add", "leak@tube", "--bag", "good.mcap", *tiny, "-o", "better.yaml"]
@@ -327,6 +336,9 @@ PATHS = (
     "/dev/full", "", ".", "..", "/", "rig.yaml", "run.csv", "good.mcap", "pid.yaml", "x" * 300,
     "policy.npz", "full/notes.txt", "/proc/self/mem", "a\nb", "[red]", "\udcff",
 )  # fmt: skip
+OUTPUTS = ("out", "json_path", "json_file", "report", "output", "ready_file")
+OUTSIDE = ("/", "..")
+"""Beginnings of what is never written to: whoever is root could."""
 NUMBERS = (
     "nan", "inf", "-inf", "-1", "0", "1e308", "-1e308", "1e-308", "x", "", str(10**30),
     str(-(10**30)), str(2**31), str(2**64), spoil.DIGITS, "0x1", "1.5", "٣", "1e3",
@@ -389,7 +401,7 @@ ALWAYS = {
     "compare": ["--no-refine"],
     "diagnose": ["--no-refine"],
     "launch": ["--print"],
-    # These would take long, or serve until they are told to stop: what they write cannot be written.
+    # These would take long, or serve until they are stopped: what they write cannot be written.
     "lab": ["--ready-file", "file/below", "--allow-slow", "--port", "0", "--control-port", "0"],
     "train": ["--out", "file/below"],
     "evaluate": ["--duration", "1.0", "--skip", "0.3", "--seeds", "0"],
@@ -461,7 +473,9 @@ def _command_case(rng: random.Random, folder: Path) -> Case:
             words += [[rng.choice(flags), value] if flags else [value] for value in values]
     rng.shuffle(words)
     if rng.random() < 0.05:
-        words.insert(rng.randrange(len(words) + 1), [rng.choice(("--absent", "-x", "--", "--help"))])
+        words.insert(
+            rng.randrange(len(words) + 1), [rng.choice(("--absent", "-x", "--", "--help"))]
+        )
     yield [*name.split(), *ALWAYS.get(name, []), *(word for some in words for word in some)]
 
 
@@ -469,6 +483,8 @@ def _values(rng: random.Random, option: str, hint: Any, hostility: float) -> lis
     count = rng.choice((1, 1, 2)) if typing.get_origin(hint) is list else 1
     kind = (typing.get_args(hint) or (hint,))[0]
     hostile = {int: NUMBERS, float: NUMBERS, Path: PATHS}.get(kind, TEXTS + PATHS)
+    if option in OUTPUTS:
+        hostile = tuple(path for path in PATHS if not path.startswith(OUTSIDE))
     good = GOOD.get(option, ("1",) if kind in (int, float) else hostile)
     return [
         rng.choice(hostile) if rng.random() < hostility else rng.choice(good) for _ in range(count)

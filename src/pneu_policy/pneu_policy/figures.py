@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figures of an evaluation: sample runs as in thesis figs. 9.3 to 9.5, and errors with spread."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ import numpy as np
 
 from pneu_policy.metrics import ATM_PA, Track, target_at
 from pneu_policy.results import LIMIT, Evaluation, Run, load_track, spread
-from pneu_sim.errors import InputError
+from pneu_sim.files import whole
 
 TARGET_COLOUR = "0.25"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#882255", "#999933")
@@ -218,12 +217,9 @@ def _pyplot() -> Any:
 
 def _save(figure: Any, path: Path) -> None:
     """Writes a picture, whole or not at all."""
-    aside = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(aside, dpi=110)
-        os.replace(aside, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+        with whole(path) as aside:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            figure.savefig(aside, format=path.suffix.removeprefix("."), dpi=110)
     finally:
         _pyplot().close(figure)

@@ -18,6 +18,8 @@ from rich.table import Table
 
 from pneu_sim.errors import InputError
 from pneu_sim.files import write_whole
+from pneu_sim.options import MOST_SEED, Force
+from pneu_sim.outputs import check_output
 
 if TYPE_CHECKING:
     from pneu_sim.rig.schema import Rig
@@ -190,12 +192,16 @@ def simulate(
     ] = None,
     rate: Annotated[float, typer.Option(help="Samples per second.")] = 500.0,
     seed: Annotated[
-        int | None, typer.Option(help="Adds the noise of the rig's sensors from this seed.")
+        int | None,
+        typer.Option(
+            help="Adds the noise of the rig's sensors from this seed.", min=0, max=MOST_SEED
+        ),
     ] = None,
     noise: Annotated[
         float | None, typer.Option(help="Noise in Pa, one sigma, instead of the rig's.")
     ] = None,
     effects_file: EffectsPath = None,
+    force: Force = False,
 ) -> None:
     """Run a rig from rest along valve commands and write what its sensors read."""
     import numpy as np
@@ -212,6 +218,7 @@ def simulate(
         raise InputError("--noise: needs a value of 0 or more and a --seed to draw it from")
     if not 0.0 < rate <= 1e6:
         raise InputError(f"--rate: found {rate:g}, allowed is above 0 and up to 1e6")
+    _check_simulation(output, force)
     loaded = load_rig(rig)
     curves = {name: _from_file(name, Path(text)) for name, text in _named("--command", command)}
     for name, text in _named("--steps", steps):
@@ -234,16 +241,24 @@ def simulate(
         taps = add_noise(loaded, taps, np.random.default_rng(seed), noise)
     if output.suffix == ".csv":
         _write_csv(output, time_s, commands, taps)
-    elif output.suffix in ("", ".mcap"):
+    else:
         volts = {name: Signal(time_s, values) for name, values in commands.items()}
         readings = {name: Signal(time_s, values) for name, values in taps.items()}
-        write_bag(output, loaded, volts, readings)
-    else:
-        raise InputError(f"{output}: found suffix {output.suffix!r}, allowed are .csv, .mcap, none")
+        write_bag(output, loaded, volts, readings, replace=force)
     print(
         f"{output}: {len(taps)} taps, {samples} samples at {rate:g} Hz,"
         f" model {loaded.model} of rig {loaded.name}"
     )
+
+
+def _check_simulation(output: Path, force: bool) -> None:
+    """Refuses an output of a simulation that is of another kind, or holds something already."""
+    if output.suffix not in ("", ".csv", ".mcap"):
+        raise InputError(f"{output}: found suffix {output.suffix!r}, allowed are .csv, .mcap, none")
+    if output.suffix:
+        check_output(output, force)
+    elif output.exists():
+        raise InputError(f"{output}: exists already; a bag is written to a new folder")
 
 
 def _print_table(title: str, columns: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> None:

@@ -2,16 +2,13 @@
 """`metadata.yaml` of a rosbag2 folder, version 9 as Jazzy writes it; older versions are read."""
 
 import dataclasses
-import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
 from pneu_runtime.bag.qos import OfferedQos, parse_profiles
+from pneu_sim.documents import read_yaml
 from pneu_sim.errors import InputError
+from pneu_sim.files import replacing
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"
@@ -159,17 +156,13 @@ class BagMetadata:
 
         Args:
             folder: Folder of the bag.
+
+        Raises:
+            OSError: It cannot be written.
         """
         body = "".join(f"  {line}\n" for line in self.body().splitlines())
-        descriptor, aside = tempfile.mkstemp(prefix=f".{FILE_NAME}.", dir=folder)
-        try:
-            with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
-                stream.write("rosbag2_bagfile_information:\n" + body)
-            Path(aside).chmod(0o644)
-            os.replace(aside, folder / FILE_NAME)
-        except OSError:
-            Path(aside).unlink(missing_ok=True)
-            raise
+        with replacing(folder / FILE_NAME) as aside:
+            aside.write_text(f"rosbag2_bagfile_information:\n{body}", encoding="utf-8")
 
 
 def _quoted(text: str) -> str:
@@ -187,12 +180,9 @@ def read_metadata(folder: Path) -> BagMetadata:
         InputError: The file is missing or is not what rosbag2 writes.
     """
     path = folder / FILE_NAME
-    try:
-        data = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; `pneu bag recover` makes it again") from None
-    except (OSError, UnicodeDecodeError, YAMLError) as error:
-        raise InputError(f"{path}: cannot be read ({' '.join(str(error).split())})") from None
+    if not path.exists():
+        raise InputError(f"{path}: no such file; `pneu bag recover` makes it again")
+    data = read_yaml(path, "description of a bag")
     try:
         info = data["rosbag2_bagfile_information"]
         return _metadata(info, path)
