@@ -288,8 +288,9 @@ def _table_case(rng: random.Random, folder: Path) -> Case:
                 {"names": rng.choice((["a"], [], ["t", "volts", "out", "end"], ["t"] * 4))},
             )
         )
+        sound = {"time": "t", "time_scale": 1e-3}  # milliseconds as seconds would take long
         out = io.StringIO()
-        spoil.YAML(typ="safe", pure=True).dump(layout, out)
+        spoil.YAML(typ="safe", pure=True).dump({**sound, **layout}, out)
         body = TEXT_RIG.partition("text: ")[0]
         lines = "".join(f"  {line}\n" for line in out.getvalue().splitlines())
         (folder / "own_rig.yaml").write_text(f"{body}text:\n{lines}", encoding="utf-8")
@@ -424,6 +425,20 @@ SPOILT = {
     "own.py": "bytes", "volts.csv": "bytes",
 }  # fmt: skip
 
+MAINLY = {
+    "tune": ("rig.yaml",),
+    "train": ("settings.yaml",),
+    "policy": ("pid.yaml", "policy.npz"),
+    "evaluate": ("pid.yaml", "rig.yaml", "sealed.json"),
+    "lab": ("registers.yaml", "rig.yaml", "sealed.json"),
+    "lab seal": ("effects.yaml",),
+    "lab reveal": ("sealed.json",),
+    "launch": ("launch.yaml",),
+    "effects": ("own.py",),
+    "simulate": ("volts.csv", "rig.yaml"),
+}
+"""Which of the files a command reads above all."""
+
 
 @functools.cache
 def callbacks() -> dict[str, Callable[..., Any]]:
@@ -450,14 +465,17 @@ def callbacks() -> dict[str, Callable[..., Any]]:
 
 def _command_case(rng: random.Random, folder: Path) -> Case:
     name = rng.choice(COMMANDS)
-    for _ in range(rng.choice((0, 0, 1))):
-        file, how = rng.choice(list(SPOILT.items()))
+    for _ in range(rng.choice((0, 1))):
+        # Most often what the command reads.
+        read = [file for file in SPOILT if file in MAINLY.get(name, ())]
+        file = rng.choice(read) if read and rng.random() < 0.8 else rng.choice(list(SPOILT))
+        how = SPOILT[file]
         path = folder / file
         data = path.read_bytes()
         path.write_bytes(
             spoil.of_yaml(rng, data.decode()) if how == "yaml" else spoil.of_bytes(rng, data)
         )
-    hostility = rng.choice((0.0, 0.1, 0.1, 0.4))
+    hostility = rng.choice((0.0, 0.1, 0.2, 0.4))
     words: list[list[str]] = []
     for option, hint, default in _parameters(name):
         if option in NEVER.get(name, ()):

@@ -17,6 +17,8 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8
 LIMIT_COLOUR = "0.55"
 SHOWN_S = (1.0, 7.0)
 """Part of a run that is shown."""
+MIN_SHOWN = 20
+"""Instants that a picture needs."""
 
 
 def colours(names: Sequence[str]) -> dict[str, str]:
@@ -108,6 +110,8 @@ def draw_runs(
                 top.text(0.5, 0.5, "no valid run", transform=top.transAxes, ha="center")
                 continue
             part = (track.time_s >= shown_s[0]) & (track.time_s <= shown_s[1])
+            if np.count_nonzero(part) < MIN_SHOWN:  # a run that is shorter is shown whole
+                part = np.ones(track.time_s.size, dtype=bool)
             time, pressure = track.time_s[part], track.pressure_pa[part] / ATM_PA
             target = target_at(track, time) / ATM_PA
             top.plot(time, pressure, color=colour[name], lw=1.3, label="pressure")

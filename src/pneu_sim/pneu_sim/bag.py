@@ -64,6 +64,13 @@ def write_bag(
     ]
     if not signals:
         raise InputError(f"{path}: found no signal to write, at least one is needed")
+    topics = [signal.topic for signal in signals]
+    for signal in signals:
+        if topics.count(signal.topic) > 1:
+            raise InputError(
+                f"{path}: {signal.name}: topic {signal.topic!r} is that of another signal of the"
+                " rig too; a bag needs one for each"
+            )
     everything = (*commands.values(), *pressures.values())
     earliest_s = min((float(signal.time_s[0]) for signal in everything if len(signal)), default=0.0)
     begin_s = start_time_s

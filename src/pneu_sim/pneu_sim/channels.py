@@ -3,6 +3,8 @@
 
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 
@@ -44,6 +46,15 @@ class Channel(BaseModel):
         if self.scale == 0.0:
             raise ValueError("the scale of a channel must not be 0")
         return self
+
+    def convert(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Values in SI units; what is beyond all numbers becomes infinite.
+
+        Args:
+            raw: (n,) values as they were recorded.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            return raw * self.scale + self.offset
 
 
 class TextFormat(BaseModel):

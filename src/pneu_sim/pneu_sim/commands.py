@@ -324,18 +324,22 @@ def _from_file(name: str, path: Path) -> "tuple[Floats, Floats, float]":
     """Times, volts and last time of a file with two columns; a heading is skipped."""
     import numpy as np
 
+    if path.is_char_device():
+        raise InputError(f"{path}: command {name!r}: is a device, a file is needed")
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             rows = [row for row in csv.reader(stream) if any(word.strip() for word in row)]
-    except (OSError, UnicodeDecodeError) as error:
-        what = getattr(error, "strerror", None) or "it is not text"
+    except (OSError, ValueError, csv.Error) as error:
+        text = isinstance(error, UnicodeDecodeError)
+        what = "it is not text" if text else getattr(error, "strerror", None) or error
         raise InputError(f"{path}: command {name!r} cannot be read ({what})") from None
     if rows and not _number(rows[0][0]):
         rows = rows[1:]
     for row in rows:
         if len(row) < 2 or not (_number(row[0]) and _number(row[1])):
             raise InputError(
-                f"{path}: command {name!r}: found row {','.join(row)!r}, needed are time and volts"
+                f"{path}: command {name!r}: found row {','.join(row)[:80]!r}, needed are time and"
+                " volts"
             )
     if not rows:
         raise InputError(f"{path}: command {name!r}: found no rows of time and volts")

@@ -17,6 +17,8 @@ from ruamel.yaml.error import YAMLError
 
 from pneu_sim.errors import InputError
 
+LARGEST_BYTES = 32 << 20
+"""Size of a file that people write."""
 MOST_VALUES = 1_000_000
 """Values that a document may stand for, those that an alias repeats counted each time."""
 DEEPEST = 100
@@ -36,7 +38,13 @@ def read_text(path: str | Path, what: str) -> str:
         InputError: It is missing or is no text.
     """
     try:
-        return Path(path).read_text(encoding="utf-8")
+        with Path(path).open("rb") as stream:
+            content = stream.read(LARGEST_BYTES + 1)  # a device may have no end
+        if len(content) > LARGEST_BYTES:
+            raise InputError(f"{path}: has more than {LARGEST_BYTES} bytes, too many for a {what}")
+        return content.decode().replace("\r\n", "\n").replace("\r", "\n")
+    except InputError:  # before its base, ValueError
+        raise
     except FileNotFoundError:
         raise InputError(f"{path}: no such {what}") from None
     except UnicodeDecodeError as error:

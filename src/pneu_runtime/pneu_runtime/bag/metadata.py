@@ -186,12 +186,19 @@ def read_metadata(folder: Path) -> BagMetadata:
     try:
         info = data["rosbag2_bagfile_information"]
         return _metadata(info, path)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(
             f"{path}: is no rosbag2 metadata ({type(error).__name__}: {error})"
         ) from None
+
+
+def _name(found: Any) -> str:
+    """The name of a file beside the metadata."""
+    if not isinstance(found, str) or Path(found).is_absolute() or ".." in Path(found).parts:
+        raise TypeError(f"found {found!r} for the name of a file in the folder")
+    return found
 
 
 def _metadata(info: dict[str, Any], path: Path) -> BagMetadata:
@@ -200,8 +207,8 @@ def _metadata(info: dict[str, Any], path: Path) -> BagMetadata:
         meta = entry["topic_metadata"]
         topics.append(
             Topic(
-                name=meta["name"],
-                type=meta["type"],
+                name=str(meta["name"]),
+                type=str(meta["type"]),
                 type_hash=meta.get("type_description_hash") or "",
                 profiles=parse_profiles(
                     meta.get("offered_qos_profiles") or None, f"{path}: {meta['name']}"
@@ -215,7 +222,7 @@ def _metadata(info: dict[str, Any], path: Path) -> BagMetadata:
         start = int(entry["starting_time"]["nanoseconds_since_epoch"])
         files.append(
             File(
-                path=entry["path"],
+                path=_name(entry["path"]),
                 start_ns=start,
                 end_ns=start + int(entry["duration"]["nanoseconds"]),
                 message_count=int(entry["message_count"]),
@@ -223,7 +230,7 @@ def _metadata(info: dict[str, Any], path: Path) -> BagMetadata:
         )
     if not files:  # before version 5 the files were not described one by one
         start = int(info["starting_time"]["nanoseconds_since_epoch"])
-        paths = info["relative_file_paths"] or []
+        paths = [_name(one) for one in info["relative_file_paths"] or []]
         files = [File(path=name) for name in paths]
         if files:
             files[0] = File(
