@@ -349,6 +349,7 @@ TEXTS = (
     "voltage=6:nan", "voltage=1e400:1", "voltage=volts.csv", "voltage=folder", "leak@", "@tube",
     "leak@tube:", "leak@tube:9", "leak@tube:-1", "leak@tube:1e999", "[red]", "\0", "a\nb", "smooth",
     "0-99999999999", "5-1", "1,1", "-", "0-", spoil.DIGITS, "name=absent.yaml", "pid", "tcp",
+    "speed:=2", "speed:=x", "speed:=", ":=", "speed:=2 if", "absent:=1", f"speed:={10**30}",
 )  # fmt: skip
 GOOD: dict[str, tuple[str, ...]] = {
     "rig": ("rig.yaml", "rig.yaml", "plate.yaml"),
@@ -388,7 +389,7 @@ GOOD: dict[str, tuple[str, ...]] = {
     "generations": ("1",),
     "seed": ("1",),
     "rate": ("500",),
-    "words": ("launch.yaml",),
+    "words": ("launch.yaml", "launch.yaml", "speed:=2"),
     "name": ("std_msgs/msg/Float64",),
 }
 """Sound values by the name of the argument."""
@@ -402,8 +403,18 @@ ALWAYS = {
     "compare": ["--no-refine"],
     "diagnose": ["--no-refine"],
     "launch": ["--print"],
-    # These would take long, or serve until they are stopped: what they write cannot be written.
-    "lab": ["--ready-file", "file/below", "--allow-slow", "--port", "0", "--control-port", "0"],
+    # These would take long, or serve until they are stopped: no machine has that address, and
+    # nothing can be written below a file.
+    "lab": [
+        "--host",
+        "192.0.2.1",
+        "--expose",
+        "--allow-slow",
+        "--port",
+        "0",
+        "--control-port",
+        "0",
+    ],
     "train": ["--out", "file/below"],
     "evaluate": ["--duration", "1.0", "--skip", "0.3", "--seeds", "0"],
     "tune": ["--trials", "1", "--candidates", "5", "--generations", "1"],
@@ -411,7 +422,7 @@ ALWAYS = {
 }
 """Words that keep a command cheap, before what is drawn."""
 NEVER = {
-    "lab": ("ready_file", "control_port"),  # the ends of the lab; a port of 0 is free
+    "lab": ("host", "expose", "control_port"),
     "train": ("out", "resume"),
     "evaluate": ("live", "limit", "keep_bags"),
     "compare": ("refine",),

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 PLAIN_WIDTH = 160
 """Width of tables that go to a file or a pipe."""
+MOST_SAMPLES = 10_000_000
+"""Samples that a simulation may write."""
 
 RigPath = Annotated[Path, typer.Option("--rig", help="Rig file (YAML).", show_default=False)]
 EffectsPath = Annotated[
@@ -229,6 +231,11 @@ def simulate(
     span = max((end for _, _, end in curves.values()), default=0.0)
     if duration is not None:
         span = duration
+    if span * rate > MOST_SAMPLES:
+        raise InputError(
+            f"--duration: found {span:g} s at {rate:g} samples per second, allowed are"
+            f" {MOST_SAMPLES} samples"
+        )
     samples = round(span * rate) + 1 if math.isfinite(span) else 0
     if samples < 2:
         raise InputError(

@@ -8,12 +8,13 @@ character. That is refused here, so that what reads the values need not think of
 
 import json
 import math
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
+from ruamel.yaml.error import ReusedAnchorWarning, YAMLError
 
 from pneu_sim.errors import InputError
 
@@ -102,7 +103,10 @@ def read_json(path: str | Path, what: str) -> Any:
 
 def _parsed(load: Callable[[], Any], language: str, name: str, what: str) -> Any:
     try:
-        data = load()
+        with warnings.catch_warnings():
+            # An anchor may be set anew; what it stands for is the latest.
+            warnings.simplefilter("ignore", ReusedAnchorWarning)
+            data = load()
     except RecursionError:
         raise InputError(f"{name}: is nested too deeply for a {what}") from None
     except YAMLError as error:

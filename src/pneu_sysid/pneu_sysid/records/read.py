@@ -16,8 +16,6 @@ from pneu_sysid.records.stream import GAP_PERIODS, LONGEST_STEP, Stream, median_
 from pneu_sysid.records.text import read_text
 
 MIN_SAMPLES = 20
-SPARSEST = 1000
-"""A recording may last so many times as long as its readings do at their usual pace."""
 _MCAP_MAGIC = b"\x89MCAP"
 _APART_NS = 3_600_000_000_000  # an hour between two channels: different clocks, not a pause
 
@@ -98,8 +96,6 @@ def read_recording(
                 f"{path}: {stream.label} has {len(stream)} usable sample(s) in the part read "
                 f"(of {len(whole)}), at least {MIN_SAMPLES} are needed"
             )
-    for stream in kept:
-        _check_filled(str(path), stream)
     origin_ns = min(int(s.stamp_ns[0]) for s in kept)
     until_ns = max(int(s.stamp_ns[-1]) for s in kept)
     recording = Recording(
@@ -176,19 +172,6 @@ def _common_time(path: str, streams: list[Stream]) -> tuple[int, int, list[Findi
             findings.append(Finding(stream.name, "cropped", late, note))
             last_ns = end_ns
     return first_ns, last_ns, findings
-
-
-def _check_filled(path: str, stream: Stream) -> None:
-    """Refuse readings that lie in a small part of the time they span: a stamp is wrong."""
-    span_ns = int(stream.stamp_ns[-1]) - int(stream.stamp_ns[0])
-    filled_ns = len(stream) * median_period_ns(stream.stamp_ns)
-    if span_ns > SPARSEST * filled_ns:
-        steps = np.diff(stream.stamp_ns)
-        raise InputError(
-            f"{path}: {stream.label} spans {span_ns * 1e-9:.6g} s, but its {len(stream)} readings"
-            f" fill {filled_ns * 1e-9:.3g} s of that, allowed is one part in {SPARSEST}: the stamp"
-            f" after reading {int(np.argmax(steps)) + 1} is wrong, or the recording is two"
-        )
 
 
 def _reaches(stream: Stream, stamp_ns: int) -> bool:
