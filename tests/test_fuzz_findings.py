@@ -130,6 +130,19 @@ def test_a_device_without_an_end(refused, words):
     refused(words, "/dev/zero")
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ("fraction: [0.0, 1.0]", "fraction: [0.0, 1e308]", "opening.fraction.1"),
+        ("voltage_v: [5.0, 10.0]", "voltage_v: [5.0, 1e308]", "opening.voltage_v.1"),
+        ("voltage_v: [5.0, 10.0]", "voltage_v: [0.0, 5e-324]", "voltage_v must increase by"),
+    ],
+)
+def test_an_opening_that_cannot_be_drawn(refused, folder, old, new, named):
+    change(folder / "rig.yaml", old, new)
+    refused(["check", "rig.yaml"], "rig.yaml", "valves.valve.ports.fill", named)
+
+
 # ---- messages -----------------------------------------------------------------------------------
 
 
@@ -161,6 +174,16 @@ def test_values_beyond_all_numbers(refused, folder):
     refused(COMPARE, "run.csv")
 
 
+def test_a_command_beyond_all_volts(folder):
+    """It is dropped, as a reading that is no number, and does not end up in the JSON."""
+    change(folder / "run.csv", "\n64,6,", "\n64,1e308,")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ended = CliRunner().invoke(build_app(), [*COMPARE, "--json", "c.json"], prog_name="pneu")
+    assert ended.exit_code == 0, ended.output
+    assert "Infinity" not in (folder / "c.json").read_text()
+
+
 @pytest.mark.parametrize("delimiter", ["\\n", "\\r", '\\"'])
 def test_a_delimiter_that_is_none(folder, delimiter):
     change(folder / "text_rig.yaml", 'delimiter: ","', f'delimiter: "{delimiter}"')
@@ -182,6 +205,25 @@ def bag_of(definition, named="std_msgs/msg/Float64", topic="/valve/voltage"):
             writer.add_message(channel, 10**9 + 2 * 10**6 * k, bytes(12), 0)
     writer.finish()
     return out.getvalue()
+
+
+def test_stamps_from_here_to_the_end_of_time(refused, folder):
+    """Each channel is so slow that nothing jumps."""
+    out = io.BytesIO()
+    writer = Writer(out)
+    writer.start()
+    schema = writer.register_schema("std_msgs/msg/Float64", "ros2msg", b"float64 data\n")
+    for name in ("/valve/voltage", "/taps/out", "/taps/end"):
+        channel = writer.register_channel(name, "cdr", schema)
+        level = 6.0 if name == "/valve/voltage" else 2e5
+        for k in range(30):
+            data = b"\0\1\0\0" + struct.pack("<d", level + k)
+            writer.add_message(channel, 10**9 + k * 10**17, data, 0)
+    writer.finish()
+    (folder / "odd.mcap").write_bytes(out.getvalue())
+    text = (folder / "rig.yaml").read_text().replace("field: fluid_pressure", "field: data")
+    (folder / "plate.yaml").write_text(text.replace("name: tiny", "name: tiny\nmodel: thin_plate"))
+    refused(["diagnose", "odd.mcap", "--rig", "plate.yaml"], "odd.mcap", "lasts 2.9e+09 s")
 
 
 BAR = "=" * 80

@@ -7,6 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+BEYOND = 1e30
+"""No sensor reads that much, in whatever unit."""
+
 
 class Channel(BaseModel):
     """One recorded signal and its conversion ``value_si = raw * scale + offset``.
@@ -48,13 +51,14 @@ class Channel(BaseModel):
         return self
 
     def convert(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values in SI units; what is beyond all numbers becomes infinite.
+        """Values in SI units; what is beyond all that is measured becomes infinite.
 
         Args:
             raw: (n,) values as they were recorded.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            return raw * self.scale + self.offset
+            values = raw * self.scale + self.offset
+        return np.where(np.abs(values) > BEYOND, np.inf, values)
 
 
 class TextFormat(BaseModel):

@@ -117,7 +117,9 @@ def _parsed(load: Callable[[], Any], language: str, name: str, what: str) -> Any
     except json.JSONDecodeError as error:
         raise InputError(f"{name}: is not JSON, line {error.lineno}: {error.msg}") from None
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
-        # a number of thousands of digits, a date that is none, a mapping as a key
+        # a date that is none, a mapping as a key
+        if "integer string conversion" in str(error):
+            error = ValueError("a number has thousands of digits, allowed are those up to 1e308")
         raise InputError(f"{name}: is no {what} in {language} ({error})") from None
     check_values(data, name)
     return data
