@@ -14,7 +14,7 @@ BENCH_VENV := .venv-bench
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test bench lint format bags folder-is-named exact thinned confusion \
+.PHONY: help demo test bench lint format bags folder-is-named exact thinned confusion fuzz \
 	study-pressure clean \
 	clean-kernels
 
@@ -54,6 +54,9 @@ thinned: folder-is-named $(VENV)/.ready-run  ## slow: labelled bags with fewer r
 
 confusion: $(VENV)/.ready-run  ## slow: every effect injected and diagnosed, as a matrix
 	@$(RUN) -m studies.confusion
+
+fuzz: $(VENV)/.ready-dev  ## slow: mutated rig files, bags, CSVs and command lines
+	@$(RUN) -m studies.fuzz
 
 study-pressure: $(VENV)/.ready-study  ## slow: train, tune and prove pressure controllers (an hour)
 	@$(RUN) -m studies.pressure

@@ -9,10 +9,14 @@ import typer
 
 from pneu_hw_bridge.lab.asking import CONTROL_PORT, MODBUS_PORT, ask
 from pneu_hw_bridge.lab.faults import KINDS
+from pneu_sim.documents import read_json
 from pneu_sim.errors import InputError
+from pneu_sim.options import MOST_SEED, Force
+from pneu_sim.outputs import check_output
 
 ControlPort = Annotated[
-    int, typer.Option("--control-port", help="Control port of the running lab.")
+    int,
+    typer.Option("--control-port", help="Control port of the running lab.", min=1, max=65535),
 ]
 ReadyFile = Annotated[
     Path | None,
@@ -52,9 +56,14 @@ def run(
         Path | None, typer.Option(help="Sealed file with hidden effects (pneu lab seal).")
     ] = None,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Modbus TCP port; 0 takes a free one.")] = MODBUS_PORT,
+    port: Annotated[
+        int, typer.Option(help="Modbus TCP port; 0 takes a free one.", min=0, max=65535)
+    ] = MODBUS_PORT,
     control_port: Annotated[
-        int, typer.Option(help="Control port, always on loopback; 0 takes a free one.")
+        int,
+        typer.Option(
+            help="Control port, always on loopback; 0 takes a free one.", min=0, max=65535
+        ),
     ] = CONTROL_PORT,
     expose: Annotated[
         bool, typer.Option("--expose", help="Allow an address other than loopback.")
@@ -91,7 +100,7 @@ def run(
         float | None,
         typer.Option(help="The device's own watchdog, s.", show_default="the register map's"),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of all random draws.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=MOST_SEED)] = 0,
     allow_slow: Annotated[
         bool, typer.Option("--allow-slow", help="Start even if real time cannot be kept.")
     ] = False,
@@ -200,10 +209,12 @@ def restart(control_port: ControlPort = CONTROL_PORT, ready_file: ReadyFile = No
 def seal_effects(
     effects: Annotated[Path, typer.Argument(help="YAML list of effect, place, parameters.")],
     output: Annotated[Path, typer.Argument(help="The sealed file.")],
+    force: Force = False,
 ) -> None:
     """Hide effects in a file that shows nothing at a glance."""
     from pneu_hw_bridge.lab.sealed import read_effects, seal
 
+    check_output(output, force)
     seal(read_effects(effects), output)
 
 
@@ -221,7 +232,8 @@ def reveal(
 def _control_port(port: int, ready_file: Path | None) -> int:
     if ready_file is None:
         return port
-    try:
-        return int(json.loads(ready_file.read_text(encoding="utf-8"))["control_port"])
-    except (OSError, ValueError, KeyError, TypeError):
-        raise InputError(f"{ready_file}: is not the ready file of a running lab") from None
+    ready = read_json(ready_file, "ready file of a running lab")
+    found = ready.get("control_port") if isinstance(ready, dict) else None
+    if not isinstance(found, int) or not 0 < found < 65536:
+        raise InputError(f"{ready_file}: is not the ready file of a running lab")
+    return found

@@ -15,12 +15,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from pneu_policy.feed_forward import FeedForward
 from pneu_policy.observations import Observer
 from pneu_policy.pid import Gains, Pid
 from pneu_policy.policy_file import PolicyFile
+from pneu_sim.documents import read_yaml
 from pneu_sim.errors import InputError
 from pneu_sim.files import write_whole
 
@@ -287,14 +287,7 @@ def save_pid(
 
 
 def _load_pid(path: Path) -> PidController | FeedForwardPid:
-    try:
-        data = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file of a controller") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
-    except YAMLError as error:
-        raise InputError(f"{path}: is not YAML: {getattr(error, 'problem', error)}") from None
+    data = read_yaml(path, "file of a controller")
     if not isinstance(data, dict) or data.get("pneu_controller") != VERSION:
         found = data.get("pneu_controller") if isinstance(data, dict) else data
         raise InputError(f"{path}: pneu_controller: found {found!r}, this version reads {VERSION}")

@@ -14,6 +14,9 @@ from rich.console import Console
 
 from pneu_policy.tasks import Conditions, Tasks
 from pneu_sim.errors import InputError
+from pneu_sim.files import write_whole
+from pneu_sim.options import MOST_SEED, Force
+from pneu_sim.outputs import check_folder, check_output
 from pneu_sim.progress import progress
 
 if TYPE_CHECKING:
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
     from pneu_sim.rig.schema import Rig
 
 _DEFAULT = Tasks()
-_SEEDS = re.compile(r"(\d+)(?:-(\d+))?$")
+_SEEDS = re.compile(r"(\d{1,10})(?:-(\d{1,10}))?$")
 
 
 def register_evaluate(app: typer.Typer) -> None:
@@ -94,6 +97,7 @@ def evaluate(
         Path | None,
         typer.Option("--json", help="The results also as this file.", show_default=False),
     ] = None,
+    force: Force = False,
 ) -> None:
     """Try controllers on the same targets and tell errors, latency, effort and oscillation."""
     from pneu_policy.controllers import load_controller
@@ -110,6 +114,8 @@ def evaluate(
         duration_s=duration,
         skip_s=skip,
     )
+    check_folder(output, "evaluation.json", ("table.md", "*.png", "tracks/*"), force)
+    check_output(json_file, force)
     if not 0.0 <= noise < 1e6:
         raise InputError(f"--noise: found {noise:g}, it must not be negative")
     if live and noise == 0.0:
@@ -173,9 +179,9 @@ def report(evaluation: "Evaluation", folder: Path, console: Console) -> None:
     text = f"{markdown(*errors)}\n{markdown(*figures)}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "table.md").write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror or error})") from None
+    write_whole(folder / "table.md", text)
     if importlib.util.find_spec("matplotlib") is None:
         console.print("no figures: they need matplotlib, `pip install matplotlib`")
         return
@@ -192,6 +198,8 @@ def _seeds(text: str) -> tuple[int, ...]:
         match = _SEEDS.match(part.strip())
         if match is None or int(match[2] or match[1]) - int(match[1]) not in range(1000):
             raise InputError(f"--seeds: found {text!r}, allowed are such as 0-4 or 1,5,9")
+        if int(match[2] or match[1]) > MOST_SEED:
+            raise InputError(f"--seeds: found {text!r}, allowed are seeds up to {MOST_SEED}")
         found += range(int(match[1]), int(match[2] or match[1]) + 1)
     return tuple(found)
 

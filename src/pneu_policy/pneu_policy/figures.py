@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figures of an evaluation: sample runs as in thesis figs. 9.3 to 9.5, and errors with spread."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ import numpy as np
 
 from pneu_policy.metrics import ATM_PA, Track, target_at
 from pneu_policy.results import LIMIT, Evaluation, Run, load_track, spread
-from pneu_sim.errors import InputError
+from pneu_sim.files import whole
 
 TARGET_COLOUR = "0.25"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#882255", "#999933")
@@ -18,6 +17,8 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8
 LIMIT_COLOUR = "0.55"
 SHOWN_S = (1.0, 7.0)
 """Part of a run that is shown."""
+MIN_SHOWN = 20
+"""Instants that a picture needs."""
 
 
 def colours(names: Sequence[str]) -> dict[str, str]:
@@ -109,6 +110,8 @@ def draw_runs(
                 top.text(0.5, 0.5, "no valid run", transform=top.transAxes, ha="center")
                 continue
             part = (track.time_s >= shown_s[0]) & (track.time_s <= shown_s[1])
+            if np.count_nonzero(part) < MIN_SHOWN:  # a run that is shorter is shown whole
+                part = np.ones(track.time_s.size, dtype=bool)
             time, pressure = track.time_s[part], track.pressure_pa[part] / ATM_PA
             target = target_at(track, time) / ATM_PA
             top.plot(time, pressure, color=colour[name], lw=1.3, label="pressure")
@@ -218,12 +221,9 @@ def _pyplot() -> Any:
 
 def _save(figure: Any, path: Path) -> None:
     """Writes a picture, whole or not at all."""
-    aside = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(aside, dpi=110)
-        os.replace(aside, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+        with whole(path) as aside:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            figure.savefig(aside, format=path.suffix.removeprefix("."), dpi=110)
     finally:
         _pyplot().close(figure)

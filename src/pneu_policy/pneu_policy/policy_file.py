@@ -10,7 +10,6 @@ linear.
 import hashlib
 import io
 import json
-import os
 import struct
 import zipfile
 import zlib
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 
 from pneu_policy.observations import Recipe
 from pneu_sim.errors import InputError
+from pneu_sim.files import whole
 from pneu_sim.rig.schema import Rig
 
 VERSION = 1
@@ -172,19 +172,14 @@ class PolicyFile:
             arrays[f"bias_{n}"] = np.ascontiguousarray(bias, dtype="<f4")
         arrays["log_std"] = np.array(self.log_std, dtype="<f8")
         path = Path(path)
-        aside = path.with_name(f".{path.name}.part")
-        try:
-            with zipfile.ZipFile(aside, "w", zipfile.ZIP_DEFLATED) as archive:
-                for name, array in arrays.items():
-                    held = io.BytesIO()
-                    np.lib.format.write_array(held, array, version=(1, 0), allow_pickle=False)
-                    # A fixed date, so that the same policy has the same bytes.
-                    entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
-                    entry.compress_type = zipfile.ZIP_DEFLATED
-                    archive.writestr(entry, held.getvalue())
-            os.replace(aside, path)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+        with whole(path) as aside, zipfile.ZipFile(aside, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, array in arrays.items():
+                held = io.BytesIO()
+                np.lib.format.write_array(held, array, version=(1, 0), allow_pickle=False)
+                # A fixed date, so that the same policy has the same bytes.
+                entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                archive.writestr(entry, held.getvalue())
 
     @classmethod
     def load(cls, path: str | Path) -> "PolicyFile":

@@ -6,7 +6,6 @@ The file is written after every run, so that an interrupted evaluation goes on w
 
 import json
 import math
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -17,8 +16,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from pneu_policy.metrics import Metrics, Track
+from pneu_sim.documents import read_json
 from pneu_sim.errors import InputError
-from pneu_sim.files import write_whole
+from pneu_sim.files import whole, write_whole
 
 VERSION = 1
 LIMIT = "limit"
@@ -255,11 +255,16 @@ def save(evaluation: Evaluation, path: Path) -> None:
         "controllers": evaluation.controllers,
         "runs": runs,
     }
+    _make_folder(path)
+    write_whole(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
+
+
+def _make_folder(path: Path) -> None:
+    """Makes the folder of a file."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
-    write_whole(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
 def load(path: Path) -> Evaluation:
@@ -271,8 +276,8 @@ def load(path: Path) -> Evaluation:
     Raises:
         InputError: It is missing, or no evaluation.
     """
+    data = read_json(path, "evaluation")
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
         version = data["pneu_evaluation"]
         if version != VERSION:
             raise InputError(
@@ -280,8 +285,6 @@ def load(path: Path) -> Evaluation:
             )
         runs = [_run(item) for item in data["runs"]]
         return Evaluation(data["settings"], dict(data["controllers"]), runs, path.parent)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
     except InputError:  # before its base, ValueError
         raise
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -312,13 +315,9 @@ def save_track(track: Track, path: Path) -> None:
     Raises:
         InputError: It cannot be written.
     """
-    aside = path.with_name(f".{path.stem}.part.npz")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(aside, **vars(track))
-        os.replace(aside, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+    _make_folder(path)
+    with whole(path) as aside, aside.open("wb") as stream:
+        np.savez_compressed(stream, **vars(track))
 
 
 def load_track(path: Path) -> Track:

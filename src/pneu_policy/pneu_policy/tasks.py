@@ -8,6 +8,8 @@ from pneu_policy.metrics import LATE_S, Metrics, Track, measure
 from pneu_policy.targets import KINDS, Kind, Target
 from pneu_sim.errors import InputError
 
+LONGEST_S = 3600.0
+"""Longest run, s."""
 NOISE_PA = 250.0
 """Noise of the sensors, one sigma: what the calibrations of the rigs found as noise floor."""
 
@@ -47,6 +49,10 @@ class Tasks:
             raise InputError("targets, seeds: found none, needed is at least one of each")
         if len(set(self.kinds)) < len(self.kinds) or len(set(self.seeds)) < len(self.seeds):
             raise InputError("targets, seeds: found one twice, each is run once")
+        if not 0.0 < self.duration_s <= LONGEST_S:
+            raise InputError(
+                f"duration_s: found {self.duration_s:g}, allowed are up to {LONGEST_S:g} s"
+            )
         if not LATE_S <= self.skip_s < self.duration_s - 0.5:
             raise InputError(
                 f"skip_s: found {self.skip_s:g}, allowed are {LATE_S:g} s to half a second before"

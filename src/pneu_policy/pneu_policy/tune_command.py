@@ -13,6 +13,8 @@ from rich.table import Table
 
 from pneu_policy.tune_settings import TuneSettings
 from pneu_sim.errors import InputError
+from pneu_sim.options import MOST_SEED, Force
+from pneu_sim.outputs import check_output
 from pneu_sim.progress import progress
 
 if TYPE_CHECKING:
@@ -48,21 +50,27 @@ def tune_pid(
         typer.Option("--output", "-o", help="File for the tuned PID (.yaml).", show_default=False),
     ],
     kind: Annotated[str, typer.Option("--kind", help="pid or feed_forward.")] = "pid",
-    seed: Annotated[int, typer.Option("--seed", help="Seed of all that is drawn.", min=0)] = 0,
+    seed: Annotated[
+        int, typer.Option("--seed", help="Seed of all that is drawn.", min=0, max=MOST_SEED)
+    ] = 0,
     tap: Annotated[str, typer.Option("--tap", help="Tap whose pressure is controlled.")] = "end",
     target_period: Annotated[
         float,
         typer.Option("--target-period", help="Typical time between a target's extremes, s."),
     ] = TuneSettings.target_period_s,
     trials: Annotated[
-        int, typer.Option("--trials", help="Runs of each candidate, each on its own rig.", min=1)
+        int,
+        typer.Option(
+            "--trials", help="Runs of each candidate, each on its own rig.", min=1, max=1000
+        ),
     ] = TuneSettings.trials,
     candidates: Annotated[
-        int, typer.Option("--candidates", help="Candidates of a generation.", min=5)
+        int, typer.Option("--candidates", help="Candidates of a generation.", min=5, max=1000)
     ] = TuneSettings.candidates,
     generations: Annotated[
-        int, typer.Option("--generations", help="Generations.", min=1)
+        int, typer.Option("--generations", help="Generations.", min=1, max=1000)
     ] = TuneSettings.generations,
+    force: Force = False,
 ) -> None:
     """Tune a PID, or one with feed-forward, on simulated rigs: same seed, same gains."""
     from pneu_policy.controllers import save_pid
@@ -70,8 +78,7 @@ def tune_pid(
 
     if output.suffix not in (".yaml", ".yml"):
         raise InputError(f"{output}: a PID is written as .yaml")
-    if not output.parent.is_dir():
-        raise InputError(f"{output}: folder {output.parent} does not exist")
+    check_output(output, force)
     settings = TuneSettings(
         str(rig),
         kind,  # type: ignore[arg-type]  # checked there

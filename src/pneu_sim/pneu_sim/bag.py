@@ -32,6 +32,7 @@ def write_bag(
     commands: Mapping[str, Signal],
     pressures: Mapping[str, Signal],
     start_time_s: float = 0.0,
+    replace: bool = False,
 ) -> None:
     """Writes a recording, every signal at its own times, whole or not at all.
 
@@ -45,13 +46,14 @@ def write_bag(
         pressures: Absolute pressures per tap, Pa.
         start_time_s: Clock time of time 0, Unix time; where it is 0, the first sample is at
             ``FIRST_STAMP_S`` or later.
+        replace: Whether an ``.mcap`` file that exists is replaced.
 
     Raises:
         InputError: The path exists or cannot be written, or a signal has no topic or a message type
             that is not written.
     """
     path = Path(path)
-    if path.exists():
+    if path.exists() and not (replace and path.is_file() and path.suffix == ".mcap"):
         raise InputError(f"{path}: exists already; a recording is written to a new path")
     signals = [
         _signal(path, f"commands.{name}", rig.commands.get(name), FLOAT64, name, signal)
@@ -62,6 +64,13 @@ def write_bag(
     ]
     if not signals:
         raise InputError(f"{path}: found no signal to write, at least one is needed")
+    topics = [signal.topic for signal in signals]
+    for signal in signals:
+        if topics.count(signal.topic) > 1:
+            raise InputError(
+                f"{path}: {signal.name}: topic {signal.topic!r} is that of another signal of the"
+                " rig too; a bag needs one for each"
+            )
     everything = (*commands.values(), *pressures.values())
     earliest_s = min((float(signal.time_s[0]) for signal in everything if len(signal)), default=0.0)
     begin_s = start_time_s

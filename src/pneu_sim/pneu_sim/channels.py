@@ -3,7 +3,12 @@
 
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+BEYOND = 1e30
+"""No sensor reads that much, in whatever unit."""
 
 
 class Channel(BaseModel):
@@ -44,6 +49,16 @@ class Channel(BaseModel):
         if self.scale == 0.0:
             raise ValueError("the scale of a channel must not be 0")
         return self
+
+    def convert(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Values in SI units; what is beyond all that is measured becomes infinite.
+
+        Args:
+            raw: (n,) values as they were recorded.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = raw * self.scale + self.offset
+        return np.where(np.abs(values) > BEYOND, np.inf, values)
 
 
 class TextFormat(BaseModel):

@@ -30,6 +30,9 @@ EXIT_INTERNAL_ERROR = 1
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
+LONGEST_LINE = 800
+"""Characters of a message; of a longer one the middle is left out."""
+
 
 class _InterruptedError(Exception):
     """Ctrl-C inside a command."""
@@ -201,7 +204,10 @@ def _print_traceback_if_asked(error: BaseException) -> None:
 
 
 def _say(message: str) -> None:
-    print("pneu:", " ".join(message.split()), file=sys.stderr)
+    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(message.split()))
+    if len(line) > LONGEST_LINE:  # an input of thousands of characters, quoted
+        line = f"{line[: LONGEST_LINE // 2]} ... {line[-LONGEST_LINE // 2 :]}"
+    print("pneu:", line, file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,8 @@ from rich.table import Table
 from pneu_sim.errors import InputError
 from pneu_sim.files import write_whole
 from pneu_sim.init import init
+from pneu_sim.options import MOST_SEED, Force
+from pneu_sim.outputs import check_output
 
 if TYPE_CHECKING:
     from pneu_sim.rig.schema import Rig
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 
 PLAIN_WIDTH = 160
 """Width of tables that go to a file or a pipe."""
+MOST_SAMPLES = 10_000_000
+"""Samples that a simulation may write."""
 
 RigPath = Annotated[Path, typer.Option("--rig", help="Rig file (YAML).", show_default=False)]
 EffectsPath = Annotated[
@@ -192,12 +196,16 @@ def simulate(
     ] = None,
     rate: Annotated[float, typer.Option(help="Samples per second.")] = 500.0,
     seed: Annotated[
-        int | None, typer.Option(help="Adds the noise of the rig's sensors from this seed.")
+        int | None,
+        typer.Option(
+            help="Adds the noise of the rig's sensors from this seed.", min=0, max=MOST_SEED
+        ),
     ] = None,
     noise: Annotated[
         float | None, typer.Option(help="Noise in Pa, one sigma, instead of the rig's.")
     ] = None,
     effects_file: EffectsPath = None,
+    force: Force = False,
 ) -> None:
     """Run a rig from rest along valve commands and write what its sensors read."""
     import numpy as np
@@ -214,6 +222,7 @@ def simulate(
         raise InputError("--noise: needs a value of 0 or more and a --seed to draw it from")
     if not 0.0 < rate <= 1e6:
         raise InputError(f"--rate: found {rate:g}, allowed is above 0 and up to 1e6")
+    _check_simulation(output, force)
     loaded = load_rig(rig)
     curves = {name: _from_file(name, Path(text)) for name, text in _named("--command", command)}
     for name, text in _named("--steps", steps):
@@ -224,6 +233,11 @@ def simulate(
     span = max((end for _, _, end in curves.values()), default=0.0)
     if duration is not None:
         span = duration
+    if span * rate > MOST_SAMPLES:
+        raise InputError(
+            f"--duration: found {span:g} s at {rate:g} samples per second, allowed are"
+            f" {MOST_SAMPLES} samples"
+        )
     samples = round(span * rate) + 1 if math.isfinite(span) else 0
     if samples < 2:
         raise InputError(
@@ -236,16 +250,24 @@ def simulate(
         taps = add_noise(loaded, taps, np.random.default_rng(seed), noise)
     if output.suffix == ".csv":
         _write_csv(output, time_s, commands, taps)
-    elif output.suffix in ("", ".mcap"):
+    else:
         volts = {name: Signal(time_s, values) for name, values in commands.items()}
         readings = {name: Signal(time_s, values) for name, values in taps.items()}
-        write_bag(output, loaded, volts, readings)
-    else:
-        raise InputError(f"{output}: found suffix {output.suffix!r}, allowed are .csv, .mcap, none")
+        write_bag(output, loaded, volts, readings, replace=force)
     print(
         f"{output}: {len(taps)} taps, {samples} samples at {rate:g} Hz,"
         f" model {loaded.model} of rig {loaded.name}"
     )
+
+
+def _check_simulation(output: Path, force: bool) -> None:
+    """Refuses an output of a simulation that is of another kind, or holds something already."""
+    if output.suffix not in ("", ".csv", ".mcap"):
+        raise InputError(f"{output}: found suffix {output.suffix!r}, allowed are .csv, .mcap, none")
+    if output.suffix:
+        check_output(output, force)
+    elif output.exists():
+        raise InputError(f"{output}: exists already; a bag is written to a new folder")
 
 
 def _print_table(title: str, columns: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> None:
@@ -311,18 +333,22 @@ def _from_file(name: str, path: Path) -> "tuple[Floats, Floats, float]":
     """Times, volts and last time of a file with two columns; a heading is skipped."""
     import numpy as np
 
+    if path.is_char_device():
+        raise InputError(f"{path}: command {name!r}: is a device, a file is needed")
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             rows = [row for row in csv.reader(stream) if any(word.strip() for word in row)]
-    except (OSError, UnicodeDecodeError) as error:
-        what = getattr(error, "strerror", None) or "it is not text"
+    except (OSError, ValueError, csv.Error) as error:
+        text = isinstance(error, UnicodeDecodeError)
+        what = "it is not text" if text else getattr(error, "strerror", None) or error
         raise InputError(f"{path}: command {name!r} cannot be read ({what})") from None
     if rows and not _number(rows[0][0]):
         rows = rows[1:]
     for row in rows:
         if len(row) < 2 or not (_number(row[0]) and _number(row[1])):
             raise InputError(
-                f"{path}: command {name!r}: found row {','.join(row)!r}, needed are time and volts"
+                f"{path}: command {name!r}: found row {','.join(row)[:80]!r}, needed are time and"
+                " volts"
             )
     if not rows:
         raise InputError(f"{path}: command {name!r}: found no rows of time and volts")

@@ -1,13 +1,60 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that are written whole or not at all."""
 
+import contextlib
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from pneu_sim.errors import InputError
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Gives a file beside another to write to, as `whole` does, but leaves an OSError as it is.
+
+    Args:
+        path: The file; its folder must exist.
+
+    Yields:
+        The file to write to.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    aside = path.with_name(f".{path.name}.part")
+    try:
+        yield aside
+        os.replace(aside, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            aside.unlink()
+        raise
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Gives a file beside another to write to; at the end it takes the other's name.
+
+    What was there before stays until then. Where the writing fails nothing is left beside it.
+
+    Args:
+        path: The file; its folder must exist.
+
+    Yields:
+        The file to write to.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    try:
+        with replacing(path) as aside:
+            yield aside
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -20,16 +67,8 @@ def write_whole(path: Path, text: str) -> None:
     Raises:
         InputError: It cannot be written. Nothing is left beside it.
     """
-    aside = path.with_name(f".{path.name}.part")
-    try:
-        try:
-            aside.write_text(text, encoding="utf-8", newline="")
-            os.replace(aside, path)
-        except BaseException:
-            aside.unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+    with whole(path) as aside:
+        aside.write_text(text, encoding="utf-8", newline="")
 
 
 def copy_whole(source: Path, names: Iterable[str], folder: Path) -> None:
@@ -46,12 +85,12 @@ def copy_whole(source: Path, names: Iterable[str], folder: Path) -> None:
     aside: Path | None = None
     try:
         aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-        whole = aside / "whole"  # with the permissions that new folders have here
+        inside = aside / "whole"  # with the permissions that new folders have here
         for name in names:
-            target = whole / name
+            target = inside / name
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source / name, target)
-        os.rename(whole, folder)
+        os.rename(inside, folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror or error})") from None
     finally:

@@ -14,6 +14,8 @@ from rich.console import Console
 from rich.table import Table
 
 from pneu_sim.errors import InputError
+from pneu_sim.options import Force
+from pneu_sim.outputs import check_folder, check_output
 from pneu_sim.progress import progress
 
 if TYPE_CHECKING:
@@ -64,30 +66,18 @@ def _console() -> Console:
     return console if console.is_terminal else Console(width=140, markup=False, emoji=False)
 
 
-def _writable(path: Path | None) -> None:
-    """Refuses an output that could not be written, before hours of work rather than after."""
-    if path is None:
-        return
-    folder = path.parent
-    if not folder.is_dir():
-        raise InputError(f"{path}: folder {folder} does not exist")
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, a file is needed")
-    probe = folder / f".{path.name}.part"
-    try:
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
-
-
-def _folder(path: Path) -> None:
-    """Makes an output folder and refuses one that cannot be written."""
+def _folder(path: Path, rig: Path, force: bool) -> None:
+    """Makes an output folder and refuses one that cannot be written, or holds another's files."""
+    check_folder(path, "learn.json", ("rig.yaml", "step_*.yaml", "report.html"), force)
+    if path.is_dir() and rig.exists() and not force:
+        for name in ("rig.yaml", *(step.name for step in path.glob("step_*.yaml"))):
+            if (path / name).exists() and (path / name).samefile(rig):
+                raise InputError(f"{rig}: would be replaced by the results; --force replaces it")
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{path}: cannot be made a folder ({error.strerror})") from None
-    _writable(path / "learn.json")
+    check_output(path / "learn.json", force)
 
 
 def _load(rig: Path, effects: Path | None) -> "Rig":
@@ -159,6 +149,7 @@ def fit(
     json_path: JsonPath = None,
     report: HtmlPath = None,
     workers: Workers = None,
+    force: Force = False,
 ) -> None:
     """Fit a rig's base parameters to recordings."""
     from pneu_sim.rig import save_rig
@@ -166,7 +157,7 @@ def fit(
 
     console = _console()
     for path in (output, json_path, report):
-        _writable(path)
+        check_output(path, force)
     start = _load(rig, effects)
     recordings = _read(bag, start, console)
     with progress("fitting") as tell:
@@ -273,6 +264,7 @@ def compare(
     effects: EffectsPath = None,
     json_path: JsonPath = None,
     report: HtmlPath = None,
+    force: Force = False,
 ) -> None:
     """Show how far models are from recordings, and where."""
     from pneu_sysid.compare import compare as run_compare
@@ -280,7 +272,7 @@ def compare(
 
     console = _console()
     for path in (json_path, report):
-        _writable(path)
+        check_output(path, force)
     rigs = [_load(path, effects if k == 0 else None) for k, path in enumerate(rig)]
     recordings = _read(bag, rigs[0], console)
     with progress("comparing") as tell:
@@ -306,13 +298,14 @@ def diagnose(
     json_path: JsonPath = None,
     report: HtmlPath = None,
     workers: Workers = None,
+    force: Force = False,
 ) -> None:
     """Rank what is missing in a model, and say which effect it is."""
     from pneu_sysid.diagnose import diagnose_apart, result_of_diagnosis
 
     console = _console()
     for path in (json_path, report):
-        _writable(path)
+        check_output(path, force)
     loaded = _load(rig, effects)
     recordings = _read(bag, loaded, console)
     with progress("diagnosing") as tell:
@@ -370,6 +363,7 @@ def add(
     effects: EffectsPath = None,
     json_path: JsonPath = None,
     workers: Workers = None,
+    force: Force = False,
 ) -> None:
     """Add an effect to a rig and refit it."""
     from pneu_sim.rig import save_rig
@@ -379,7 +373,7 @@ def add(
 
     console = _console()
     for path in (output, json_path):
-        _writable(path)
+        check_output(path, force)
     name, _, where = effect.partition("@")
     place, _, position = where.partition(":")
     try:
@@ -448,6 +442,7 @@ def learn(
     effects: EffectsPath = None,
     json_path: JsonPath = None,
     workers: Workers = None,
+    force: Force = False,
 ) -> None:
     """Name, add and refit effect after effect until nothing more is worth adding."""
     from pneu_sim.rig import save_rig
@@ -461,8 +456,8 @@ def learn(
     from pneu_sysid.results import write_json
 
     console = _console()
-    _writable(json_path)
-    _folder(output)
+    check_output(json_path, force)
+    _folder(output, rig, force)
     loaded = _load(rig, effects)
     recordings = _read(bag, loaded, console)
     with progress("learning") as tell:

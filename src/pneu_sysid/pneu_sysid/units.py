@@ -30,6 +30,8 @@ MEANT_LOW, MEANT_HIGH = 0.7, 1.3
 """In the unit that was meant they lie within these."""
 MOST_MARKS = 3
 """A sensor marks what it could not read by one value, or a few."""
+LONGEST_S = 1e6
+"""Recordings that last longer are none."""
 SLOW_S, LONG_S = 0.25, 1800.0
 """A line rings in milliseconds: readings this far apart for this long are hardly meant."""
 
@@ -137,6 +139,11 @@ def _check_command(rig: Rig, path: str, name: str, command: Signal) -> None:
 
 def _check_time(rig: Rig, path: str, recording: Recording) -> None:
     """Refuses times that seem to be milliseconds where lines would be simulated through them."""
+    if recording.end_s > LONGEST_S:
+        raise InputError(
+            f"{path}: lasts {recording.end_s:.4g} s, allowed are {LONGEST_S:g}; a stamp is wrong,"
+            " or text.time_scale"
+        )
     steps = [float(np.median(np.diff(s.time_s))) for s in recording.pressures.values()]
     period = min(steps)
     if rig.model != "pde" or period < SLOW_S or recording.end_s < LONG_S:

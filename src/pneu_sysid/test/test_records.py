@@ -617,6 +617,8 @@ def test_missing_and_foreign_paths(tmp_path: Path) -> None:
     (bag / "metadata.yaml").write_text(meta.replace(": mcap", ": sqlite3"))
     assert "'sqlite3'" in refusal(bag)
     (bag / "metadata.yaml").write_text("{[")
+    assert "metadata.yaml: is not YAML, line 1" in refusal(bag)
+    (bag / "metadata.yaml").write_text("{}")
     assert "not valid rosbag2 metadata" in refusal(bag)
 
 

@@ -20,6 +20,8 @@ from pneu_hw_bridge.priority import precedence
 from pneu_hw_bridge.registers.load import load_register_map
 from pneu_hw_bridge.registers.schema import RegisterMap
 from pneu_sim.errors import InputError
+from pneu_sim.files import write_whole
+from pneu_sim.outputs import check_output
 from pneu_sim.rig.load import load_rig
 
 REPORT_S = 1.0
@@ -84,6 +86,12 @@ def run_lab(options: LabOptions) -> None:
         InputError: It cannot be set up so.
     """
     _check_address(options.host, options.expose)
+    if options.ready_file is not None:
+        if options.ready_file.is_file() and not _is_ready_file(options.ready_file):
+            raise InputError(
+                f"{options.ready_file}: exists already and is no ready file of a lab; name another"
+            )
+        check_output(options.ready_file, force=True)
     rig = load_rig(options.rig)
     if options.sealed is not None:
         rig = rig.model_copy(update={"effects": [*rig.effects, *open_sealed(options.sealed)]})
@@ -140,12 +148,14 @@ async def _serve(options: LabOptions, plant: Plant, device: LabDevice) -> None:
         loop.add_signal_handler(number, stop.set)
     control = Control(plant, device)
     speed = plant.start(options.allow_slow)
+    told = False
     try:
         port = await device.open(options.host, options.port)
         control_port = await control.open(options.control_port)
         ready = {"modbus_port": port, "control_port": control_port, "pid": os.getpid()}
         if options.ready_file is not None:
-            _write_ready(options.ready_file, ready)
+            write_whole(options.ready_file, json.dumps(ready) + "\n")
+            told = True
         print(
             f"lab ready: {plant.rig.name} at {options.host}:{port}, control port {control_port},"
             f" {speed:.1f} times real time",
@@ -156,7 +166,7 @@ async def _serve(options: LabOptions, plant: Plant, device: LabDevice) -> None:
         control.close()
         await device.close()
         plant.stop()
-        if options.ready_file is not None:
+        if told and options.ready_file is not None:
             options.ready_file.unlink(missing_ok=True)
     if plant.failure:
         raise InputError(plant.failure)
@@ -180,10 +190,9 @@ async def _watch(stop: asyncio.Event, plant: Plant) -> None:
                 skipped_s = status.skipped_s
 
 
-def _write_ready(path: Path, ready: dict[str, int]) -> None:
-    aside = path.with_name(f".{path.name}.part")
+def _is_ready_file(path: Path) -> bool:
+    """Whether a file is what a lab left that was killed, or what another one has written."""
     try:
-        aside.write_text(json.dumps(ready) + "\n", encoding="utf-8")
-        os.replace(aside, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+        return "control_port" in json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError, TypeError):
+        return False

@@ -6,7 +6,6 @@ an effect's name, gives nothing away, and so that a damaged file is noticed.
 """
 
 import base64
-import binascii
 import hashlib
 import json
 import zlib
@@ -14,14 +13,17 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
+from pneu_sim.documents import check_values, read_text, read_yaml
+from pneu_sim.effects import find_effect
 from pneu_sim.errors import InputError
 from pneu_sim.files import write_whole
 from pneu_sim.rig.schema import AttachedEffect
 
 SEAL_VERSION = 1
+
+LARGEST_BYTES = 1 << 20
+"""A list of effects is not longer; one that is longer is not unpacked further."""
 
 _EFFECTS = TypeAdapter(list[AttachedEffect])
 
@@ -35,12 +37,7 @@ def read_effects(path: str | Path) -> list[AttachedEffect]:
     Raises:
         InputError: It is no such list.
     """
-    try:
-        data = YAML(typ="safe").load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
-    except (YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: is not YAML: {getattr(error, 'problem', error)}") from None
+    data = read_yaml(path, "list of effects")
     if isinstance(data, dict):
         data = data.get("effects")
     return _checked(data, str(path))
@@ -76,27 +73,33 @@ def open_sealed(path: str | Path) -> list[AttachedEffect]:
     Raises:
         InputError: The file is missing, damaged, or not sealed.
     """
+    text = read_text(path, "sealed file")
     try:
-        document: Any = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
-    except ValueError:
+        document: Any = json.loads(text)
+    except (ValueError, RecursionError):
         raise InputError(f"{path}: is not a sealed file; `pneu lab seal` makes one") from None
     if not isinstance(document, dict) or document.get("pneu_sealed") != SEAL_VERSION:
         found = document.get("pneu_sealed") if isinstance(document, dict) else None
         raise InputError(f"{path}: pneu_sealed: found {found!r}, this version reads {SEAL_VERSION}")
     try:
-        content = zlib.decompress(base64.b64decode(str(document["content"]), validate=True))
-    except (KeyError, binascii.Error, zlib.error):
+        packed = base64.b64decode(str(document["content"]), validate=True)
+        # Not more than that is unpacked, whatever the file would unpack to.
+        content = zlib.decompressobj().decompress(packed, LARGEST_BYTES)
+    except (KeyError, ValueError, zlib.error):
         raise InputError(f"{path}: the sealed content is damaged") from None
     if hashlib.sha256(content).hexdigest() != document.get("sha256"):
         raise InputError(f"{path}: the sealed content does not match its checksum")
-    return _checked(json.loads(content), str(path))
+    try:
+        effects = json.loads(content)
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: the sealed content is no list of effects") from None
+    check_values(effects, str(path))
+    return _checked(effects, str(path))
 
 
 def _checked(data: Any, path: str) -> list[AttachedEffect]:
     try:
-        return _EFFECTS.validate_python(data)
+        effects = _EFFECTS.validate_python(data)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
@@ -104,3 +107,15 @@ def _checked(data: Any, path: str) -> list[AttachedEffect]:
             f"{path}: {where + ': ' if where else ''}{first['msg']}; needed is a list of effect,"
             " place, parameters"
         ) from None
+    for k, one in enumerate(effects):
+        try:
+            known = [p.name for p in find_effect(one.effect).parameters]
+        except InputError as error:
+            raise InputError(f"{path}: {k}.effect: {error}") from None
+        for name in one.parameters:
+            if name not in known:
+                raise InputError(
+                    f"{path}: {k}.parameters: found {name!r}, those of {one.effect} are"
+                    f" {', '.join(known)}"
+                )
+    return effects

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from pneu_hw_bridge.registers.clock import Clock, Commands, Count, Records, Ticks
 from pneu_hw_bridge.registers.part import Part
@@ -22,6 +20,7 @@ from pneu_hw_bridge.registers.schema import (
     RegisterMap,
     Setting,
 )
+from pneu_sim.documents import parse_yaml, read_text
 from pneu_sim.errors import InputError
 
 
@@ -46,14 +45,7 @@ def load_register_map(source: str | Path, device: Mapping[str, Any] | None = Non
         folder = resources.files("pneu_hw_bridge.registers").joinpath("profiles")
         text = folder.joinpath(f"{source}.yaml").read_text(encoding="utf-8")
     else:
-        try:
-            text = Path(source).read_text(encoding="utf-8")
-        except FileNotFoundError:
-            raise InputError(
-                f"{source}: no such register map; give a file or one of {', '.join(known)}"
-            ) from None
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"{source}: cannot be read as a register map ({error})") from None
+        text = read_text(source, f"register map (a file, or one of {', '.join(known)})")
     return parse_register_map(text, str(source), device)
 
 
@@ -70,12 +62,7 @@ def parse_register_map(
     Raises:
         InputError: It says something a map cannot be.
     """
-    try:
-        data = YAML(typ="safe").load(text)
-    except YAMLError as error:
-        line = getattr(getattr(error, "problem_mark", None), "line", None)
-        at = f", line {line + 1}" if line is not None else ""
-        raise InputError(f"{name}: is not YAML{at}: {getattr(error, 'problem', error)}") from None
+    data = parse_yaml(text, name, "register map")
     if not isinstance(data, dict):
         raise InputError(f"{name}: a register map is a mapping, found {type(data).__name__}")
     if data.get("pneu_registers") != SCHEMA_VERSION:

@@ -7,7 +7,6 @@ PyTorch saves it. Reading takes tensors and plain values only, never code.
 
 import hashlib
 import io
-import os
 import pickle
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 import torch
 
 from pneu_sim.errors import InputError
+from pneu_sim.files import whole
 
 HEAD = "pneu-checkpoint"
 VERSION = 1
@@ -35,14 +35,9 @@ def save_checkpoint(state: dict[str, Any], path: str | Path) -> None:
     torch.save(state, held)
     content = held.getvalue()
     digest = hashlib.sha256(content).hexdigest()
-    aside = path.with_name(f".{path.name}.part")
-    try:
-        with aside.open("wb") as stream:
-            stream.write(f"{HEAD} {VERSION} {len(content)} {digest}\n".encode())
-            stream.write(content)
-        os.replace(aside, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+    with whole(path) as aside, aside.open("wb") as stream:
+        stream.write(f"{HEAD} {VERSION} {len(content)} {digest}\n".encode())
+        stream.write(content)
 
 
 def load_checkpoint(path: str | Path) -> dict[str, Any]:

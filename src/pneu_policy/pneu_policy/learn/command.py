@@ -11,6 +11,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from pneu_sim.errors import InputError
+from pneu_sim.files import write_whole
+from pneu_sim.options import MOST_SEED
 from pneu_sim.progress import progress
 
 
@@ -32,7 +34,12 @@ def train(
     ],
     seed: Annotated[
         list[int] | None,
-        typer.Option("--seed", help="Seed in place of the file's; several make several runs."),
+        typer.Option(
+            "--seed",
+            help="Seed in place of the file's; several make several runs.",
+            min=0,
+            max=MOST_SEED,
+        ),
     ] = None,
     iterations: Annotated[
         int | None, typer.Option("--iterations", help="In place of the file's.", min=1)
@@ -99,7 +106,7 @@ def train(
     failed = [outcome for outcome in outcomes if outcome.fault]
     for outcome in failed:
         trace = outcome.run.folder.with_name(f"{outcome.run.name}.error.txt")
-        trace.write_text(outcome.trace or "", encoding="utf-8")
+        write_whole(trace, outcome.trace or "")
         console.print(f"[red]{escape(outcome.run.name)}: {escape(outcome.fault or '')}[/red]")
     if failed:
         raise typer.Exit(1)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Learning curves: score and tracking error against samples, by group of runs (thesis 7.2, 7.5)."""
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from pneu_policy.learn.history import History
 from pneu_sim.errors import InputError
+from pneu_sim.files import whole
 
 COLOURS = (
     "#1f5fa8", "#c8501e", "#2e8b57", "#8a3ffc", "#b8860b",
@@ -72,15 +72,14 @@ def learning_curves(
     panels[1].legend(frameon=False, loc="center left", bbox_to_anchor=(1.02, 0.5), fontsize="small")
     if title:
         figure.suptitle(title)
-    aside = path.with_name(f".{path.name}.part")
     kind = path.suffix.removeprefix(".") or "png"
     # without a date, the same histories make the same file
     undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind, {})
     try:
-        figure.savefig(aside, format=kind, dpi=150, metadata=undated)
-        os.replace(aside, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+        with whole(path) as aside:
+            figure.savefig(aside, format=kind, dpi=150, metadata=undated)
+    except InputError:  # before its base, ValueError
+        raise
     except ValueError as error:
         raise InputError(f"{path}: cannot be drawn as {kind!r} ({error})") from None
 

@@ -9,13 +9,14 @@ made (else null), ``std`` of the exploration, and what the algorithm adds.
 
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pneu_sim.documents import read_json
 from pneu_sim.errors import InputError
+from pneu_sim.files import write_whole
 
 VERSION = 1
 ATM_PA = 101_325.0
@@ -68,12 +69,7 @@ class History:
             "settings": self.settings,
             "rows": [{key: _json(value) for key, value in row.items()} for row in self.rows],
         }
-        aside = path.with_name(f".{path.name}.part")
-        try:
-            aside.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-            os.replace(aside, path)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+        write_whole(path, json.dumps(document, indent=1) + "\n")
 
     @classmethod
     def load(cls, path: str | Path) -> "History":
@@ -85,12 +81,7 @@ class History:
         Raises:
             InputError: It is missing, damaged or not a history.
         """
-        try:
-            document = json.loads(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
-        except ValueError as error:
-            raise InputError(f"{path}: is not a history of a training ({error})") from None
+        document = read_json(path, "history of a training")
         if not isinstance(document, dict) or document.get("pneu_history") != VERSION:
             found = document.get("pneu_history") if isinstance(document, dict) else None
             raise InputError(f"{path}: pneu_history: found {found!r}, this version reads {VERSION}")

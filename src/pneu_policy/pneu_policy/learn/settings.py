@@ -14,10 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
 from pneu_policy.tracking import EnvSettings
+from pneu_sim.documents import read_yaml
 from pneu_sim.errors import InputError
 
 T = TypeVar("T")
@@ -170,16 +168,7 @@ def load_document(path: str | Path) -> dict[str, Any]:
     Raises:
         InputError: It is missing, is not YAML or is not a mapping.
     """
-    try:
-        data = YAML(typ="safe").load(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such settings file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as settings ({error})") from None
-    except YAMLError as error:
-        line = getattr(getattr(error, "problem_mark", None), "line", None)
-        at = f", line {line + 1}" if line is not None else ""
-        raise InputError(f"{path}: is not YAML{at}: {getattr(error, 'problem', error)}") from None
+    data = read_yaml(path, "settings file")
     if not isinstance(data, dict):
         raise InputError(f"{path}: settings are a mapping, found {type(data).__name__}")
     return data

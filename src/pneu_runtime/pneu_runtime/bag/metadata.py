@@ -2,16 +2,13 @@
 """`metadata.yaml` of a rosbag2 folder, version 9 as Jazzy writes it; older versions are read."""
 
 import dataclasses
-import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
 from pneu_runtime.bag.qos import OfferedQos, parse_profiles
+from pneu_sim.documents import read_yaml
 from pneu_sim.errors import InputError
+from pneu_sim.files import replacing
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"
@@ -159,17 +156,13 @@ class BagMetadata:
 
         Args:
             folder: Folder of the bag.
+
+        Raises:
+            OSError: It cannot be written.
         """
         body = "".join(f"  {line}\n" for line in self.body().splitlines())
-        descriptor, aside = tempfile.mkstemp(prefix=f".{FILE_NAME}.", dir=folder)
-        try:
-            with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
-                stream.write("rosbag2_bagfile_information:\n" + body)
-            Path(aside).chmod(0o644)
-            os.replace(aside, folder / FILE_NAME)
-        except OSError:
-            Path(aside).unlink(missing_ok=True)
-            raise
+        with replacing(folder / FILE_NAME) as aside:
+            aside.write_text(f"rosbag2_bagfile_information:\n{body}", encoding="utf-8")
 
 
 def _quoted(text: str) -> str:
@@ -187,21 +180,25 @@ def read_metadata(folder: Path) -> BagMetadata:
         InputError: The file is missing or is not what rosbag2 writes.
     """
     path = folder / FILE_NAME
-    try:
-        data = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; `pneu bag recover` makes it again") from None
-    except (OSError, UnicodeDecodeError, YAMLError) as error:
-        raise InputError(f"{path}: cannot be read ({' '.join(str(error).split())})") from None
+    if not path.exists():
+        raise InputError(f"{path}: no such file; `pneu bag recover` makes it again")
+    data = read_yaml(path, "description of a bag")
     try:
         info = data["rosbag2_bagfile_information"]
         return _metadata(info, path)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(
             f"{path}: is no rosbag2 metadata ({type(error).__name__}: {error})"
         ) from None
+
+
+def _name(found: Any) -> str:
+    """The name of a file beside the metadata."""
+    if not isinstance(found, str) or Path(found).is_absolute() or ".." in Path(found).parts:
+        raise TypeError(f"found {found!r} for the name of a file in the folder")
+    return found
 
 
 def _metadata(info: dict[str, Any], path: Path) -> BagMetadata:
@@ -210,8 +207,8 @@ def _metadata(info: dict[str, Any], path: Path) -> BagMetadata:
         meta = entry["topic_metadata"]
         topics.append(
             Topic(
-                name=meta["name"],
-                type=meta["type"],
+                name=str(meta["name"]),
+                type=str(meta["type"]),
                 type_hash=meta.get("type_description_hash") or "",
                 profiles=parse_profiles(
                     meta.get("offered_qos_profiles") or None, f"{path}: {meta['name']}"
@@ -225,7 +222,7 @@ def _metadata(info: dict[str, Any], path: Path) -> BagMetadata:
         start = int(entry["starting_time"]["nanoseconds_since_epoch"])
         files.append(
             File(
-                path=entry["path"],
+                path=_name(entry["path"]),
                 start_ns=start,
                 end_ns=start + int(entry["duration"]["nanoseconds"]),
                 message_count=int(entry["message_count"]),
@@ -233,7 +230,7 @@ def _metadata(info: dict[str, Any], path: Path) -> BagMetadata:
         )
     if not files:  # before version 5 the files were not described one by one
         start = int(info["starting_time"]["nanoseconds_since_epoch"])
-        paths = info["relative_file_paths"] or []
+        paths = [_name(one) for one in info["relative_file_paths"] or []]
         files = [File(path=name) for name in paths]
         if files:
             files[0] = File(

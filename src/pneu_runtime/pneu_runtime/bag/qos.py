@@ -9,9 +9,7 @@ import dataclasses
 from collections.abc import Iterable
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
+from pneu_sim.documents import parse_yaml
 from pneu_sim.errors import InputError
 
 INFINITE_NS = 2**63 - 1
@@ -170,10 +168,7 @@ def parse_profiles(found: Any, where: str) -> list[OfferedQos]:
         InputError: The text is no list of profiles.
     """
     if isinstance(found, str):
-        try:
-            found = YAML(typ="safe", pure=True).load(found)
-        except YAMLError as error:
-            raise InputError(f"{where}: offered_qos_profiles is not YAML ({error})") from None
+        found = parse_yaml(found, f"{where}: offered_qos_profiles", "list of profiles")
     if found is None:
         return []
     if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):

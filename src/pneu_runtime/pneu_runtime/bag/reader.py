@@ -7,27 +7,37 @@ one.
 
 import dataclasses
 import heapq
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import zstandard
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata, Schema
-from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
+from mcap.stream_reader import StreamReader
 
 from pneu_runtime.bag.metadata import BagMetadata, File, Topic, read_metadata
 from pneu_runtime.bag.qos import parse_profiles
 from pneu_sim.errors import InputError
+from pneu_sim.unpacking import Allowance, bounded, chunk_records
 
 MAGIC = b"\x89MCAP0\r\n"
 
-RECORD_LIMIT_BYTES = 1 << 30
-"""No record of a sound file is longer; a longer one is damage, bytes."""
-
-# What a cut or damaged file makes the MCAP library raise.
-_DAMAGE = (McapError, CRCValidationError, EOFError, ValueError, KeyError, UnicodeDecodeError)
+# What a cut or damaged file makes the MCAP library raise, and what is below it.
+_DAMAGE = (
+    McapError,
+    zstandard.ZstdError,
+    EOFError,
+    ValueError,
+    KeyError,
+    OverflowError,
+    RuntimeError,
+    struct.error,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,8 +182,8 @@ def scan_file(path: Path) -> FileContent:
         InputError: It is no MCAP file or cannot be read.
     """
     try:
-        with path.open("rb") as stream:
-            if stream.read(len(MAGIC)) != MAGIC:
+        with bounded(path) as stream:
+            if path.stat().st_size < len(MAGIC) or stream.read(len(MAGIC)) != MAGIC:
                 raise InputError(f"{path}: is no MCAP file")
             stream.seek(0)
             try:
@@ -216,7 +226,7 @@ def _add_channel(
             message_count=0,
             serialization_format=channel.message_encoding,
         )
-        content.definitions[channel.topic] = schema.data.decode() if schema else ""
+        content.definitions[channel.topic] = schema.data.decode(errors="replace") if schema else ""
     topic = content.topics[channel.topic]
     topic.message_count += count
     return topic
@@ -226,8 +236,8 @@ def _scan_records(path: Path) -> FileContent:
     content = FileContent(path, File(path.name), {}, {}, indexed=False)
     schemas: dict[int, Schema] = {}
     by_channel: dict[int, Topic] = {}
-    for record in sound_records(path, content):
-        for inner in breakup_chunk(record) if isinstance(record, Chunk) else [record]:
+    for _, parts in sound_records(path, content):
+        for inner in parts:
             if isinstance(inner, Schema):
                 schemas[inner.id] = inner
             elif isinstance(inner, Channel):
@@ -241,24 +251,29 @@ def _scan_records(path: Path) -> FileContent:
     return content
 
 
-def sound_records(path: Path, content: FileContent | None = None) -> Iterator[Any]:
+def sound_records(
+    path: Path, content: FileContent | None = None
+) -> Iterator[tuple[Any, list[Any]]]:
     """Yields the records of a file's data section up to the last one that is whole.
 
-    Chunks come as they are, with their CRC checked.
+    Each comes with the records inside of it, where it is a chunk, else with itself as a list.
 
     Args:
         path: The file.
         content: Where to note what ended the reading, if it was damage.
+
+    Raises:
+        InputError: A chunk unpacks to more than is allowed.
     """
-    with path.open("rb") as stream:
+    known: set[int] = set()  # channels
+    with bounded(path) as stream:
         size = path.stat().st_size
-        records = StreamReader(
-            stream, emit_chunks=True, record_size_limit=RECORD_LIMIT_BYTES
-        ).records
+        allowance = Allowance(path, size)
+        records = StreamReader(stream, emit_chunks=True, record_size_limit=size).records
         while True:
             at = stream.tell()
             # The library reads short at the end of the file, so the length is checked first.
-            head = stream.read(9)
+            head = stream.read(min(9, size - at))
             stream.seek(at)
             begins = at < len(MAGIC)
             if not begins and (len(head) < 9 or at + 9 + int.from_bytes(head[1:], "little") > size):
@@ -271,17 +286,25 @@ def sound_records(path: Path, content: FileContent | None = None) -> Iterator[An
                 record = next(records)
                 if isinstance(record, DataEnd):
                     return
+                parts: list[Any] = [record]
                 if isinstance(record, Chunk):
-                    breakup_chunk(record, validate_crc=True)
+                    parts = list(chunk_records(record, allowance))
+                for part in parts:
+                    if isinstance(part, Channel):
+                        known.add(part.id)
+                    elif isinstance(part, Message) and part.channel_id not in known:
+                        raise ValueError(
+                            f"a message of channel {part.channel_id}, which is unknown"
+                        )
             except StopIteration:
                 return
-            except Exception as error:
-                if not isinstance(error, _DAMAGE) and "zstd" not in str(type(error)).lower():
-                    raise
+            except InputError:  # before its base, ValueError
+                raise
+            except _DAMAGE as error:
                 if content is not None:
                     content.damage = f"damaged at byte {at} ({' '.join(str(error).split())})"
                 return
-            yield record
+            yield record, parts
 
 
 def side_records(path: Path) -> Iterator[Attachment | Metadata]:
@@ -290,7 +313,7 @@ def side_records(path: Path) -> Iterator[Attachment | Metadata]:
     Args:
         path: The file.
     """
-    for record in sound_records(path):
+    for record, _ in sound_records(path):
         if isinstance(record, Attachment | Metadata):
             yield record
 
@@ -309,29 +332,25 @@ def file_messages(
         InputError: A file with index is damaged.
     """
     if file.indexed:
-        with file.path.open("rb") as stream:
-            reader = make_reader(stream)
-            try:
-                for _, channel, message in reader.iter_messages(
-                    topics=None if topics is None else sorted(topics),
-                    start_time=start_ns or None,
-                ):
-                    yield _bag_message(channel.topic, message)
-            except _DAMAGE as error:
-                raise InputError(
-                    f"{file.path}: is damaged ({' '.join(str(error).split())});"
-                    " `pneu bag recover` keeps what is whole"
-                ) from None
+        try:
+            yield from _indexed_messages(file.path, topics, start_ns)
+        except InputError:  # before its base, ValueError
+            raise
+        except _DAMAGE as error:
+            raise InputError(
+                f"{file.path}: is damaged ({' '.join(str(error).split())});"
+                " `pneu bag recover` keeps what is whole"
+            ) from None
         return
     names: dict[int, str] = {}
     waiting: list[tuple[int, int, BagMessage]] = []
     order = 0
-    for record in sound_records(file.path):
+    for record, parts in sound_records(file.path):
         # Recorders write in the order of receipt, so only neighbouring chunks overlap in time.
         begin = record.message_start_time if isinstance(record, Chunk) else None
         while waiting and begin is not None and waiting[0][0] < begin:
             yield heapq.heappop(waiting)[2]
-        for inner in breakup_chunk(record) if isinstance(record, Chunk) else [record]:
+        for inner in parts:
             if isinstance(inner, Channel):
                 names[inner.id] = inner.topic
             elif isinstance(inner, Message) and inner.log_time >= start_ns:
@@ -342,6 +361,45 @@ def file_messages(
                     heapq.heappush(waiting, entry)
     while waiting:
         yield heapq.heappop(waiting)[2]
+
+
+def _indexed_messages(path: Path, topics: set[str] | None, start_ns: int) -> Iterator[BagMessage]:
+    """Messages by log time of a file with index, chunk by chunk."""
+    with bounded(path) as stream:
+        size = path.stat().st_size
+        allowance = Allowance(path, size)
+        summary = make_reader(stream).get_summary()
+        if summary is None or not summary.chunk_indexes:
+            records = [one for _, parts in sound_records(path) for one in parts]
+            plain = [one for one in records if isinstance(one, Message)]
+            names = {one.id: one.topic for one in records if isinstance(one, Channel)}
+            for message in sorted(plain, key=lambda one: one.log_time):
+                topic = names[message.channel_id]
+                if message.log_time >= start_ns and (topics is None or topic in topics):
+                    yield _bag_message(topic, message)
+            return
+        names = {number: channel.topic for number, channel in summary.channels.items()}
+        waiting: list[tuple[int, int, int, BagMessage]] = []
+        for index in sorted(
+            summary.chunk_indexes, key=lambda one: (one.message_start_time, one.chunk_start_offset)
+        ):
+            offsets = index.message_index_offsets
+            wanted = topics is None or any(names[number] in topics for number in offsets)
+            if index.message_end_time < start_ns or (offsets and not wanted):
+                continue
+            while waiting and waiting[0][0] < index.message_start_time:
+                yield heapq.heappop(waiting)[3]
+            stream.seek(index.chunk_start_offset + 9)
+            chunk = Chunk.read(ReadDataStream(stream))
+            for number, part in enumerate(chunk_records(chunk, allowance)):
+                if isinstance(part, Message) and part.log_time >= start_ns:
+                    topic = names[part.channel_id]
+                    if topics is None or topic in topics:
+                        entry = _bag_message(topic, part)
+                        key = (part.log_time, index.chunk_start_offset, number)
+                        heapq.heappush(waiting, (*key, entry))
+        while waiting:
+            yield heapq.heappop(waiting)[3]
 
 
 def _bag_message(topic: str, message: Message) -> BagMessage:

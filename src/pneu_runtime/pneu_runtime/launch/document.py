@@ -5,9 +5,7 @@ import difflib
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
+from pneu_sim.documents import read_yaml
 from pneu_sim.errors import InputError
 
 
@@ -170,23 +168,14 @@ def load_launch_file(path: str | Path) -> list[Entity]:
         Its actions.
 
     Raises:
-        LaunchError: The file is missing, is not YAML, or is no launch file.
+        InputError: The file is missing, is not YAML, or is no launch file.
     """
     path = Path(path)
     if path.suffix in (".py", ".xml"):
         raise LaunchError(
             f"{path}: launch files are read in YAML here; `ros2 launch` reads Python and XML too"
         )
-    try:
-        data = YAML().load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise LaunchError(f"{path}: no such launch file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise LaunchError(f"{path}: cannot be read as a launch file ({error})") from None
-    except YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        at = f", line {mark.line + 1}" if mark is not None else ""
-        raise LaunchError(f"{path}{at}: is not YAML: {getattr(error, 'problem', error)}") from None
+    data = read_yaml(path, "launch file", lines=True)
     if not isinstance(data, dict) or list(data) != ["launch"]:
         raise LaunchError(f"{path}: a launch file is a mapping with the one key 'launch'")
     return actions(data["launch"] or [], path, _line(data, "launch", 1), "launch")

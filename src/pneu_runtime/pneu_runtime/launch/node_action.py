@@ -5,14 +5,13 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
 from pneu_runtime.launch.document import Entity
 from pneu_runtime.launch.process_spec import SIGKILL_TIMEOUT_S, SIGTERM_TIMEOUT_S, ProcessSpec
 from pneu_runtime.launch.substitution import split_words, substitute, truth
 from pneu_runtime.tools.executables import command_of
 from pneu_runtime.tools.message_text import yaml_text
+from pneu_sim.documents import parse_yaml
+from pneu_sim.errors import InputError
 
 if TYPE_CHECKING:
     from pneu_runtime.launch.plan import Scope
@@ -155,8 +154,8 @@ def _plain_value(value: Any, scope: "Scope", as_text: bool) -> Any:
     if text.lower() in _TRUTH_WORDS:
         return _TRUTH_WORDS[text.lower()]
     try:
-        found = YAML(typ="safe", pure=True).load(text)
-    except YAMLError:
+        found = parse_yaml(text, "value", "value")
+    except InputError:
         return text
     return found if isinstance(found, bool | int | float | str | list) else text
 

@@ -10,10 +10,9 @@ import re
 from typing import Any
 
 import numpy as np
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from pneu_runtime.nodes.type_support import interface_class
+from pneu_sim.documents import parse_yaml
 from pneu_sim.errors import InputError
 
 TRUNCATE_LENGTH = 128
@@ -139,11 +138,7 @@ def parse_values(text: str) -> dict[str, Any]:
     Raises:
         InputError: It is no YAML mapping.
     """
-    try:
-        values = YAML(typ="safe", pure=True).load(text)
-    except YAMLError as error:
-        problem = getattr(error, "problem", None) or error
-        raise InputError(f"values {text!r}: are not YAML ({problem})") from None
+    values = parse_yaml(text, f"values {text!r}", "mapping of values")
     if values is None or values == "":
         return {}
     if not isinstance(values, dict):

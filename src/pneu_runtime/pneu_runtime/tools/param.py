@@ -5,8 +5,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from pneu_runtime.tools.message_text import yaml_text
 from pneu_runtime.tools.node import nodes_of
@@ -17,6 +15,7 @@ from pneu_runtime.tools.parameter_value import (
     python_value,
 )
 from pneu_runtime.tools.session import absolute, call, tool_node
+from pneu_sim.documents import read_yaml
 from pneu_sim.errors import InputError
 
 app = typer.Typer(help="Show and set parameters of nodes.", no_args_is_help=True)
@@ -157,12 +156,7 @@ def load(name: Node, path: Annotated[Path, typer.Argument(help="The parameter fi
 
 
 def _from_file(path: Path, target: str) -> dict[str, Any]:
-    try:
-        data = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such parameter file") from None
-    except (OSError, UnicodeDecodeError, YAMLError) as error:
-        raise InputError(f"{path}: cannot be read ({' '.join(str(error).split())})") from None
+    data = read_yaml(path, "parameter file")
     values: dict[str, Any] = {}
     for key in ("/**", target, target.lstrip("/")):
         section = data.get(key) if isinstance(data, dict) else None

@@ -3,8 +3,8 @@
 
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
+from pneu_sim.documents import parse_yaml
+from pneu_sim.errors import InputError
 
 TYPE_NAMES = (
     "not set",
@@ -88,7 +88,7 @@ def from_text(text: str) -> Any:
         text: The word; what is no YAML scalar or list is a string.
     """
     try:
-        value = YAML(typ="safe", pure=True).load(text)
-    except YAMLError:
+        value = parse_yaml(text, "value", "value")
+    except InputError:
         return text
     return value if isinstance(value, bool | int | float | str | list) else text

@@ -8,8 +8,8 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
+from pneu_sim.documents import read_yaml
 from pneu_sim.errors import InputError
 from pneu_sim.files import write_whole
 from pneu_sim.rig.build import plan_grid
@@ -65,22 +65,7 @@ def load_rig(path: str | Path) -> Rig:
         InputError: The file is missing, is not YAML, or says something a rig cannot be.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such rig file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as a rig file ({error})") from None
-    try:
-        data = YAML(typ="safe").load(text)
-    except RecursionError:
-        raise InputError(f"{path}: is nested too deeply for a rig file") from None
-    except (ValueError, OverflowError) as error:  # a number of thousands of digits
-        raise InputError(f"{path}: is not a rig file ({error})") from None
-    except YAMLError as error:
-        line = getattr(getattr(error, "problem_mark", None), "line", None)
-        at = f", line {line + 1}" if line is not None else ""
-        raise InputError(f"{path}: is not YAML{at}: {getattr(error, 'problem', error)}") from None
+    data = read_yaml(path, "rig file")
     if not isinstance(data, dict):
         raise InputError(f"{path}: a rig file is a mapping, found {type(data).__name__}")
     if data.get("pneu_rig") != SCHEMA_VERSION:

@@ -85,6 +85,8 @@ RANGES = {
     "droop_tau_s": Range(0.0, 100.0, "s", (("ms", 1e-3, 0.0),), (1e-4, 1.0)),
     "dt_s": Range(1e-8, 1.0, "s", zero=False),
     "wave_speed_m_s": Range(100.0, 1e4, "m/s", zero=False),
+    "fraction": Range(0.0, 1e3, ""),
+    "voltage_v": Range(-1e6, 1e6, "V"),
     "rate_hz": Range(1e-3, 1e6, "Hz", zero=False),
 }  # fmt: skip
 """By the name of a field; pressures are absolute."""
@@ -112,11 +114,12 @@ def _numbers(node: Any, path: str) -> Iterator[tuple[str, str, float]]:
         children = list(node.items())
     else:
         children = [(str(k), value) for k, value in enumerate(node)]
+    of_list = path.rpartition(".")[2] if isinstance(node, list) else ""
     for name, value in children:
         if path == "" and name in ("effects", "fit", "calibration", "recordings"):
             continue  # in units of their own
         where = f"{path}.{name}" if path else name
         if isinstance(value, int | float) and not isinstance(value, bool):
-            yield where, name, float(value)
+            yield where, of_list or name, float(value)
         elif isinstance(value, BaseModel | dict | list):
             yield from _numbers(value, where)

@@ -15,6 +15,8 @@ from pneu_sim.channels import Channel, TextFormat
 
 SCHEMA_VERSION = 1
 CLOSED = "closed"
+LEAST_STEP_V = 1e-6
+"""Between points of an opening curve; closer ones are one."""
 
 
 def _no_truth(value: Any) -> Any:
@@ -269,6 +271,8 @@ class Opening(Part):
             )
         if any(b <= a for a, b in pairwise(self.voltage_v)):
             raise ValueError("voltage_v must increase")
+        if any(b - a < LEAST_STEP_V for a, b in pairwise(self.voltage_v)):
+            raise ValueError(f"voltage_v must increase by {LEAST_STEP_V:g} V or more each time")
         return self
 
 

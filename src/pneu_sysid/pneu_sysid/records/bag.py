@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import reduce
 from operator import attrgetter
 from pathlib import Path, PurePath
-from typing import Any, BinaryIO, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 import zstandard
@@ -23,16 +23,16 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel as McapChannel
 from mcap.records import Chunk, DataEnd, McapRecord, Message, Schema, Statistics
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.stream_reader import StreamReader
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from pneu_sim.channels import Channel
+from pneu_sim.documents import read_yaml
 from pneu_sim.errors import InputError
 from pneu_sim.topics import same_topic
+from pneu_sim.unpacking import Allowance, Bounded, chunk_records, unzstd
 from pneu_sysid.records.recording import Finding
 from pneu_sysid.records.stream import STAMP_LIMIT_NS, Stream
 
@@ -137,7 +137,7 @@ def read_bag(
                     arrival=np.array(topic.arrival, dtype=np.int64),
                     log_ns=log_ns,
                     header_ns=None if stamp is None else _stamps_ns(messages, stamp),
-                    values=raw * channel.scale + channel.offset,
+                    values=channel.convert(raw),
                     stamp_ns=log_ns,
                     applied=applied,
                 )
@@ -182,13 +182,13 @@ def _bag_files(path: Path) -> tuple[list[Path], int | None, list[Finding]]:
             )
         note = f"no metadata.yaml; the {len(files)} .mcap file(s) were read in order of name"
         return files, None, [Finding(path.name, "no_metadata", 1, note)]
+    data = read_yaml(meta_path, "description of a bag")
     try:
-        info = YAML(typ="safe").load(meta_path.read_text(encoding="utf-8"))
-        info = info["rosbag2_bagfile_information"]
+        info = data["rosbag2_bagfile_information"]
         storage = str(info["storage_identifier"])
         names = [PurePath(str(p)).name for p in info["relative_file_paths"]]
         expected = int(info["message_count"])
-    except (OSError, UnicodeDecodeError, YAMLError, KeyError, TypeError, ValueError) as err:
+    except (KeyError, TypeError, ValueError, OverflowError) as err:  # a size of infinity
         what = " ".join(str(err).split())[:120]
         raise InputError(f"{meta_path}: not valid rosbag2 metadata ({what})") from err
     if storage != "mcap":
@@ -202,9 +202,9 @@ def _bag_files(path: Path) -> tuple[list[Path], int | None, list[Finding]]:
     return [path / name for name in names], expected, []
 
 
-def _records(file: BinaryIO, limit: int) -> Iterator[McapRecord]:
+def _records(file: Bounded, limit: int) -> Iterator[McapRecord]:
     yield from StreamReader(
-        file, emit_chunks=True, validate_crcs=True, record_size_limit=limit
+        cast(Any, file), emit_chunks=True, validate_crcs=True, record_size_limit=limit
     ).records
 
 
@@ -212,7 +212,8 @@ def _scan_file(
     path: Path, wanted: set[str], topics: _Topics, arrival: int, findings: list[Finding]
 ) -> int:
     """Add the messages of one MCAP file to ``topics``; return the running message count."""
-    file, size = _open(path)
+    allowance = Allowance(path, path.stat().st_size if path.is_file() else 0)
+    file, size = _open(path, allowance)
     schemas: dict[int, Schema] = {}
     channels: dict[int, tuple[_Topic, bool]] = {}
     first = arrival
@@ -223,11 +224,7 @@ def _scan_file(
     with file:
         try:
             for record in _records(file, size):
-                inner = (
-                    breakup_chunk(record, validate_crc=True)
-                    if isinstance(record, Chunk)
-                    else [record]
-                )
+                inner = chunk_records(record, allowance) if isinstance(record, Chunk) else [record]
                 for item in inner:
                     if isinstance(item, Message):
                         topic, keep = channels[item.channel_id]
@@ -246,6 +243,8 @@ def _scan_file(
                     elif isinstance(item, Statistics):
                         listed = item.message_count
                 good = file.tell()
+        except InputError:  # before its base, ValueError
+            raise
         except (
             McapError,
             zstandard.ZstdError,
@@ -260,7 +259,7 @@ def _scan_file(
             damage = " ".join(str(err).split())[:100] or type(err).__name__
         if damage is not None:
             file.seek(good)
-            opcode = file.read(1)
+            opcode = file.read(1) if good < size else b""
     if listed is not None and arrival - first < listed:
         raise InputError(
             f"{path}: damaged: it holds {arrival - first} of the {listed} messages that its "
@@ -288,17 +287,18 @@ def _scan_file(
     return arrival
 
 
-def _open(path: Path) -> tuple[BinaryIO, int]:
+def _open(path: Path, allowance: Allowance) -> tuple[Bounded, int]:
     """Open a storage file, unpacked first where the file as a whole is compressed."""
     try:
         with path.open("rb") as file:
             compressed = file.read(4) == _ZSTD_MAGIC
         if not compressed:
-            return path.open("rb"), max(path.stat().st_size, 1)
+            size = path.stat().st_size
+            return Bounded(path.open("rb"), size), size
         # Whole-file compression has no index into it, so it is unpacked in memory.
         with path.open("rb") as file:
-            data = zstandard.ZstdDecompressor().stream_reader(file).read()
-        return io.BytesIO(data), max(len(data), 1)
+            data = unzstd(file, allowance)
+        return Bounded(io.BytesIO(data), len(data)), len(data)
     except OSError as err:
         raise InputError(f"{path}: cannot be read ({err.strerror})") from err
     except zstandard.ZstdError as err:
@@ -405,7 +405,22 @@ def _typestore(where: str, topic: _Topic, name: str, findings: list[Finding]) ->
     except Exception as err:  # a parser fed hostile text raises many kinds
         what = " ".join(str(err).split())[:120]
         raise InputError(f"{where}: the embedded definition cannot be parsed ({what})") from err
+    _check_defined(where, store, topic.msgtype, set())
     return store
+
+
+def _check_defined(where: str, store: Typestore, name: str, seen: set[str]) -> None:
+    """Raise unless a message type and all that it consists of are defined, and end somewhere."""
+    if name not in store.fielddefs:
+        have = ", ".join(sorted(store.fielddefs)) or "nothing"
+        raise InputError(f"{where}: the embedded definition has no {name}, it defines {have}")
+    if name in seen:
+        raise InputError(f"{where}: the embedded definition of {name} contains itself")
+    for kind, detail in _fields(store, name).values():
+        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            kind, detail = detail[0]
+        if kind == Nodetype.NAME:
+            _check_defined(where, store, detail, {*seen, name})
 
 
 def _fields(store: Typestore, msgtype: str) -> dict[str, Any]:
@@ -474,13 +489,15 @@ def _stamp_path(store: Typestore, msgtype: str) -> str | None:
 
 
 def _decode(where: str, store: Typestore, topic: _Topic) -> list[Any]:
-    unpack = zstandard.ZstdDecompressor().decompressobj
+    allowance = Allowance(where, sum(map(len, topic.data)))
     messages = []
     for number, raw in enumerate(topic.data):
         try:
             if raw[:4] == _ZSTD_MAGIC:
-                raw = unpack().decompress(raw)
+                raw = unzstd(io.BytesIO(raw), allowance)
             messages.append(store.deserialize_cdr(raw, topic.msgtype))
+        except InputError:
+            raise
         except Exception as err:  # generated code meets hostile bytes
             what = " ".join(str(err).split())[:100]
             raise InputError(

@@ -54,7 +54,8 @@ def read_text(
     if not timed.all():
         note = "row(s) without a time were dropped"
         findings.append(Finding(path.name, "unreadable", int((~timed).sum()), note))
-    time_ns = np.rint(time[timed] * layout.time_scale * 1e9)
+    with np.errstate(over="ignore"):  # beyond all clocks, and clipped to that below
+        time_ns = np.rint(time[timed] * layout.time_scale * 1e9)
     stamp_ns = np.clip(time_ns, -STAMP_LIMIT_NS, STAMP_LIMIT_NS).astype(np.int64)
     arrival = np.flatnonzero(timed)
     streams = []
@@ -73,7 +74,7 @@ def read_text(
                     arrival=arrival,
                     log_ns=stamp_ns,
                     header_ns=None,
-                    values=raw * channel.scale + channel.offset,
+                    values=channel.convert(raw),
                     stamp_ns=stamp_ns,
                 )
             )
@@ -84,6 +85,8 @@ def _read_rows(
     path: Path, layout: TextFormat
 ) -> tuple[list[list[str]], list[int], list[str], list[Finding]]:
     """Return the data rows as words, their line numbers, and the column names if any."""
+    if not path.is_file():
+        raise InputError(f"{path}: is no file and no bag")
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as err:
@@ -101,14 +104,14 @@ def _read_rows(
     if not kept:
         raise InputError(f"{path}: the file holds no rows ({len(lines)} lines)")
     delimiter = layout.delimiter or _guess_delimiter([line for _, line in kept[-20:]], layout)
-    rows = [_split(line, delimiter) for _, line in kept]
+    rows = [_split(path, number, line, delimiter) for number, line in kept]
     numbers = [number for number, _ in kept]
     names: list[str] = []
     if not any(_is_number(word, layout) for word in rows[0]):
         names, rows, numbers = rows[0], rows[1:], numbers[1:]
         if not rows:
             raise InputError(f"{path}: the file holds a heading but no rows")
-    elif comments and len(last := _split(comments[-1], delimiter)) == len(rows[0]):
+    elif comments and len(last := _split(path, 0, comments[-1], delimiter)) == len(rows[0]):
         names = last
     return rows, numbers, list(layout.names) if layout.names else names, []
 
@@ -122,10 +125,18 @@ def _guess_delimiter(lines: list[str], layout: TextFormat) -> str:
     return " "
 
 
-def _split(line: str, delimiter: str) -> list[str]:
+def _split(path: Path, number: int, line: str, delimiter: str) -> list[str]:
     if delimiter == " ":
         return line.split()
-    return [word.strip() for word in next(csv.reader([line], delimiter=delimiter))]
+    try:
+        return [word.strip() for word in next(csv.reader([line], delimiter=delimiter))]
+    except csv.Error as err:  # a cell longer than any number
+        where = f"line {number}" if number else "the comment above the numbers"
+        raise InputError(f"{path}: {where} cannot be split into columns ({err})") from None
+    except (TypeError, ValueError) as err:
+        raise InputError(
+            f"{path}: text.delimiter: found {delimiter!r}, which cannot be one ({err})"
+        ) from None
 
 
 def _plain(word: str, layout: TextFormat) -> str:

@@ -3,15 +3,13 @@
 
 import base64
 import hashlib
-import os
-import tempfile
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from string import Template
 from typing import Any
 
-from pneu_sim.errors import InputError
+from pneu_sim.files import whole
 from pneu_sysid.report.contents import read_contents
 from pneu_sysid.report.markup import join, tag
 from pneu_sysid.report.sections import SECTIONS
@@ -72,32 +70,12 @@ def write_report(
         versions=join(", ".join(contents.head("pneu_version")) or "of an unknown version"),
         script=script,
     )
-    return _write_whole(Path(path), page)
+    path = Path(path)
+    with whole(path) as aside:
+        # A lone surrogate in a name cannot be encoded; it becomes a character reference.
+        aside.write_bytes(page.encode("utf-8", "xmlcharrefreplace"))
+    return path
 
 
 def _template(name: str) -> str:
     return (files("pneu_sysid.report") / "templates" / name).read_text(encoding="utf-8")
-
-
-def _write_whole(path: Path, text: str) -> Path:
-    """Write beside the target and rename, so that a reader never sees half a report."""
-    # A lone surrogate in a name cannot be encoded; it becomes a character reference.
-    data = text.encode("utf-8", "xmlcharrefreplace")
-    aside = None
-    try:
-        descriptor, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        with os.fdopen(descriptor, "wb") as stream:
-            stream.write(data)
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(aside, 0o666 & ~umask)  # mkstemp makes files that only their owner reads
-        os.replace(aside, path)
-    except OSError as error:
-        raise InputError(
-            f"Cannot write the report {path}: {error.strerror or error}; "
-            "give a file in a folder that exists and is writable."
-        ) from error
-    finally:
-        if aside is not None and os.path.exists(aside):
-            os.unlink(aside)
-    return path
