@@ -158,7 +158,7 @@ def test_bad_input_is_told(pid, tmp_path):
     with pytest.raises(InputError, match="is no evaluation"):
         load(path)
     path.write_text("{")
-    with pytest.raises(InputError, match="is no evaluation"):
+    with pytest.raises(InputError, match="is not JSON, line 1"):
         load(path)
 
 
