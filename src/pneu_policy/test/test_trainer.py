@@ -5,6 +5,7 @@ import dataclasses
 import importlib.util
 import json
 import signal
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -321,15 +322,17 @@ def test_learning_curves_are_drawn(tmp_path):
         learning_curves(groups, tmp_path / "curves.xyz")
 
 
-def test_ppo_writes_the_same_history():
+def test_ppo_writes_the_same_history(tmp_path, monkeypatch):
     pytest.importorskip("stable_baselines3")
     from pneu_policy.learn.ppo import train_ppo
 
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     history = train_ppo(settings(iterations=2), n_epochs=1, batch_size=60)
     assert [row["samples"] for row in history.rows] == [120, 240]
     assert history.algorithm == "ppo" and history.rows[-1]["eval_rmse_atm"] > 0.0
     reference = Trainer(settings()).iterate()
     assert set(history.rows[0]) <= set(reference)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_rig_file_that_changed_meanwhile_is_noticed(tmp_path):

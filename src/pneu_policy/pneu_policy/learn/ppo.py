@@ -22,6 +22,7 @@ from pneu_sim.errors import InputError
 try:
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.logger import Logger
     from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 except ModuleNotFoundError as error:
     raise InputError(
@@ -229,6 +230,7 @@ def train_ppo(
     # its value function needs rewards of unit size; observations are scaled by the recipe already
     normalised = VecNormalize(adapter, norm_obs=False, norm_reward=True, gamma=n.gamma)
     model = PPO("MlpPolicy", normalised, seed=settings.seed, device=settings.device, **asked)
+    model.set_logger(Logger(None, []))  # its own leaves a folder among the temporary files
     watch = _Watch(settings, adapter, judge, report)
     model.learn(settings.iterations * adapter.num_envs * settings.env.horizon, callback=watch)
     watch.add_row()
