@@ -33,11 +33,16 @@ KEPT = ROOT / "out" / "fuzz"
 KIND_NAMES = ("rig", "bag", "csv", "command")
 
 LIMIT_S = 10.0
-"""Time that a command may take."""
+"""Processor time that a command may take, so that a busy machine does not count as a hang."""
+ASLEEP = 12.0
+"""Multiple of it that a command may take by the clock, however little it computes."""
+LOOK_S = 0.5
 STARTUP_S = 180.0
 """Time that a worker may take to load and compile."""
 MEMORY_BYTES = 4 << 30
 """Memory that a worker may map."""
+PROGRESS = re.compile(r"^(?:.*: [\d:]+ so far.*|done after [\d:]+)\n", re.MULTILINE)
+"""What commands say about themselves where the machine is slow; `pneu_sim.progress`."""
 LONGEST_LINE = 1000
 """Characters of a sentence that can be read, the names of files among them."""
 
@@ -137,6 +142,7 @@ def run_one(app: Any, words: list[str], folder: Path) -> Ended:
 
 def _fault(status: int | None, stderr: str, before: dict[str, Any], after: dict[str, Any]) -> str:
     """What is wrong with how a command ended; empty where nothing is."""
+    stderr = PROGRESS.sub("", stderr)
     new = sorted(name for name, what in after.items() if before.get(name) != what)
     lost = sorted(set(before) - set(after))
     aside = [name for name in new if ".part" in name or Path(name).name.startswith(".")]
@@ -223,12 +229,12 @@ class Worker:
         self._pipe.send((kind, seed, number, str(folder)))
         out: list[Ended] = []
         words: list[str] = ["(making the case)"]
-        begun = time.monotonic()
+        begun, computed_s = time.monotonic(), self._computed_s()
         while True:
             fault = ""
             try:
                 # What it draws and writes beforehand is not what is timed.
-                if self._pipe.poll(self._limit_s):
+                if self._pipe.poll(min(LOOK_S, self._limit_s)):
                     answer = self._pipe.recv()
                     if answer == "done":
                         return out
@@ -236,7 +242,11 @@ class Worker:
                         out.append(answer)
                     else:
                         words = answer
-                    begun = time.monotonic()
+                    begun, computed_s = time.monotonic(), self._computed_s()
+                    continue
+                computed = self._computed_s() - computed_s > self._limit_s
+                asleep = time.monotonic() - begun > ASLEEP * self._limit_s
+                if not (computed or asleep):
                     continue
                 fault = f"not at an end after {self._limit_s:g} s"
             except EOFError:
@@ -245,6 +255,12 @@ class Worker:
             self.stop()
             out.append(Ended(words, None, fault, "", time.monotonic() - begun))
             return out
+
+    def _computed_s(self) -> float:
+        """Processor time of the process so far, s."""
+        text = Path(f"/proc/{self._process.pid}/stat").read_text()
+        user, system = text.rpartition(")")[2].split()[11:13]
+        return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
     def stop(self) -> None:
         """Ends the process, whatever it is doing."""
@@ -274,37 +290,34 @@ class Worker:
 
 
 def run_cases(
-    cases: list[tuple[str, int]], seed: int, keep: Path | None, told: Any = None
+    worker: Worker, cases: list[tuple[str, int]], seed: int, keep: Path | None, told: Any = None
 ) -> dict[str, Tally]:
     """Runs cases and tells what became of them, by kind.
 
     Args:
+        worker: Where they run.
         cases: Kind and number of each.
         seed: Seed of the run.
         keep: Folder that gets the inputs of failures; None keeps none.
         told: Called after each case with its kind and the tallies so far.
     """
     tallies = {kind: Tally() for kind in KIND_NAMES}
-    worker = Worker()
-    try:
-        for kind, number in cases:
-            with tempfile.TemporaryDirectory(prefix="fuzz_", ignore_cleanup_errors=True) as name:
-                ends = worker.run(kind, seed, number, Path(name))
-                tally = tallies[kind]
-                tally.cases += 1
-                for end in ends:
-                    tally.accepted += end.status == 0
-                    tally.refused += end.status == 2
-                    if end.fault:
-                        tally.failed.append((f"{kind}:{number}", end))
-                if keep is not None and any(end.fault for end in ends):
-                    kept = keep / f"{seed}_{kind}_{number}"
-                    shutil.rmtree(kept, ignore_errors=True)
-                    shutil.copytree(name, kept)
-            if told is not None:
-                told(kind, tallies)
-    finally:
-        worker.stop()
+    for kind, number in cases:
+        with tempfile.TemporaryDirectory(prefix="fuzz_", ignore_cleanup_errors=True) as name:
+            ends = worker.run(kind, seed, number, Path(name))
+            tally = tallies[kind]
+            tally.cases += 1
+            for end in ends:
+                tally.accepted += end.status == 0
+                tally.refused += end.status == 2
+                if end.fault:
+                    tally.failed.append((f"{kind}:{number}", end))
+            if keep is not None and any(end.fault for end in ends):
+                kept = keep / f"{seed}_{kind}_{number}"
+                shutil.rmtree(kept, ignore_errors=True)
+                shutil.copytree(name, kept)
+        if told is not None:
+            told(kind, tallies)
     return tallies
 
 
@@ -337,7 +350,11 @@ def main(arguments: list[str] | None = None) -> int:
             failed = sum(len(tally.failed) for tally in tallies.values())
             bar.update(task, advance=1, description=f"{kind}, {failed} failures")
 
-        tallies = run_cases(cases, options.seed, KEPT, told)
+        worker = Worker()
+        try:
+            tallies = run_cases(worker, cases, options.seed, KEPT, told)
+        finally:
+            worker.stop()
     seconds = time.monotonic() - begun
     for kind, tally in tallies.items():
         print(

@@ -3,7 +3,6 @@
 
 import os
 import sys
-import time
 
 import pytest
 import typer
@@ -12,14 +11,21 @@ from studies import fuzz
 from pneu_sim.cli import build_app
 from pneu_sim.errors import InputError
 
-SEED = 20
-CASES = {"rig": 60, "bag": 40, "csv": 25, "command": 25}
+SEED = 0
+CASES = {"rig": 24, "bag": 20, "csv": 12, "command": 16}
 
 
 @pytest.fixture(scope="module")
-def tallies():
+def worker():
+    one = fuzz.Worker()
+    yield one
+    one.stop()
+
+
+@pytest.fixture(scope="module")
+def tallies(worker):
     cases = [(kind, number) for kind, count in CASES.items() for number in range(count)]
-    return fuzz.run_cases(cases, SEED, keep=None)
+    return fuzz.run_cases(worker, cases, SEED, keep=None)
 
 
 @pytest.mark.parametrize("kind", list(CASES))
@@ -28,7 +34,7 @@ def test_spoilt_input_ends_in_a_result_or_in_one_sentence(tallies, kind):
     assert not tally.failed, tally.failed
     assert tally.cases == CASES[kind]
     # neither so tame that all is accepted, nor so wild that nothing gets past the first check
-    assert tally.accepted > 3 and tally.refused > 10
+    assert tally.accepted > 2 and tally.refused > 7
 
 
 def broken(app):
@@ -89,19 +95,18 @@ def test_the_fuzzer_sees(tmp_path, monkeypatch, capfd, word, fault):
     assert fault in ended.fault and bool(fault) == bool(ended.fault)
 
 
-def test_a_worker_that_hangs_or_dies_is_replaced(tmp_path, monkeypatch):
+def test_a_worker_that_hangs_is_replaced(worker, tmp_path, monkeypatch):
     """The case that hangs is told as a failure, and the next one runs."""
-    worker = fuzz.Worker()
-    try:
-        folders = [tmp_path / name for name in "abc"]
-        for folder in folders:
-            folder.mkdir()
-        assert not any(end.fault for end in worker.run("rig", 1, 1, folders[0]))
-        monkeypatch.setattr(worker, "_limit_s", 0.0)
-        begun = time.monotonic()
-        (end,) = worker.run("rig", 1, 1, folders[1])
-        assert "not at an end" in end.fault and time.monotonic() - begun < 60.0
-        monkeypatch.setattr(worker, "_limit_s", fuzz.LIMIT_S)
-        assert not any(end.fault for end in worker.run("rig", 1, 1, folders[2]))
-    finally:
-        worker.stop()
+    for name in "ab":
+        (tmp_path / name).mkdir()
+    monkeypatch.setattr(worker, "_limit_s", 0.0)
+    (end,) = worker.run("rig", 1, 1, tmp_path / "a")
+    assert "not at an end" in end.fault
+    monkeypatch.setattr(worker, "_limit_s", fuzz.LIMIT_S)
+    assert not any(end.fault for end in worker.run("rig", 1, 1, tmp_path / "b"))
+
+
+def test_progress_is_no_complaint():
+    said = "scores: 0:12 so far, 62 % done, about 0:05 left of this\ndone after 0:16\n"
+    assert fuzz._fault(2, said + "pneu: a: b\n", {}, {}) == ""
+    assert "not one line" in fuzz._fault(2, said + "pneu: a\npneu: b\n", {}, {})
