@@ -272,6 +272,29 @@ def test_an_index_that_is_nowhere(folder, offset):
     assert "Messages:          180" in ended.output
 
 
+def test_a_file_that_is_cut_anywhere_near_its_end(folder):
+    """Inside of the index, where lengths and offsets are read that are not there."""
+    good = (folder / "good.mcap").read_bytes()
+    app = build_app()
+    for size in range(len(good) - 400, len(good), 3):
+        (folder / "odd.mcap").write_bytes(good[:size])
+        ended = CliRunner().invoke(app, ["bag", "info", "odd.mcap"], prog_name="pneu")
+        assert ended.exit_code == 0, (size, ended.output)
+
+
+@pytest.mark.parametrize("length", [2**31, 2**63, 2**64 - 1])
+def test_a_chunk_that_says_it_is_endless(folder, length):
+    def lengthen(body):
+        body[36 : 36 + 8] = struct.pack("<Q", length)  # after times, size, checksum and b"zstd"
+
+    good = (folder / "good.mcap").read_bytes()
+    chunk = edited(good, 6, lengthen)
+    (folder / "odd.mcap").write_bytes(chunk[:-100])
+    ended = CliRunner().invoke(build_app(), ["bag", "info", "odd.mcap"], prog_name="pneu")
+    assert ended.exit_code == 0, ended.output
+    assert "damaged at byte" in ended.output
+
+
 def test_a_message_of_no_channel(folder):
     out = io.BytesIO()
     writer = Writer(out, use_chunking=False)
