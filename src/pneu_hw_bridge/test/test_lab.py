@@ -337,7 +337,7 @@ def test_what_is_sealed_and_means_nothing(tmp_path, rig_file, content, says):
     """By `reveal`, and by a lab that is given the file."""
     sealed = tmp_path / "odd.sealed.json"
     sealed.write_text(sealed_as(content))
-    for words in (["reveal", sealed], ["--rig", LAB_RIG, "--sealed", sealed]):
+    for words in (["reveal", sealed], ["--rig", rig_file, "--sealed", sealed]):
         done = pneu(*words)
         assert done.exit_code == 2
         assert done.stderr.startswith(f"pneu: {sealed}: ") and done.stderr.count("\n") == 1
