@@ -89,6 +89,7 @@ class Tally:
 def _work(pipe: Connection, memory_bytes: int) -> None:
     """Runs cases as they are asked for, until the pipe ends."""
     from pneu_sim.cli import build_app
+    from pneu_sim.effects.registry import _loaded as loaded_effects
     from studies.fuzz_cases import make_case
 
     os.environ.pop("PNEU_TRACEBACK", None)
@@ -102,6 +103,7 @@ def _work(pipe: Connection, memory_bytes: int) -> None:
         except EOFError:
             return
         os.chdir(folder)
+        loaded_effects.clear()  # a process of its own would know those of no other case
         case = make_case(kind, seed, number, Path(folder))
         try:
             words = next(case)

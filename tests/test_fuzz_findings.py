@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from pneu_sim.cli import LONGEST_LINE, build_app
 from pneu_sim.documents import parse_yaml
+from pneu_sim.effects.registry import _loaded
 from pneu_sim.errors import InputError
 
 COMPARE = ["compare", "run.csv", "--rig", "text_rig.yaml", "--no-refine"]
@@ -141,6 +142,20 @@ def test_a_device_without_an_end(refused, words):
 def test_an_opening_that_cannot_be_drawn(refused, folder, old, new, named):
     change(folder / "rig.yaml", old, new)
     refused(["check", "rig.yaml"], "rig.yaml", "valves.valve.ports.fill", named)
+
+
+@pytest.mark.parametrize("method", ["places", "on_rig", "on_model"])
+def test_an_effect_of_ones_own_that_does_not_run(refused, folder, method):
+    text = (folder / "own.py").read_text()
+    assert f"def {method}(self" in text
+    head, found, rest = text.partition(f"def {method}(self")
+    line, end, body = rest.partition(":\n")
+    (folder / "own.py").write_text(f"{head}{found}{line}{end}        {{}}['nothing']\n{body}")
+    words = ["diagnose", "good.mcap", "--rig", "rig.yaml", "--no-refine", "--effects", "own.py"]
+    try:
+        refused(words, "own.py: effect", f"{method} does not run", "KeyError", "nothing")
+    finally:
+        _loaded.clear()  # the next test is told of the built-in ones alone
 
 
 # ---- messages -----------------------------------------------------------------------------------
@@ -270,6 +285,29 @@ def test_an_index_that_is_nowhere(folder, offset):
     ended = CliRunner().invoke(build_app(), ["bag", "info", "odd.mcap"], prog_name="pneu")
     assert ended.exit_code == 0, ended.output
     assert "Messages:          180" in ended.output
+
+
+def test_a_file_that_is_cut_anywhere_near_its_end(folder):
+    """Inside of the index, where lengths and offsets are read that are not there."""
+    good = (folder / "good.mcap").read_bytes()
+    app = build_app()
+    for size in range(len(good) - 400, len(good), 3):
+        (folder / "odd.mcap").write_bytes(good[:size])
+        ended = CliRunner().invoke(app, ["bag", "info", "odd.mcap"], prog_name="pneu")
+        assert ended.exit_code == 0, (size, ended.output)
+
+
+@pytest.mark.parametrize("length", [2**31, 2**63, 2**64 - 1])
+def test_a_chunk_that_says_it_is_endless(folder, length):
+    def lengthen(body):
+        body[36 : 36 + 8] = struct.pack("<Q", length)  # after times, size, checksum and b"zstd"
+
+    good = (folder / "good.mcap").read_bytes()
+    chunk = edited(good, 6, lengthen)
+    (folder / "odd.mcap").write_bytes(chunk[:-100])
+    ended = CliRunner().invoke(build_app(), ["bag", "info", "odd.mcap"], prog_name="pneu")
+    assert ended.exit_code == 0, ended.output
+    assert "damaged at byte" in ended.output
 
 
 def test_a_message_of_no_channel(folder):

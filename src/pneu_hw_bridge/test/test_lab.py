@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The emulated lab as others see it: through its registers, its control port and its command."""
 
+import base64
+import hashlib
 import json
 import math
 import signal
@@ -8,6 +10,7 @@ import socket
 import statistics
 import struct
 import time
+import zlib
 
 import numpy as np
 import pytest
@@ -306,6 +309,60 @@ def test_ends_on_a_signal_and_takes_its_ready_file_away(start_lab, tmp_path):
 # Sealed effects
 
 EFFECTS = "- {effect: leak, place: tube, parameters: {area_m2: 3.0e-7, position_m: 1.0}}\n"
+
+
+def sealed_as(content: bytes) -> str:
+    """A sealed file with some content, as if it had been sealed."""
+    return json.dumps(
+        {
+            "pneu_sealed": 1,
+            "sha256": hashlib.sha256(content).hexdigest(),
+            "content": base64.b64encode(zlib.compress(content)).decode(),
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b'[{"effect": "gremlin", "place": "tube"}]', "0.effect: effect 'gremlin' is unknown"),
+        (b'[{"effect": "leak", "place": "tube", "parameters": {"x": 1}}]', "found 'x', those of"),
+        (b'[{"effect": "leak"}]', "0.place"),
+        (b"not JSON", "the sealed content is no list of effects"),
+        (b"[" * 100_000, "the sealed content is no list of effects"),
+        (b"[" + b" " * (1 << 27) + b"]", "does not match its checksum"),
+    ],
+)
+def test_what_is_sealed_and_means_nothing(tmp_path, rig_file, content, says):
+    """By `reveal`, and by a lab that is given the file."""
+    sealed = tmp_path / "odd.sealed.json"
+    sealed.write_text(sealed_as(content))
+    for words in (["reveal", sealed], ["--rig", rig_file, "--sealed", sealed]):
+        done = pneu(*words)
+        assert done.exit_code == 2
+        assert done.stderr.startswith(f"pneu: {sealed}: ") and done.stderr.count("\n") == 1
+        assert says in done.stderr
+
+
+def test_a_sealed_file_that_is_cut_or_garbled(tmp_path):
+    good = sealed_as(b'[{"effect": "leak", "place": "tube", "parameters": {}}]').encode()
+    sealed = tmp_path / "odd.sealed.json"
+    wrong = [good[:size] for size in range(0, len(good), 7)]
+    wrong += [good[:at] + b"#" + good[at + 1 :] for at in range(2, len(good) - 1, 7)]
+    wrong += [b"[" * 100_000, b"\xff\xfe", b"null", b'{"pneu_sealed": ' + b"9" * 5000 + b"}"]
+    for content in wrong:
+        sealed.write_bytes(content)
+        done = pneu("reveal", sealed)
+        assert done.exit_code == 2, content
+        assert done.stderr.startswith(f"pneu: {sealed}: ") and done.stderr.count("\n") == 1
+
+
+def test_what_cannot_be_is_not_sealed(tmp_path):
+    plain, sealed = tmp_path / "effects.yaml", tmp_path / "sealed.json"
+    plain.write_text("- {effect: gremlin, place: tube}")
+    done = pneu("seal", plain, sealed)
+    assert done.exit_code == 2 and "'gremlin' is unknown; known are" in done.stderr
+    assert not sealed.exists()
 
 
 def test_sealed_effects_act_and_do_not_show(start_lab, tmp_path):

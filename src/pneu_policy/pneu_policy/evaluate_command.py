@@ -114,7 +114,7 @@ def evaluate(
         duration_s=duration,
         skip_s=skip,
     )
-    check_folder(output, "evaluation.json", ("table.md", "*.png", "tracks/*"), force)
+    check_folder(output, "evaluation.json", ("table.md", "errors.png", "runs-*.png"), force)
     check_output(json_file, force)
     if not 0.0 <= noise < 1e6:
         raise InputError(f"--noise: found {noise:g}, it must not be negative")

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which effects there are: built-in ones, those of installed packages, those of a user's file."""
 
+import functools
 import importlib.util
 import sys
+from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pneu_sim.effects.ambient_pressure import AmbientPressure
 from pneu_sim.effects.ambient_temperature import AmbientTemperature
@@ -169,7 +171,29 @@ def _check(kind: type[Effect], origin: str) -> None:
 
 def _add(kind: type[Effect], origin: str) -> None:
     _check(kind, origin)
-    _loaded[kind.name] = kind()
+    effect = kind()
+    if kind not in BUILT_IN:
+        for method in ("places", "limits", "on_rig", "on_model"):
+            setattr(effect, method, _told(getattr(effect, method), origin, kind.name))
+    _loaded[kind.name] = effect
+
+
+def _told(method: Callable[..., Any], origin: str, name: str) -> Callable[..., Any]:
+    """A method of a user's own effect; what it raises is the user's to read."""
+
+    @functools.wraps(method)
+    def call(*arguments: Any, **named: Any) -> Any:
+        try:
+            return method(*arguments, **named)
+        except InputError:
+            raise
+        except Exception as error:
+            message = " ".join(f"{type(error).__name__}: {error}".split())
+            raise InputError(
+                f"{origin}: effect {name!r}: {method.__name__} does not run ({message})"
+            ) from error
+
+    return call
 
 
 def find_effect(name: str) -> Effect:
