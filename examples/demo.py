@@ -6,6 +6,7 @@ was recorded later, with a fault that the program is not told.
 """
 
 import os
+import shutil
 import sys
 import time
 from pathlib import Path
@@ -56,7 +57,8 @@ def main() -> int:
     """Runs the story; returns the exit status."""
     os.chdir(ROOT)
     console = Console(width=140) if not sys.stdout.isatty() else Console()
-    (ROOT / OUT).mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(ROOT / OUT, ignore_errors=True)  # of an earlier run
+    (ROOT / OUT).mkdir(parents=True)
     started = time.monotonic()
     show_log()
     app = build_app()
