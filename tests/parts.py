@@ -20,6 +20,14 @@ MIXED = ("src/pneu_sim/test/test_stepper",)
 """Likewise of files in which single tests do, marked there."""
 
 LONGEST = (
+    "tests/test_faults.py",
+    "tests/test_graph",
+    "src/pneu_hw_bridge/test/test_valve_bridge",
+    "tests/test_faults_simulated",
+    "tests/test_pressure_study",
+    "src/pneu_sysid/test/test_identify_node",
+    "src/pneu_hw_bridge/test/test_faults",
+    "src/pneu_runtime/test/test_recorder",
     "tests/test_hidden_effects",
     "tests/test_real_data",
     "tests/test_several_recordings",

@@ -27,7 +27,7 @@ SIGMAS = 3.0
 def coarse(shape: str, rng: np.random.Generator) -> Rig:
     """A rig on longer cells, for what takes many runs; the step in time shows a little there."""
     rig = draw_rig(shape, rng)
-    rig.grid.dx_m = 0.1
+    rig.grid.dx_m, rig.grid.memory = 0.1, False
     return rig
 
 
