@@ -73,7 +73,7 @@ LAUGHED = "[" + LAUGHS.replace("\n", "").replace("l0:", "&m {l0:").replace("]l",
 HAZARDS = {
     "5000 digits": DIGITS,
     "400 digits": "9" * 400,
-    "deep": "[" * 3000 + "]" * 3000,
+    "deep": "[" * 1200 + "]" * 1200,
     "laughs": LAUGHED,
     "itself": "&m [*m]",
     "half a character": '"\\uD800"',

@@ -39,9 +39,11 @@ def times_noise(rig, recordings, **more) -> tuple[np.ndarray, np.ndarray]:
     return np.sqrt(np.sum(residual**2, axis=(0, 1)) / count), 1.0 / np.sqrt(2.0 * count)
 
 
-@pytest.mark.parametrize("moving", [False, True])
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(
+    ("shape", "moving"), [("line", False), *((s, k % 2 == 0) for k, s in enumerate(SHAPES))]
+)
 def test_an_exact_model_leaves_the_noise(shape: str, moving: bool) -> None:
+    """`make exact` has more of them."""
     rng = np.random.default_rng([SHAPES.index(shape), moving])
     rate = RATES[(2 * SHAPES.index(shape) + moving) % len(RATES)]
     rig = draw_rig(shape, rng)
