@@ -152,7 +152,7 @@ def test_one_launch_file_runs_the_controller_on_all_three(tmp_path):
         assert publishers == 1  # the recorded commands are elsewhere
         assert len(volts) > 150 and max(again) > 105e3
     ready = tmp_path / "ready"
-    lab = ("lab", "--rig", "rigs/lab.yaml", "--port", "0", "--control-port", "0")
+    lab = ("lab", "--rig", "rigs/lab.yaml", "--dx", "0.1", "--port", "0", "--control-port", "0")
     with process(*lab, "--allow-slow", "--ready-file", str(ready)), running_graph() as graph:
         wait_for(ready.is_file, 60.0)
         port = json.loads(ready.read_text())["modbus_port"]
