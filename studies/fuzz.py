@@ -25,8 +25,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from pneu_sim.progress import progress
 
 ROOT = Path(__file__).resolve().parent.parent
 KEPT = ROOT / "out" / "fuzz"
@@ -338,21 +337,14 @@ def main(arguments: list[str] | None = None) -> int:
     else:
         cases = [(kinds[n % len(kinds)], n // len(kinds)) for n in range(options.count)]
     begun = time.monotonic()
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    ) as bar:
-        task = bar.add_task("fuzzing", total=len(cases))
+    worker = Worker()
+    with progress("fuzzing") as tell:
 
         def told(kind: str, tallies: dict[str, Tally]) -> None:
+            done = sum(tally.cases for tally in tallies.values())
             failed = sum(len(tally.failed) for tally in tallies.values())
-            bar.update(task, advance=1, description=f"{kind}, {failed} failures")
+            tell("fuzzing", done / len(cases), f"{kind}, {failed} failures")
 
-        worker = Worker()
         try:
             tallies = run_cases(worker, cases, options.seed, KEPT, told)
         finally:

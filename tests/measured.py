@@ -89,6 +89,23 @@ class Watch:
         return stalled_s + (known_s or begun_s) - begun_s
 
 
+class Processor:
+    """How much of the machine's processors was free, from when it is made."""
+
+    def __init__(self):
+        self._idle, self._total = self._ticks()
+
+    @staticmethod
+    def _ticks():
+        ticks = [int(n) for n in Path("/proc/stat").read_text().split("\n")[0].split()[1:9]]
+        return ticks[3] + ticks[4], sum(ticks)  # idle and waiting for a disk; all
+
+    def free(self):
+        """The free share."""
+        idle, total = self._ticks()
+        return (idle - self._idle) / max(total - self._total, 1)
+
+
 def in_good_time(attempt, tries=3):
     """Makes an attempt, again where the machine stalled meanwhile."""
     for left in reversed(range(tries)):

@@ -4,7 +4,7 @@
 from pathlib import Path
 
 import pytest
-from tests.measured import MachineStalledError
+from tests.measured import MachineStalledError, Processor
 
 from pneu_policy.evaluate import file_for, provenance
 from pneu_policy.live import evaluate_live
@@ -20,6 +20,8 @@ LONG = LivePlant(
     ROOT / "rigs" / "plants" / "long.sealed.json",
 )
 LARGEST_BYTES = 200_000
+NOTHING_TO_SPARE = 0.05
+"""Share of the processors that is free on a machine too busy for the lab and the graph."""
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +56,11 @@ def test_on_the_lab_they_keep_the_order_of_the_table(table, tmp_path):
     tasks = Tasks(**{**asked, **changed})
     found = Evaluation(tasks.to_dict(), folder=tmp_path)
     controllers = {name: files_of(name, "long", table) for name in ("pde", "plate")}
+    processor = Processor()
     evaluate_live(found, controllers, [LONG], tasks)
     late = [run.note for run in found.runs if run.metrics is None]
-    if late:  # each had three tries
+    if late:  # each had three tries; only a machine with nothing to spare is an excuse
+        assert processor.free() < NOTHING_TO_SPARE, late
         raise MachineStalledError("; ".join(late))
 
     again = {run.controller: run.metrics.rmse_atm for run in found.runs}

@@ -10,7 +10,6 @@ What the packages log about themselves, such as that kernels are being compiled,
 """
 
 import importlib.metadata
-import logging
 import os
 import sys
 import traceback
@@ -21,10 +20,9 @@ import typer
 from typer.core import TyperGroup
 
 from pneu_sim.errors import InputError
+from pneu_sim.log import hand_on
 
 COMMANDS_GROUP = "pneu.commands"
-LOG = "pneu_sim"
-"""Name of the log whose messages are shown."""
 
 EXIT_INTERNAL_ERROR = 1
 EXIT_BAD_INPUT = 2
@@ -129,18 +127,9 @@ def main() -> None:
     app(prog_name="pneu")
 
 
-class _Shown(logging.Handler):
-    """Shows a log on stderr."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        _say(record.getMessage())
-
-
 def show_log() -> None:
-    """Has messages of the packages shown on stderr, as the command does."""
-    log = logging.getLogger(LOG)
-    log.setLevel(logging.INFO)
-    log.addHandler(_Shown())
+    """Has what the packages log shown on stderr, as the command does."""
+    hand_on(_say)
 
 
 def _print_version(wanted: bool) -> None:

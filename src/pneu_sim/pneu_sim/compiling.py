@@ -2,8 +2,7 @@
 """The compiler of the kernels, which says so when it has work: the first time, and once only.
 
 Kernels take `njit` from here. What is compiled is kept on disk, so that a message comes at the
-first start on a machine and after an update; it goes to the log named `LOG`, which the `pneu`
-command and the nodes show and a program that imports the library may.
+first start on a machine and after an update; it goes to the log (`pneu_sim.log`).
 """
 
 import logging
@@ -14,10 +13,8 @@ from typing import Any
 from numba import njit
 from numba.core import event
 
-__all__ = ["LOG", "njit"]
+__all__ = ["njit"]
 
-LOG = "pneu_sim.compiling"
-"""Name of the log, at level INFO."""
 WORTH_TELLING_S = 5.0
 
 
@@ -25,7 +22,7 @@ class _Compilations(event.Listener):
     """Says when compiling begins, for the first time, and how long a kernel that took long took."""
 
     def __init__(self) -> None:
-        self._log = logging.getLogger(LOG)
+        self._log = logging.getLogger(__name__)
         self._depth = threading.local()
         self._told = False
 

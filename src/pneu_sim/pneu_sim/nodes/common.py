@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every node of the graph does alike: QoS, parameters, stamps, diagnostics, start and end."""
 
-import logging
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -25,6 +24,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.task import Future
 
 from pneu_sim.errors import InputError
+from pneu_sim.log import LOG, hand_on
 from pneu_sim.nodes.lifetime import initialised
 
 COMMAND_QOS = QoSProfile(
@@ -219,24 +219,6 @@ def pause(seconds: float) -> None:
     steady_clock().sleep_for(Duration(seconds=max(seconds, 0.0)))
 
 
-class _Forwarded(logging.Handler):
-    """Hands what the numerics log on to the log of the graph."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        get_logger(record.name).info(record.getMessage())
-
-
-def forward_log() -> None:
-    """Has messages of the numerics, such as that they are being compiled, in the graph's log.
-
-    Where the process shows them already, as the `pneu` command does, nothing is changed.
-    """
-    log = logging.getLogger("pneu_sim")
-    if not log.handlers:
-        log.setLevel(logging.INFO)
-        log.addHandler(_Forwarded())
-
-
 def say_ready(node: Node, about: str = "") -> None:
     """Logs that a node answers; to be called when it is about to be spun.
 
@@ -260,7 +242,7 @@ def run_node(make: Callable[[], Node], args: list[str] | None) -> None:
     node: Node | None = None
     try:
         with initialised(args):
-            forward_log()
+            hand_on(get_logger(LOG).info)
             try:
                 node = make()
                 say_ready(node, getattr(node, "about", ""))

@@ -9,7 +9,6 @@ process that asked is gone: it clears up and ends.
 """
 
 import json
-import logging
 import math
 import os
 import shutil
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from pneu_sim.errors import InputError
+from pneu_sim.log import hand_on
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sysid.commands import fit_result, read_findings
 from pneu_sysid.compare import compare
@@ -181,9 +181,7 @@ def main() -> None:
     def tell(stage: str, done: float) -> None:
         _say(answers, stage=stage, progress=done)
 
-    log = logging.getLogger("pneu_sim")
-    log.setLevel(logging.INFO)
-    log.addHandler(_AsStage(tell))
+    hand_on(lambda text: tell(text, 0.0))
     try:
         outcome = perform(request, tell)
     except InputError as error:
@@ -191,17 +189,6 @@ def main() -> None:
     except OSError as error:
         outcome = Outcome(False, f"{error.filename}: {error.strerror}")
     _say(answers, **asdict(outcome))
-
-
-class _AsStage(logging.Handler):
-    """Tells messages of the numerics, such as that they are being compiled, as stages."""
-
-    def __init__(self, tell: Tell) -> None:
-        super().__init__()
-        self._tell = tell
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._tell(record.getMessage(), 0.0)
 
 
 def _say(stream: TextIO, **values: Any) -> None:
