@@ -28,6 +28,7 @@ from pneu_sim.rig.build import (
     S_LAG,
     S_OFFSET,
     V_DELAY,
+    V_NULL,
     Model,
     Plan,
     build,
@@ -35,7 +36,7 @@ from pneu_sim.rig.build import (
     reservoir_of_pipes,
 )
 from pneu_sim.rig.schema import Rig
-from pneu_sim.valve import KNOTS_PER_SAMPLE, batch_openings
+from pneu_sim.valve import KNOTS_PER_SAMPLE, batch_openings, longest_delay_s
 
 Floats = NDArray[np.float64]
 
@@ -111,7 +112,7 @@ class Plant(ABC):
         self._gain, self._bias = sensor[:, S_GAIN], sensor[:, S_BIAS]
         self._room = np.array([m.ambient[0] for m in models])
         self._spool = np.stack([m.spool for m in models])
-        self._null_v = self._spool[:, 0, 8].copy()
+        self._null_v = self._spool[:, 0, V_NULL].copy()
         self._curve = np.stack([m.curve for m in models])
         self._curve_v = np.stack([m.curve_v for m in models])
         self._port_valve = np.array(models[0].plan.port_valve, dtype=np.int64)
@@ -119,7 +120,7 @@ class Plant(ABC):
         self._fit_past()
 
     def _fit_past(self) -> None:
-        longest = float(self._spool[:, 0, V_DELAY].max(initial=0.0))
+        longest = longest_delay_s(self._spool[:, 0])
         self._past = math.ceil(longest / self._sample_s) + 1
         self._volts = np.repeat(self._null_v[:, None], self._past + self._samples + 1, axis=1)
         self._memory = np.zeros((self.count, 1, 4))

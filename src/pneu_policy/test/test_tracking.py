@@ -53,6 +53,21 @@ def test_a_plant_does_what_the_simulator_does(name, delay_s, lag_s, volts):
     assert np.ptp(want[:, plant.taps.index("end")]) > 1e5
 
 
+def test_a_plant_has_the_spool_of_the_simulator(volts):
+    rig = load_rig(SHORT)
+    spool = rig.valves["valve"].spool
+    spool.delay_s, spool.closing_delay_s, spool.max_speed_v_s = 0.002, 0.009, 200.0
+    plant = make_plant([rig] * 2, 0.01, 0.125)
+    plant.set_delay(np.array([0.0, 0.003]))
+    got = run(plant, volts)
+    held = np.repeat(volts, 5)
+    for lane, later_s in enumerate((0.0, 0.003)):
+        spool.delay_s, spool.closing_delay_s = 0.002 + later_s, 0.009 + later_s
+        taps = Simulator(rig, dx_m=0.125).run(0.01 * volts.size, {"voltage": held}, 0.002).taps
+        want = np.stack([taps[tap][::5] for tap in plant.taps], axis=-1)
+        assert np.abs(got[:, lane] - want).max() < 150.0
+
+
 def test_a_plant_comes_back_to_a_state_and_puts_it_into_other_lanes():
     rig = load_rig(SHORT)
     one = make_plant([rig], 0.01, 0.25)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pneu_sim.compiling import njit
 from pneu_sim.rig import build as B
-from pneu_sim.signals import Signal
+from pneu_sim.signals import SAME_S, Signal
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,6 +27,170 @@ def _zoh_integral(command: Floats, cumulative: Floats, dt: float, t: float) -> f
     last = command.size - 1
     i = min(int(t / dt), last)
     return cumulative[i] + command[i] * (t - i * dt)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _in_force(time: Floats, at: float) -> int:
+    """Which of some held commands is in force; the first also holds before its time."""
+    return max(int(np.searchsorted(time, at, side="right")) - 1, 0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _acting(
+    time: Floats, command: Floats, null: float, later: float, out_time: Floats, out_command: Floats
+) -> int:
+    """Changes of a command at the times they act, where closing takes longer than opening.
+
+    Args:
+        time: Times of the commands, s.
+        command: Volts, each held until the next.
+        null: Voltage that closes.
+        later: How much later than the others a change towards it acts, s; may be negative.
+        out_time: Times at which changes act but for the delay of opening, s; the first, from which
+            the others differ, has been there before any of them.
+        out_command: Volts from then on.
+
+    Returns:
+        How many there are.
+    """
+    out_time[0] = time[0] - abs(later)
+    out_command[0] = last = command[0]
+    n = 1
+    for i in range(1, time.size):
+        new = command[i]
+        if new == last:
+            continue  # no change: it supersedes nothing
+        at = time[i] + (0.0 if abs(new - null) > abs(last - null) else later)
+        while n > 1 and out_time[n - 1] > at - SAME_S:
+            n -= 1
+        out_time[n] = at
+        out_command[n] = new
+        n += 1
+        last = new
+    return n
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _means(time: Floats, command: Floats, begin: float, h: float, out: Floats) -> None:
+    """Means of a held command over successive intervals."""
+    i = _in_force(time, begin)
+    for k in range(out.size):
+        t = begin + k * h
+        end = begin + (k + 1) * h
+        base = command[i]
+        extra = 0.0  # beyond the first of the interval: a command that stays is met exactly
+        while i + 1 < time.size and time[i + 1] < end:
+            i += 1
+            t = max(t, time[i])
+            extra += (command[i] - command[i - 1]) * (end - t)
+        out[k] = base + extra / h
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _slew(
+    time: Floats,
+    command: Floats,
+    i: int,
+    begin: float,
+    end: float,
+    half: float,
+    speed: float,
+    target: float,
+    x: float,
+) -> tuple[int, float, float, float]:
+    """A spool that follows at once but for its speed, exactly, over half an interval of the knots.
+
+    Returns:
+        The command in force, the command after backlash and the position at the end, and the mean
+        position.
+    """
+    start = x
+    area = 0.0
+    t = begin
+    while True:
+        event = i + 1 < time.size and time[i + 1] < end
+        span = (max(time[i + 1], t) if event else end) - t
+        way = target - x
+        need = abs(way) / speed
+        if need >= span:
+            step = math.copysign(speed * span, way)
+            area += (x - start + 0.5 * step) * span
+            x += step
+        else:
+            area += (x - start + 0.5 * way) * need + (target - start) * (span - need)
+            x = target
+        if not event:
+            return i, target, x, start + area / (end - begin)
+        t += span
+        i += 1
+        target = min(max(target, command[i] - half), command[i] + half)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _rate_limited(
+    time: Floats,
+    command: Floats,
+    begin: float,
+    rest: float,
+    h: float,
+    row: Floats,
+    memory: Floats,
+    out: Floats,
+) -> None:
+    """Positions of a spool that follows at once but for its speed: its means about the knots.
+
+    The means make them smooth functions of the delay and the speed, as those of the command do for
+    a spool without a limit.
+
+    Args:
+        time: Times at which commands act but for the delay, s.
+        command: Volts from then on.
+        begin: Time of the first knot less the delay, s.
+        rest: Where a spool without a past stands, volts.
+        h: Interval of the knots, s.
+        row: Valve parameters.
+        memory: (4,) command after backlash and position at the last knot, and by how much the mean
+            position over the half interval before it differs.
+        out: (K + 1,) positions.
+    """
+    half = 0.5 * row[5]
+    speed = row[9]
+    i = _in_force(time, begin + SAME_S)
+    target, x, differs, _ = memory
+    if math.isnan(target):
+        target = x = rest
+        differs = 0.0
+    before = x + differs
+    target = min(max(target, command[i] - half), command[i] + half)
+    for k in range(out.size):
+        at = begin + k * h
+        middle = begin + (k + 0.5) * h
+        last = k == out.size - 1
+        if last:  # what lies ahead is the next call's to do
+            memory[0] = target
+            memory[1] = x
+            memory[2] = before - x
+        i, target, x, ahead = _slew(time, command, i, at, middle, half, speed, target, x)
+        out[k] = 0.5 * (before + ahead)
+        if not last:
+            end = begin + (k + 1) * h
+            i, target, x, before = _slew(time, command, i, middle, end, half, speed, target, x)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _response(w: float, zeta: float, h: float) -> tuple[float, float, float, float]:
+    """Exact response of the linear spool's distance and speed over a time."""
+    if zeta < 1.0:
+        wd = w * math.sqrt(1.0 - zeta * zeta)
+        e = math.exp(-zeta * w * h)
+        c = math.cos(wd * h)
+        s = math.sin(wd * h) / wd
+    else:
+        wd = w * math.sqrt(max(zeta * zeta - 1.0, 1e-12))
+        e = math.exp(-zeta * w * h)
+        c = math.cosh(wd * h)
+        s = math.sinh(wd * h) / wd
+    return e * (c + zeta * w * s), e * s, -e * w * w * s, e * (c - zeta * w * s)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -48,6 +212,7 @@ def _follow(
     zeta = row[1]
     ki = row[2]
     limit = row[3]
+    speed = row[9]
     half = 0.5 * row[5]
     target, x, v, acc = memory
     if math.isnan(target):
@@ -56,26 +221,13 @@ def _follow(
     if w <= 0.0:
         target = x = min(max(target, first - half), first + half)
     out[0] = x
-    linear = ki == 0.0 and limit == math.inf
+    limited = limit < math.inf or speed < math.inf
+    linear = ki == 0.0 and not limited
     sub = max(1, math.ceil(h * max(w, 1.0) / 0.05))
     hs = h / sub
-    # exact response of the linear spool over one knot interval
     a11 = a12 = a21 = a22 = 0.0
-    if w > 0.0 and linear:
-        if zeta < 1.0:
-            wd = w * math.sqrt(1.0 - zeta * zeta)
-            e = math.exp(-zeta * w * h)
-            c = math.cos(wd * h)
-            s = math.sin(wd * h) / wd
-        else:
-            wd = w * math.sqrt(max(zeta * zeta - 1.0, 1e-12))
-            e = math.exp(-zeta * w * h)
-            c = math.cosh(wd * h)
-            s = math.sinh(wd * h) / wd
-        a11 = e * (c + zeta * w * s)
-        a12 = e * s
-        a21 = -e * w * w * s
-        a22 = e * (c - zeta * w * s)
+    if w > 0.0 and (linear or limited):
+        a11, a12, a21, a22 = _response(w, zeta, h if linear else hs)
     for k in range(1, out.size):
         target = min(max(target, mean[k - 1] - half), mean[k - 1] + half)
         if w <= 0.0:
@@ -84,11 +236,28 @@ def _follow(
             d = x - target
             x = target + a11 * d + a12 * v
             v = a21 * d + a22 * v
+        elif limited:
+            for _ in range(sub):
+                # The exact step without limits, of which these let a share happen: all of it
+                # where none is reached, so that the step is continuous in them.
+                gain = 0.5 * ki * w * w * hs
+                half_acc = gain * (target - x)
+                goal = target + (acc + half_acc) / (w * w)
+                moved = goal + a11 * (x - goal) + a12 * v - x
+                faster = a21 * (x - goal) + a22 * v - v
+                allowed = min(max(faster, -limit * hs), limit * hs)
+                if abs(v + allowed) > speed:
+                    allowed = math.copysign(speed, v + allowed) - v
+                share = 1.0 if allowed == faster else allowed / faster
+                x += v * hs + share * (moved - v * hs)
+                v += allowed
+                # What the spool cannot follow must not wind up.
+                acc += share * (half_acc + gain * (target - x))
         else:
             for _ in range(sub):
                 acc += ki * w * w * (target - x) * hs
                 f = w * w * (target - x) - 2.0 * zeta * w * v + acc
-                v += hs * min(max(f, -limit), limit)
+                v += hs * f
                 x += hs * v
         out[k] = x
     memory[0] = target
@@ -106,7 +275,8 @@ def spool_positions(
     The command is averaged over each knot interval, so that a delay need not be a whole number of
     samples and small changes of it change the result smoothly. Backlash is a play operator on the
     command. The spool obeys thesis eq. 5.4, corrected: an acceleration that opposes the error, with
-    an optional integral term, limited in size.
+    an optional integral term, limited in size as its speed is. A spool that follows at once but for
+    its speed is solved exactly.
 
     Args:
         command: (past + T,) volts, held between samples.
@@ -114,24 +284,43 @@ def spool_positions(
         knots: Knots per sample interval.
         row: Valve parameters, see ``pneu_sim.rig.build``.
         past: How many of the commands lie before the first position.
-        memory: (4,) command after backlash, position, speed and integral term, changed in place; a
-            NaN first has the spool at rest on the first command.
+        memory: (4,) command after backlash, position, speed (of a spool that follows at once but
+            for its speed, how far its mean position over half an interval of the knots before
+            differs) and integral term, changed in place; a NaN first has the spool at rest on the
+            first command.
         out: ((T - 1) * knots + 1,) positions.
     """
     h = dt / knots
-    cumulative = np.zeros(command.size)
-    for i in range(1, command.size):
-        cumulative[i] = cumulative[i - 1] + command[i - 1] * dt
     origin = past * dt - row[4]
-    first = command[min(max(int(origin / dt + 1e-6), 0), command.size - 1)]
+    at_once = row[0] <= 0.0
+    slews = at_once and row[9] < math.inf
     # What follows at once is given the mean about its knot, what lags the one since the last.
-    origin += 0.5 * h if row[0] <= 0.0 else 0.0
-    before = _zoh_integral(command, cumulative, dt, origin)
-    mean = np.empty(out.size - 1)
-    for k in range(mean.size):
-        now = _zoh_integral(command, cumulative, dt, origin + (k + 1) * h)
-        mean[k] = (now - before) / h
-        before = now
+    shift = 0.5 * h if at_once else 0.0
+    mean = np.empty(0 if slews else out.size - 1)
+    if slews or row[10] != 0.0:
+        told = np.empty(command.size)
+        for i in range(command.size):
+            told[i] = i * dt
+        time = np.empty(command.size)
+        acting = np.empty(command.size)
+        n = _acting(told, command, row[8], row[10], time, acting)
+        if slews:
+            rest = command[past]
+            _rate_limited(time[:n], acting[:n], origin, rest, h, row, memory, out)
+            return
+        first = acting[_in_force(time[:n], origin + SAME_S)]
+        _means(time[:n], acting[:n], origin + shift, h, mean)
+    else:
+        cumulative = np.zeros(command.size)
+        for i in range(1, command.size):
+            cumulative[i] = cumulative[i - 1] + command[i - 1] * dt
+        first = command[min(max(int(origin / dt + 1e-6), 0), command.size - 1)]
+        origin += shift
+        before = _zoh_integral(command, cumulative, dt, origin)
+        for k in range(mean.size):
+            now = _zoh_integral(command, cumulative, dt, origin + (k + 1) * h)
+            mean[k] = (now - before) / h
+            before = now
     _follow(mean, first, command[past], h, row, memory, out)
 
 
@@ -174,7 +363,7 @@ def batch_openings(
         dt: Sample interval, s.
         knots: Knots per sample interval.
         past: How many of the commands lie before the first opening.
-        spool: (lanes, valves, 9) valve parameters, see ``pneu_sim.rig.build``.
+        spool: (lanes, valves, VALVE_COLUMNS) valve parameters, see ``pneu_sim.rig.build``.
         memory: (lanes, valves, 4) where the spools stand, changed in place; see `spool_positions`.
         port_valve: (ports,) valve of each port; -1 for an orifice, which is open.
         curve_v: (lanes, ports, 2) voltage range of the opening curve.
@@ -197,6 +386,19 @@ def batch_openings(
             lo, hi = curve_v[j, q]
             _port_openings(positions[v], spool[j, v], lo, hi, curve[j, q], column)
             out[:, q, j] = column
+
+
+def longest_delay_s(spool: Floats) -> float:
+    """How far back the commands lie that valves may still have to follow.
+
+    Args:
+        spool: (..., VALVE_COLUMNS) valve parameters.
+
+    Returns:
+        The longest delay of opening or closing, s.
+    """
+    late = spool[..., B.V_DELAY] + np.maximum(spool[..., B.V_CLOSING], 0.0)
+    return float(np.max(late, initial=0.0))
 
 
 @dataclass
@@ -260,7 +462,7 @@ def openings(
     spools = spools or SpoolState()
     for v, name in enumerate(plan.commands):
         x = np.empty(count)
-        valve, delay_s = plan.valves[v], float(model.spool[v, B.V_DELAY])
+        valve, delay_s = plan.valves[v], longest_delay_s(model.spool[v])
         past = spools.before(valve, delay_s, dt_s)
         series = np.concatenate([past, commands[name]])
         if valve not in spools.memory:
@@ -319,12 +521,26 @@ def openings_along(
     for v, name in enumerate(plan.commands):
         row = model.spool[v]
         signal = commands[name]
+        if row[B.V_CLOSING] != 0.0:
+            signal = _as_it_acts(signal, row)
+        positions[v] = np.empty(count)
         at = edges - row[B.V_DELAY]
         first = float(signal.held(at[0]))
+        rest = float(row[B.V_NULL]) if at_null else first
         if row[B.V_FREQUENCY] <= 0.0:
+            if row[B.V_SPEED] < math.inf:
+                _rate_limited(
+                    signal.time_s, signal.values, at[0], rest, step_s, row, memory[v], positions[v]
+                )
+                continue
             at = at + 0.5 * step_s
         mean = signal.mean_between(at)
-        rest = float(row[B.V_NULL]) if at_null else first
-        positions[v] = np.empty(count)
         _follow(mean, first, rest, step_s, row, memory[v], positions[v])
     return _of_ports(model, positions, count)
+
+
+def _as_it_acts(signal: Signal, row: Floats) -> Signal:
+    """A command whose closing changes are moved to when they act but for the delay of opening."""
+    time, values = np.empty(len(signal)), np.empty(len(signal))
+    n = _acting(signal.time_s, signal.values, row[B.V_NULL], row[B.V_CLOSING], time, values)
+    return Signal(time[:n], values[:n])

@@ -108,6 +108,14 @@ def test_delay_shifts_all_taps_by_itself(rig: Rig) -> None:
     np.testing.assert_allclose(delayed[2:], plain[:-2], rtol=1e-6)
 
 
+def test_delay_shifts_closing_as_it_does_opening(rig: Rig) -> None:
+    rig.valves["valve"].spool.closing_delay_s = 0.007
+    late = attach(rig, "valve_delay", "valve", delay_s=2.0 * DT_S)
+    plain, delayed = (openings(build(r), {"voltage": step_and_hold()}, DT_S) for r in (rig, late))
+    shift = 2 * KNOTS_PER_SAMPLE
+    np.testing.assert_allclose(delayed[shift:], plain[:-shift], atol=1e-9)
+
+
 def test_slow_spool_lags_a_ramp_by_the_lag(rig: Rig) -> None:
     ramp = 5.0 + np.arange(500) * DT_S * 2.0  # 2 V/s over a port of 5 V
     for bandwidth in (60.0, None):
@@ -249,6 +257,27 @@ def test_local_loss_costs_velocity_heads(blow_through: Rig) -> None:
     lossy, _ = steady_drop(attach(blow_through, "local_loss", "tube", K=4.0, position_m=0.5))
     head = 0.5 * (flow / 20e-6) ** 2 / mean_density(drop)
     assert lossy - drop == pytest.approx(4.0 * head, rel=0.05)
+
+
+@pytest.mark.parametrize("stub", [False, True])
+def test_losses_at_the_ends_of_pipes_cost_velocity_heads(blow_through: Rig, stub: bool) -> None:
+    """Two tubes in series, or two ways of a junction whose third is closed."""
+    tube = blow_through.pipes["tube"]
+    head_tube = tube.model_copy(update={"to_node": "joint", "length_m": 0.5})
+    tail = tube.model_copy(update={"from_node": "joint", "length_m": 0.5})
+    closed = tail.model_copy(update={"to_node": "closed", "length_m": 0.1, "loss_from": 50.0})
+    blow_through.pipes = {"tube": head_tube, "tail": tail}
+    if stub:
+        blow_through.pipes["stub"] = closed
+    blow_through.taps["far"] = blow_through.taps["far"].model_copy(
+        update={"pipe": "tail", "position_m": 0.3}
+    )
+    plain, flow = steady_drop(blow_through)
+    for losses in ((3.0, 0.0), (0.0, 2.0), (3.0, 2.0)):
+        head_tube.loss_to, tail.loss_from = losses
+        lossy, _ = steady_drop(blow_through)
+        head = 0.5 * (flow / 20e-6) ** 2 / mean_density(plain)
+        assert lossy - plain == pytest.approx(sum(losses) * head, rel=0.05)
 
 
 def test_blockage_loses_what_borda_and_carnot_say(blow_through: Rig) -> None:

@@ -31,4 +31,7 @@ class ValveDelay(Effect):
         return list(rig.valves)
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
-        rig.valves[place].spool.delay_s += values["delay_s"]
+        spool = rig.valves[place].spool
+        spool.delay_s += values["delay_s"]
+        if spool.closing_delay_s is not None:
+            spool.closing_delay_s += values["delay_s"]

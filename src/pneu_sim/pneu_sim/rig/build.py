@@ -25,7 +25,8 @@ CURVE_POINTS = 4097
 # Columns of a valve's row (see Model.spool).
 V_FREQUENCY, V_DAMPING, V_INTEGRAL, V_LIMIT, V_DELAY = 0, 1, 2, 3, 4
 V_HYSTERESIS, V_OFFSET, V_DEAD, V_NULL = 5, 6, 7, 8
-VALVE_COLUMNS = 9
+V_SPEED, V_CLOSING = 9, 10
+VALVE_COLUMNS = 11
 # Columns of a tap's row (see Model.sensor).
 S_LAG, S_GAIN, S_BIAS, S_OFFSET = 0, 1, 2, 3
 SENSOR_COLUMNS = 4
@@ -76,8 +77,9 @@ class Model:
         reservoir: (n_reservoirs, RESERVOIR_PARAMS).
         chamber: (n_chambers, CHAMBER_PARAMS).
         leaks: Slot, or -1 - chamber, to effective area, m^2.
-        spool: (n_valves, 9) natural frequency rad/s, damping, integral gain, acceleration limit,
-            delay, hysteresis, null offset, dead-band, null voltage.
+        spool: (n_valves, VALVE_COLUMNS) natural frequency rad/s, damping, integral gain,
+            acceleration limit, delay, hysteresis, null offset, dead-band, null voltage, speed
+            limit, how much longer than that the delay of closing is.
         curve: (n_ports, CURVE_POINTS) opening over ``curve_v``; orifices are constant.
         curve_v: (n_ports, 2) voltage range of the table.
         tap_slot: (n_taps,) slot left of the tap, or -1 - chamber.
@@ -419,6 +421,8 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
                     total = own + share * loss.resistance_pa_s_m / dx
                     cell[L.VISCOUS, first + i] = total
                     cell[L.TURBULENT, first + i] *= own / total
+        cell[L.LOSS, first] += pipe.loss_from / dx
+        cell[L.LOSS, first + n - 1] += pipe.loss_to / dx
         for leak in pipe.leaks:
             for i, share in _spread(leak.position_m, centres):
                 leaks[first + i] = leaks.get(first + i, 0.0) + share * leak.area_m2
@@ -453,6 +457,8 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
             s.null_offset_v,
             s.dead_band_v,
             s.null_v,
+            math.inf if s.max_speed_v_s is None else s.max_speed_v_s,
+            0.0 if s.closing_delay_s is None else s.closing_delay_s - s.delay_s,
         )
         for p in valve.ports.values():
             port[q] = (

@@ -187,6 +187,8 @@ class Pipe(Part):
         narrowings: Stretches of reduced area.
         volume_from_m3: Volume at the ``from`` end (a valve's chamber, a fitting).
         volume_to_m3: Volume at the ``to`` end.
+        loss_from: Velocity heads lost at the ``from`` end (a fitting, this branch of a junction).
+        loss_to: Velocity heads lost at the ``to`` end.
     """
 
     from_node: str = Field(alias="from")
@@ -202,6 +204,8 @@ class Pipe(Part):
     narrowings: list[Narrowing] = []
     volume_from_m3: NonNegative = 0.0
     volume_to_m3: NonNegative = 0.0
+    loss_from: NonNegative = 0.0
+    loss_to: NonNegative = 0.0
 
 
 class Reservoir(Part):
@@ -321,7 +325,13 @@ class Spool(Part):
         damping: Damping ratio.
         integral: Gain of the position loop's integral term, 1/s.
         max_acceleration_v_s2: Limit of the acceleration; None is unlimited.
+        max_speed_v_s: Limit of the speed; None is unlimited. A spool without a bandwidth follows
+            at once, but no faster.
         delay_s: Transport delay of the command.
+        closing_delay_s: Transport delay of a command that moves the spool towards ``null_v``, where
+            it differs; None is ``delay_s``. A change across null counts as closing unless it ends
+            farther from null than it began. What would act before an earlier change supersedes
+            it: a pulse shorter than the difference of the delays is swallowed.
         hysteresis_v: Backlash, full width.
         null_offset_v: Shift of the spool's null.
         dead_band_v: Overlap on each side of null.
@@ -332,7 +342,9 @@ class Spool(Part):
     damping: Positive = 0.8
     integral: NonNegative = 0.0
     max_acceleration_v_s2: Positive | None = None
+    max_speed_v_s: Positive | None = None
     delay_s: NonNegative = 0.0
+    closing_delay_s: NonNegative | None = None
     hysteresis_v: NonNegative = 0.0
     null_offset_v: Finite = 0.0
     dead_band_v: NonNegative = 0.0
