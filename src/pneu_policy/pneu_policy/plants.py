@@ -326,7 +326,7 @@ class PdePlant(Plant):
     def _advance(self, opening: Floats) -> Floats:
         series = np.empty((self._samples, len(self.taps), self.count))
         for tile, lanes in zip(self._tiles, self._lanes, strict=True):
-            taps, _, _ = tiles.advance(
+            taps, _, _ = tiles.advance_safely(
                 tile, self._samples + 1, self._n_sub, self.step_s,
                 np.ascontiguousarray(opening[:, :, lanes]), strict=False,
             )  # fmt: skip
@@ -337,7 +337,7 @@ class PdePlant(Plant):
         if len(self._tiles) == 1 and self._tiles[0].lanes == self.count:
             t = self._tiles[0]
             return [t.state, t.work, t.port_flow, t.reservoir_p, t.chamber_state]
-        return [_Spread(self._tiles, self._lanes, self.count, name) for name in _STATE]  # type: ignore[misc]
+        return [_Spread(self._tiles, self._lanes, self.count, name) for name in tiles.CHANGING]  # type: ignore[misc]
 
     def line(self, points: Sequence[tuple[str, int]]) -> Floats:
         """Gas at evenly spaced points of lines; see `Plant.line`.
@@ -358,9 +358,6 @@ class PdePlant(Plant):
                 gas[:, :, lanes] = tiles.gas_in(tile, slots)
             columns.append(gas.reshape(3 * n, self.count).T)
         return np.concatenate(columns, axis=1)
-
-
-_STATE = ("state", "work", "port_flow", "reservoir_p", "chamber_state")
 
 
 class _Spread:

@@ -68,6 +68,16 @@ def test_a_plant_has_the_spool_of_the_simulator(volts):
         assert np.abs(got[:, lane] - want).max() < 150.0
 
 
+def test_a_plant_takes_as_many_steps_as_its_gas_needs(volts):
+    rig = load_rig(SHORT)
+    runs = []
+    for speed_m_s in (900.0, 200.0):
+        rig.grid.wave_speed_m_s = speed_m_s
+        runs.append(run(make_plant([rig] * 3, 0.01, 0.125), volts))
+    assert np.abs(runs[1] - runs[0]).max() < 4e3
+    assert np.ptp(runs[0]) > 1e5
+
+
 def test_a_plant_comes_back_to_a_state_and_puts_it_into_other_lanes():
     rig = load_rig(SHORT)
     one = make_plant([rig], 0.01, 0.25)

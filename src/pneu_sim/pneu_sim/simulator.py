@@ -268,7 +268,7 @@ class Simulator:
             ]
         )
         n_sub = max(1, math.ceil(sample_s / self._plan.dt_s - 1e-9))
-        taps, flows, chambers = tiles.advance(
+        taps, flows, chambers = tiles.advance_safely(
             self._tile, steps + 1, n_sub, sample_s / n_sub, opening
         )
         time: Floats = self.time_s + np.arange(steps + 1, dtype=np.float64) * sample_s

@@ -2,7 +2,8 @@
 """A batch of rigs on one grid, as the arrays that the kernel works on, and stepping it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,11 @@ from pneu_sim.valve import KNOTS_PER_SAMPLE
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+MORE_STEPS = (2, 4, 8)
+"""A run that goes wrong is tried again with this many times as many steps, one after the other."""
+CHANGING = ("state", "work", "port_flow", "reservoir_p", "chamber_state")
+"""Arrays of a tile that its steps change."""
 
 
 @dataclass
@@ -108,7 +114,9 @@ def pack(
         port=lanes([m.port for m in models]),
         port_flow=np.zeros((plan.ports.shape[0], 2, w)),
         reservoir=reservoir,
-        reservoir_p=np.ascontiguousarray(reservoir[:, L.R_PRESSURE]),
+        reservoir_p=reservoir[
+            :, L.R_PRESSURE
+        ].copy(),  # of one reservoir, a view would be contiguous
         chamber=lanes([m.chamber for m in models]),
         chamber_state=np.zeros((len(plan.chambers), 2, w)),
         leak_slot=leak_slot,
@@ -326,8 +334,107 @@ def advance(
     )
     watch.step += (samples - 1) * n_sub
     if strict and not np.isfinite(tap_out).all():
-        raise InputError(
-            f"the simulation became unstable at a time step of {dt_s:.3g} s; raise"
-            " grid.wave_speed_m_s or lower grid.cfl"
-        )
+        raise unstable(dt_s, ())
     return tap_out, flow_out, chamber_out
+
+
+def advance_safely(
+    tile: Tile, samples: int, n_sub: int, dt_s: float, opening: Floats, strict: bool = True
+) -> tuple[Floats, Floats, Floats]:
+    """Advances a batch in place; lanes that are too fast for the step are done again with more.
+
+    The step is chosen before anything flows, for gas that is not hot and rushes at less than
+    ``grid.wave_speed_m_s``; no lane costs more than one that stays within that, until it does not.
+
+    Args:
+        tile: The batch.
+        samples: Recorded samples; the first is the present state.
+        n_sub: Steps between samples.
+        dt_s: Step, s.
+        opening: ((samples - 1) * KNOTS_PER_SAMPLE + 1, n_ports, lanes) openings.
+        strict: Whether a lane that stays unstable is an error; else it is not finite.
+
+    Returns:
+        As `advance`.
+
+    Raises:
+        InputError: A prediction is not finite however many steps it is given, and ``strict``.
+    """
+    before = {name: getattr(tile, name).copy() for name in CHANGING}
+    series = advance(tile, samples, n_sub, dt_s, opening, strict=False)
+    wrong = ~finite_lanes(series[0]) | ~(courant(tile, dt_s) <= 1.0)
+    for more in MORE_STEPS:
+        which = np.flatnonzero(wrong)
+        if which.size == 0:
+            break
+        part = some_lanes(tile, which)
+        for name, array in before.items():
+            getattr(part, name)[:] = array[..., which]
+        again = advance(
+            part,
+            samples,
+            n_sub * more,
+            dt_s / more,
+            np.ascontiguousarray(opening[..., which]),
+            strict=False,
+        )
+        for whole, some in zip(series, again, strict=True):
+            whole[..., which] = some
+        for name in CHANGING:
+            getattr(tile, name)[..., which] = getattr(part, name)
+        wrong[which] = ~finite_lanes(again[0]) | ~(courant(part, dt_s / more) <= 1.0)
+    if strict and not np.isfinite(series[0]).all():
+        raise unstable(dt_s)
+    return series
+
+
+def some_lanes(tile: Tile, which: Ints) -> Tile:
+    """A copy of some lanes of a batch.
+
+    Args:
+        tile: The batch.
+        which: The lanes.
+    """
+    common = ("models", "compliant", "memory", "leak_slot", "step_index")
+    arrays: dict[str, Any] = {
+        f.name: np.ascontiguousarray(getattr(tile, f.name)[..., which])
+        for f in fields(tile)
+        if f.name not in common
+    }
+    return replace(tile, models=[tile.models[int(j)] for j in which], **arrays)
+
+
+def courant(tile: Tile, dt_s: float) -> Floats:
+    """How many cells the fastest wave of each lane crosses in a step, as of the last sample.
+
+    Args:
+        tile: The batch; NaN where its gas is not finite.
+        dt_s: Step, s.
+    """
+    speed = np.abs(tile.work[L.W_U]) + tile.work[L.W_C]
+    crossed: Floats = dt_s * np.max(speed / tile.cell[L.LENGTH], axis=0)  # negative in ghosts
+    return crossed
+
+
+def finite_lanes(series: Floats) -> NDArray[np.bool_]:
+    """Which lanes of a series are finite throughout.
+
+    Args:
+        series: (..., lanes).
+    """
+    return np.asarray(np.isfinite(series).all(axis=tuple(range(series.ndim - 1))))
+
+
+def unstable(dt_s: float, tried: Sequence[int] = MORE_STEPS) -> InputError:
+    """The error of a run that is not finite.
+
+    Args:
+        dt_s: Its step, s.
+        tried: With how many times as many steps it was tried besides.
+    """
+    text = f"the simulation became unstable at a time step of {dt_s:.3g} s"
+    if tried:
+        text += f", and with up to {tried[-1]} times as many steps"
+    return InputError(
+        f"{text}; raise grid.wave_speed_m_s or lower grid.cfl, or look for a number in a wrong unit"
+    )
