@@ -114,9 +114,8 @@ def pack(
         port=lanes([m.port for m in models]),
         port_flow=np.zeros((plan.ports.shape[0], 2, w)),
         reservoir=reservoir,
-        reservoir_p=reservoir[
-            :, L.R_PRESSURE
-        ].copy(),  # of one reservoir, a view would be contiguous
+        # A copy: of one reservoir, a view would be contiguous, and change with the pressure.
+        reservoir_p=reservoir[:, L.R_PRESSURE].copy(),
         chamber=lanes([m.chamber for m in models]),
         chamber_state=np.zeros((len(plan.chambers), 2, w)),
         leak_slot=leak_slot,
