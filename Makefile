@@ -14,7 +14,7 @@ BENCH_VENV := .venv-bench
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test bench lint format bags folder-is-named exact thinned confusion fuzz \
+.PHONY: help demo test bench lint format bags folder-is-named exact calibration thinned confusion fuzz \
 	study-pressure clean \
 	clean-kernels
 
@@ -48,6 +48,9 @@ folder-is-named:
 
 exact: $(VENV)/.ready-run  ## slow: exact models of rigs drawn at random, compared, diagnosed, fitted
 	@$(RUN) -m studies.exact
+
+calibration: $(VENV)/.ready-run  ## slow: rigs drawn at random, fitted from datasheets; BAGS=folders besides
+	@$(RUN) -m studies.calibration $(BAGS)
 
 thinned: folder-is-named $(VENV)/.ready-run  ## slow: labelled bags with fewer readings, BAGS=folder
 	@$(RUN) -m studies.thinned "$(BAGS)"

@@ -40,7 +40,7 @@ def errors(rig: Rig, recording: Recording) -> tuple[list[float], list[float]]:
 
 def strayed(rig: Rig, recording: Recording) -> tuple[float, int, int]:
     """How far a fit that starts at the truth leaves it: rms and number of parameters over 3 s.e."""
-    outcome = fit_rig(rig, recording, stages_s=(), iterations=2)
+    outcome = fit_rig(rig, recording, approach=False, iterations=2)
     estimate = outcome.estimate
     truth = np.array(
         [np.log(s) if p.log else s for s, p in zip(outcome.start, outcome.parameters, strict=True)]

@@ -88,7 +88,7 @@ def test_ventilator(tmp_path: Path) -> None:
     gauge = recording.pressures["airway"].values - nominal.ambient.pressure_pa
     assert np.quantile(gauge, 0.9) / 98.0665 == pytest.approx(15.0, rel=0.1)
 
-    fitted = ventilator.fit_rig(nominal, recording, hold_out=True, stages_s=())
+    fitted = ventilator.fit_rig(nominal, recording, hold_out=True, approach=False)
     problem = make_problem(nominal, recording)
     error = problem.target() - problem.predict([nominal])[0]
     before = float(np.sqrt(np.nanmean(error[problem.held_out] ** 2)))

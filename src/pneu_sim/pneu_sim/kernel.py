@@ -956,6 +956,22 @@ def _head(w, j, end, flow, heads, ends, P, S, X):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _most_out(w, j, end, flow, gamma, order, ends, P, S, X):
+    """Most that can leave a pipe end, kg/s, its gas sonic there; infinite if ``flow`` is far below.
+
+    A port that would take more is wider than the pipe: the pipe's own end chokes, along the
+    isentrope and the characteristic that arrive there (as in `vessel_state`).
+    """
+    d, v, p = _face_state(end, w, j, order, ends, S, X)
+    c = math.sqrt(gamma * p / d)
+    face = P[L.FACE, ends[end, L.E_FACE] * w + j]
+    if flow < 0.4 * d * c * face:
+        return math.inf
+    cf = min(max(2.0 / (gamma + 1.0) * c + (gamma - 1.0) / (gamma + 1.0) * v, 0.1 * c), c + abs(v))
+    return face * cf * d * math.exp(2.0 / (gamma - 1.0) * math.log(cf / c))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _ports(
     w,
     gamma,
@@ -1063,6 +1079,12 @@ def _ports(
                 ratio,
                 1.0 - width,
             )
+            if m > 0.0 and ka == L.SIDE_END:
+                most = _most_out(w, j, ia, m, gamma, order, ends, P, S, X)
+                m = min(m, max(most - port_net[ia, j], 0.0))
+            elif m < 0.0 and kb == L.SIDE_END:
+                most = _most_out(w, j, ib, -m, gamma, order, ends, P, S, X)
+                m = max(m, min(port_net[ib, j] - most, 0.0))
             up_kind, up_index, up_t = (ka, ia, ta) if m >= 0.0 else (kb, ib, tb)
             h0 = cp * up_t
             if up_kind == L.SIDE_END:

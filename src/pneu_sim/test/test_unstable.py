@@ -144,3 +144,48 @@ def test_a_regulator_sags_by_its_droop_and_comes_back() -> None:
         assert 8e5 - sagged > 1e4
     simulator.run(0.3, {"volts": 0.0})
     assert simulator.state("feed")["pressure"] == pytest.approx(8e5, rel=2e-3)
+
+
+@pytest.mark.parametrize("head", [1.0, 2.0])
+def test_a_port_wider_than_its_tube_chokes_the_tube(head: float) -> None:
+    """What passes from a vessel through a frictionless tube is what a nozzle of its bore passes."""
+    area, pressure, temperature = 5e-6, 6e5, 293.15
+    still = {
+        "laminar": 0.0,
+        "turbulent": 0.0,
+        "unsteady": 0.0,
+        "nusselt": 0.0,
+        "heat_turbulent": 0.0,
+        "heat_unsteady": 0.0,
+    }
+    port = {
+        "from": "out",
+        "to": "room",
+        "conductance_m3_s_pa": 5e-8,  # five times what the bore lets pass
+        "jet_loss": 2.0,
+        "inlet_head": head,
+        "opening": {"voltage_v": [5.0, 10.0], "fraction": [0.0, 1.0]},
+    }
+    rig = Rig.model_validate(
+        {
+            "name": "wide",
+            "reservoirs": {"tank": {"pressure_pa": pressure}, "room": {"pressure_pa": 101325.0}},
+            "pipes": {
+                "tube": {
+                    "from": "tank",
+                    "to": "out",
+                    "length_m": 0.5,
+                    "area_m2": area,
+                    "wall": still,
+                }
+            },
+            "valves": {"valve": {"command": "volts", "ports": {"port": port}}},
+            "commands": {"volts": {}},
+            "taps": {"middle": {"pipe": "tube", "position_m": 0.25}},
+        }
+    )
+    out = Simulator(rig).run(0.3, {"volts": 10.0})
+    gamma, gas = 1.4, 287.05
+    choked = area * pressure * np.sqrt(gamma / (gas * temperature))
+    choked *= (2.0 / (gamma + 1.0)) ** ((gamma + 1.0) / (2.0 * (gamma - 1.0)))
+    np.testing.assert_allclose(out.flows["valve.port"][-50:], choked, rtol=0.02)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from pneu_sim.effects import Effect, registry
 from pneu_sim.effects.base import POSITION
 from pneu_sim.rig.schema import AttachedEffect, Rig
-from pneu_sysid.fit import residual_function
 from pneu_sysid.gauss_newton import Variable, huber_cost, minimise
 from pneu_sysid.problem import Problem
+from pneu_sysid.stages import residual_function
 
 Floats = NDArray[np.float64]
 

@@ -5,6 +5,7 @@ The numerics are imported by the command that uses them: `pneu --help` does with
 """
 
 import math
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,7 +20,8 @@ from pneu_sim.outputs import check_folder, check_output
 from pneu_sim.progress import progress
 
 if TYPE_CHECKING:
-    from pneu_sim.rig.schema import Rig
+    from pneu_sim.progress import Tell
+    from pneu_sim.rig.schema import FitParameter, Rig
     from pneu_sysid.diagnose import Diagnosis
     from pneu_sysid.fit import FitOutcome
     from pneu_sysid.records import Recording
@@ -144,7 +146,15 @@ def fit(
     output: Annotated[Path, typer.Option("-o", "--output", help="Fitted rig file.")],
     robust: Annotated[bool, typer.Option(help="Huber loss, for recordings with outliers.")] = False,
     hold_out: Annotated[bool, typer.Option(help="Keep a third of the recording aside.")] = False,
-    iterations: Annotated[int, typer.Option(help="Gauss-Newton iterations.", min=1)] = 8,
+    iterations: Annotated[
+        int, typer.Option(help="Gauss-Newton iterations of a step, at most.", min=1)
+    ] = 8,
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Fit even a rig file that seems grossly wrong.")
+    ] = False,
+    show_list: Annotated[
+        bool, typer.Option("--list", help="Show what would be fitted, and end.")
+    ] = False,
     effects: EffectsPath = None,
     json_path: JsonPath = None,
     report: HtmlPath = None,
@@ -153,14 +163,20 @@ def fit(
 ) -> None:
     """Fit a rig's base parameters to recordings."""
     from pneu_sim.rig import save_rig
-    from pneu_sysid.fit import fit_rig
+    from pneu_sysid.fit import fit_rig, parameters_of
 
     console = _console()
     for path in (output, json_path, report):
         check_output(path, force)
     start = _load(rig, effects)
+    if show_list:
+        console.print(_parameter_list(parameters_of(start)))
+        return
     recordings = _read(bag, start, console)
+    begun = time.monotonic()
     with progress("fitting") as tell:
+        if not anyway:
+            _refuse_gross_errors(rig, start, recordings, workers, tell)
         outcome = fit_rig(
             start,
             recordings,
@@ -168,39 +184,79 @@ def fit(
             hold_out=hold_out,
             iterations=iterations,
             workers=workers,
-            progress=lambda stage, i, cost: tell(
-                f"fitting to a horizon of {stage}", i / iterations, f"cost {cost:.4g}"
-            ),
+            progress=tell,
         )
     save_rig(outcome.rig, output)
-    result = fit_result(str(rig), str(output), recordings, outcome)
-    table = Table(title=f"{start.name} fitted to {_titled(recordings)}")
-    for column, side in (
-        ("parameter", "left"),
-        ("start", "right"),
-        ("value", "right"),
-        ("std. error", "right"),
-        ("", "left"),
-    ):
-        table.add_column(column, justify=side)  # type: ignore[arg-type]
-    for p in result.parameters:
-        note = "at bound" if p.at_bound else "" if p.identified else "not identified"
-        error = "-" if p.std_error is None else f"{p.std_error:.2g}"
-        name = p.path if p.recording is None else f"{p.path} in {p.recording}"
-        table.add_row(name, f"{p.start:.5g}", f"{p.value:.5g}", error, note)
-    console.print(table)
+    result = fit_result(str(rig), str(output), recordings, outcome, time.monotonic() - begun)
+    console.print(_fitted_table(f"{start.name} fitted to {_titled(recordings)}", result))
     columns = {"noise": result.noise_floor_pa, "fitted": result.rmse_pa}
     if result.held_out_rmse_pa:
         columns["held out"] = result.held_out_rmse_pa
     console.print(_error_table("error per tap", columns))
     for warning in outcome.warnings:
         console.print(warning, style="yellow")
-    console.print(f"condition number {outcome.estimate.condition:.2g}; wrote {output}")
+    if outcome.shortfall is None:
+        console.print("Every tap is within twice its noise.")
+    else:
+        for k, line in enumerate(outcome.shortfall.lines):
+            console.print(line, style="bold red" if k == 0 else "yellow")
+    console.print(f"condition number {outcome.known.condition:.2g}; wrote {output}")
     _finish(result, json_path, report, console, fit=result.as_dict())
 
 
+def _refuse_gross_errors(
+    path: Path, rig: "Rig", recordings: "list[Recording]", workers: int | None, tell: "Tell"
+) -> None:
+    """Refuses a rig file with which no fit would mean anything."""
+    from pneu_sysid.fit import gross_errors_in
+
+    tell("looking for gross errors")
+    found = gross_errors_in(rig, recordings, workers)
+    if found:
+        more = f" (and {len(found) - 1} more: {found[1].sentence})" if len(found) > 1 else ""
+        raise InputError(f"{path}: {found[0].sentence}{more}; --anyway fits it all the same")
+
+
+def _parameter_list(parameters: "list[FitParameter]") -> Table:
+    """What would be fitted, as a table."""
+    table = Table(title=f"{len(parameters)} parameters")
+    table.add_column("path")
+    for column in ("lower", "upper", "uncertain by"):
+        table.add_column(column, justify="right")
+    for p in parameters:
+        std = "all of it" if p.std is None else f"{p.std:.3g}"
+        table.add_row(p.path, f"{p.lower:.4g}", f"{p.upper:.4g}", std)
+    return table
+
+
+def _fitted_table(title: str, result: "FitResult") -> Table:
+    """Fitted parameters that the recordings show; the points of curves are in JSON and report."""
+    table = Table(title=title)
+    for column in ("parameter", "start", "value", "std. error", ""):
+        table.add_column(column, justify="left" if column in ("parameter", "") else "right")
+    points: dict[str, int] = {}
+    for p in result.parameters:
+        curve, _, point = p.path.rpartition(".fraction.")
+        if point.isdigit():
+            points[curve] = points.get(curve, 0) + 1
+            continue
+        if not p.identified and not p.held:
+            continue
+        note = "held" if p.held else "at bound" if p.at_bound else ""
+        error = "-" if p.std_error is None else f"{p.std_error:.2g}"
+        name = p.path if p.recording is None else f"{p.path} in {p.recording}"
+        table.add_row(name, f"{p.start:.5g}", f"{p.value:.5g}", error, note)
+    for curve, count in points.items():
+        table.add_row(f"{curve}: {count} points", "", "in the file", "", "")
+    return table
+
+
 def fit_result(
-    rig: str, output: str | None, recordings: "Sequence[Recording]", outcome: "FitOutcome"
+    rig: str,
+    output: str | None,
+    recordings: "Sequence[Recording]",
+    outcome: "FitOutcome",
+    seconds: float | None = None,
 ) -> "FitResult":
     """The JSON result of a fit.
 
@@ -209,31 +265,37 @@ def fit_result(
         output: Rig file written.
         recordings: The recordings.
         outcome: The outcome.
+        seconds: How long it took, s.
     """
-    from pneu_sim.rig.parameters import value_of
-    from pneu_sysid.fit import pairs_above
-    from pneu_sysid.results import Correlation, FitResult, FittedParameter, pneu_version
+    from pneu_sysid.results import (
+        Correlation,
+        FitResult,
+        FitShortfall,
+        FittedParameter,
+        pneu_version,
+    )
+    from pneu_sysid.uncertainty import pairs_above
 
-    estimate = outcome.estimate
+    known = outcome.known
     parameters = [
         FittedParameter(
             path=p.path,
             recording=p.recording,
-            value=value_of(outcome.rig, p),
-            start=start,
+            value=outcome.values[k],
+            start=outcome.start[k],
             std_error=p.std_error,
-            at_bound=bool(bound),
-            identified=bool(seen),
+            at_bound=bool(known.at_bound[k]),
+            identified=bool(known.seen[k]),
+            held=bool(known.held[k]),
             lower=p.lower,
             upper=p.upper,
         )
-        for p, start, bound, seen in zip(
-            outcome.parameters, outcome.start, estimate.at_bound, estimate.visible, strict=True
-        )
+        for k, p in enumerate(outcome.parameters)
     ]
     names = [p.path for p in outcome.parameters]
     calibration = outcome.rig.calibration
     assert calibration is not None
+    short = outcome.shortfall
     return FitResult(
         pneu_version=pneu_version(),
         recording=_titled(recordings),
@@ -246,14 +308,23 @@ def fit_result(
         output=output,
         parameters=parameters,
         correlations=[
-            Correlation(a=names[a], b=names[b], value=float(estimate.correlation[a, b]))
-            for a, b in pairs_above(estimate.correlation, 0.9)
+            Correlation(a=names[a], b=names[b], value=value)
+            for a, b, value in pairs_above(known.correlation, 0.9)
         ],
-        condition=estimate.condition,
+        condition=known.condition,
         warnings=outcome.warnings,
+        shortfall=None
+        if short is None
+        else FitShortfall(
+            times_noise=dict(short.by_tap),
+            sentence=short.sentence,
+            where=short.where,
+            help=short.help,
+        ),
         rmse_pa=dict(outcome.rmse_pa),
         held_out_rmse_pa=dict(outcome.held_out_rmse_pa),
-        history=list(estimate.history),
+        history=list(outcome.estimate.history),
+        seconds=seconds,
     )
 
 

@@ -1,36 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fitting a rig's base parameters to a recording, and saying what the recording cannot tell."""
+"""Calibrating a rig: fitting its base parameters to recordings, and what is then known of them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim.errors import InputError
 from pneu_sim.rig.schema import Calibration, FitParameter, Rig
-from pneu_sysid.gauss_newton import Estimate, Variable, minimise
+from pneu_sysid.curves import with_own_curves
+from pneu_sysid.gauss_newton import Estimate, jacobian
 from pneu_sysid.parameters import (
-    curve_ties,
+    calibrated_parameters,
     default_parameters,
     joined,
+    listed_parameters,
     one_each,
     rig_at,
     variables_of,
 )
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
+from pneu_sysid.shortfall import ENOUGH, Shortfall, effects_that_help, shortfall_of
+from pneu_sysid.spools import try_limits, try_spools
+from pneu_sysid.stages import (
+    Step,
+    Tell,
+    Work,
+    is_slow,
+    problem_of,
+    residual_function,
+    settled,
+    start_of,
+    steps_of,
+    take,
+    weight_of,
+)
+from pneu_sysid.uncertainty import Known, known_of, warnings_of
 
 Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
-STAGES_S = (0.1, 0.25)
-"""Short horizons come first: over them the response is closer to linear in the parameters."""
-COARSEN = 2.0
-"""The short stages run on cells this much longer."""
-UNSTABLE = 1e4
-"""Residual, in noise deviations, that a simulation counts with once it is unstable."""
-CONDITION_LIMIT = 1e6
 STRANGE = 3.0
 """A recording with so many times the error of the best one is told to be another's."""
 
@@ -41,10 +52,13 @@ class FitOutcome:
 
     Attributes:
         rig: Fitted rig, with ``calibration`` and standard errors filled in.
-        parameters: What was fitted.
+        parameters: What was fitted, or would have been had the recordings shown it.
         start: Value of each before.
-        estimate: The estimation in its own variables.
-        warnings: What the recording cannot identify, in plain words.
+        values: Value of each after.
+        known: What is known of each.
+        estimate: The last estimation in its own variables, of those that the recordings show.
+        warnings: What the recordings cannot tell, and recordings that differ, in plain words.
+        shortfall: Where the fitted rig stops short of the noise; None where it does not.
         rmse_pa: Residual per tap on the part used.
         held_out_rmse_pa: Residual per tap on the part kept aside.
     """
@@ -52,13 +66,16 @@ class FitOutcome:
     rig: Rig
     parameters: list[FitParameter]
     start: list[float]
+    values: list[float]
+    known: Known
     estimate: Estimate
     warnings: list[str]
+    shortfall: Shortfall | None
     rmse_pa: dict[str, float]
     held_out_rmse_pa: dict[str, float]
 
 
-def tap_rmse(problem: Problem, readings: Floats, chosen: NDArray[np.bool_]) -> dict[str, float]:
+def tap_rmse(problem: Problem, readings: Floats, chosen: Mask) -> dict[str, float]:
     """Root mean square error per tap over chosen stretches, Pa.
 
     Args:
@@ -76,52 +93,36 @@ def tap_rmse(problem: Problem, readings: Floats, chosen: NDArray[np.bool_]) -> d
     }
 
 
-def residual_function(
-    problem: Problem, chosen: NDArray[np.bool_], rig_of: Callable[[Floats], Rig]
-) -> Callable[[Sequence[Floats]], Floats]:
-    """Batched residuals over chosen stretches for `gauss_newton.minimise`.
-
-    Args:
-        problem: The problem.
-        chosen: (n_stretches,) stretches to use.
-        rig_of: Rig at a parameter vector.
-    """
-    target = problem.target()[chosen]
-
-    def residuals(points: Sequence[Floats]) -> Floats:
-        y = problem.simulate([rig_of(x) for x in points], strict=False).readings[:, chosen]
-        r = np.where(np.isfinite(target), (target - y) / problem.noise_pa, 0.0)
-        # a trial that no longer can be simulated is only a bad one
-        r[~(np.abs(r) < UNSTABLE)] = UNSTABLE
-        return r.reshape(len(points), target.shape[0], -1)
-
-    return residuals
-
-
 def fit_rig(
     rig: Rig,
     recording: Recording | Sequence[Recording],
     parameters: list[FitParameter] | None = None,
     hold_out: bool = False,
     robust: bool = False,
-    stages_s: Sequence[float] = STAGES_S,
+    approach: bool = True,
     iterations: int = 8,
     workers: int | None = None,
-    progress: Callable[[str, int, float], None] | None = None,
+    progress: Tell | None = None,
 ) -> FitOutcome:
     """Fits a rig to recordings by bounded Gauss-Newton on its predictions (thesis 8.1.1, 8.1.2).
 
+    A rig that is only known from datasheets is approached in steps, as an engineer would: what
+    flows, then how fast valves and waves are, then everything. Its ports get opening curves of
+    their own, its spools limits where the recordings show them. What the recordings do not show is
+    left as it is.
+
     Args:
-        rig: Start values; its ``fit.parameters`` say what may change, else the default list.
+        rig: Start values; its ``fit`` section says what may change, else the list that follows
+            from the rig (`calibrated_parameters`).
         recording: The recording, or several: parameters are shared but those that have one value
             each.
         parameters: Replaces the list.
         hold_out: Keep every third stretch aside; of three recordings or more every third one.
         robust: Huber loss.
-        stages_s: Horizons of the preliminary stages.
-        iterations: Gauss-Newton iterations of the last stage.
+        approach: Whether the rig has to come near first; else it is nearly right.
+        iterations: Gauss-Newton iterations of a step at most.
         workers: Threads of a batch.
-        progress: Called with stage, iteration and cost.
+        progress: Called with a stage, the fraction done and a note.
 
     Returns:
         The outcome.
@@ -129,94 +130,326 @@ def fit_rig(
     Raises:
         InputError: The rig has nothing to fit.
     """
-    chosen_parameters = parameters or rig.fit.parameters or default_parameters(rig)
-    if not chosen_parameters:
+    recordings = [recording] if isinstance(recording, Recording) else list(recording)
+    given = parameters or rig.fit.parameters
+    drawn = with_own_curves(rig) if rig.model == "pde" and approach and not given else rig
+    every, held = _list_of(drawn, given, recordings)
+    if not every:
         raise InputError(
             f"rig {rig.name!r}: fit.parameters is empty and a {rig.model} model of this rig has no"
             " parameters by default, at least one is needed"
         )
-    recordings = [recording] if isinstance(recording, Recording) else list(recording)
-    listed_before = chosen_parameters
-    chosen_parameters = one_each(chosen_parameters, [r.name for r in recordings])
-    first = variables_of(rig, chosen_parameters)
-    start = [
-        float(np.exp(v.value)) if p.log else v.value
-        for v, p in zip(first, chosen_parameters, strict=True)
-    ]
-    horizon = rig.fit.horizon_s
-    plan: list[tuple[float | None, float | None, int]] = []
-    if rig.model == "pde":
-        coarse = COARSEN * rig.grid.dx_m
-        plan += [(h, coarse, 5) for h in stages_s if horizon is not None and h < 0.8 * horizon]
-        plan += [(None, coarse, iterations)] if plan else []
-    if not plan:
-        plan.append((None, None, iterations))
-    # Each stage finds anew how the recordings began: the last one with a rig that is nearly right.
-    plan.append((None, None, max(3, iterations // 2)))
-    now = rig
-    estimate: Estimate | None = None
-    problem = make_problem(rig, recordings, workers=workers)
-    for horizon_s, dx_m, steps in plan:
-        problem = make_problem(
-            rig,
-            recordings,
-            pull_s=None if horizon_s is None else horizon_s / np.sqrt(3.0),
-            dx_m=dx_m,
-            workers=workers,
-        )
-        used = ~problem.held_out if hold_out else np.ones(problem.stretches, dtype=bool)
-        at = now
-        # The datasheet stays the centre of the prior through all stages.
-        variables = [
-            Variable(v.name, v.value, v.lower, v.upper, v.step, v.std, centre=f.value)
-            for v, f in zip(variables_of(at, chosen_parameters), first, strict=True)
-        ]
-        label = f"{horizon_s or horizon or recordings[0].end_s:g} s"
-        estimate = minimise(
-            residual_function(problem, used, partial(rig_at, at, chosen_parameters)),
-            variables,
-            iterations=steps,
-            robust=robust,
-            ties=curve_ties(at, chosen_parameters),
-            progress=None if progress is None else partial(progress, label),
-        )
-        now = rig_at(at, chosen_parameters, estimate.values)
-    assert estimate is not None
-    readings = problem.predict([now])[0]
-    used = ~problem.held_out if hold_out else np.ones(problem.stretches, dtype=bool)
-    rmse = tap_rmse(problem, readings, used)
-    held = tap_rmse(problem, readings, ~used)
-    std_errors = [
-        float(s * (np.exp(v) if p.log else 1.0))
-        for s, v, p in zip(estimate.std_errors, estimate.values, chosen_parameters, strict=True)
-    ]
+    steps = steps_of(drawn, approach, iterations)
+    job = _Job(
+        recordings,
+        bool(given),
+        hold_out,
+        robust,
+        workers,
+        _work(drawn, steps, recordings, len(every), progress),
+        dict(zip(map(_key, every), _inner(every, start_of(drawn, every)), strict=True)),
+    )
+    last: _Taken | None = None
+    now = drawn
+    unseen: set[Key] = set()
+    for step in steps:
+        if step.again and last is not None and settled(last.estimate):
+            continue
+        now, every = _tried(job, now, step, every, last)
+        last = _taken(job, now, step, every, held, unseen, last)
+        now = last.rig
+        if not step.slow:
+            unseen |= _unseen(last.fitted, last.estimate)
+        job.work.finish(step)
+    assert last is not None
+    return _outcome(job, every, held, last)
+
+
+def parameters_of(rig: Rig) -> list[FitParameter]:
+    """What `fit_rig` would fit of a rig, without the limits of spools that it may find.
+
+    Args:
+        rig: The rig.
+    """
+    given = rig.fit.parameters
+    drawn = with_own_curves(rig) if rig.model == "pde" and not given else rig
+    return _list_of(drawn, given, [])[0]
+
+
+Key = tuple[str, str | None]
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What does not change from step to step of a fit.
+
+    Attributes:
+        recordings: The recordings.
+        given: Whether the list of parameters was given.
+        hold_out: Whether a part is kept aside.
+        robust: Whether outliers weigh less.
+        workers: Threads of a batch.
+        work: How much is done.
+        centres: Centre of the prior of each parameter; those that come up on the way are added.
+    """
+
+    recordings: list[Recording]
+    given: bool
+    hold_out: bool
+    robust: bool
+    workers: int | None
+    work: Work
+    centres: dict[Key, float]
+
+    def used(self, problem: Problem) -> Mask:
+        """(n_stretches,) stretches that are fitted."""
+        return ~problem.held_out if self.hold_out else np.ones(problem.stretches, dtype=bool)
+
+
+@dataclass(frozen=True)
+class _Taken:
+    """A step that was taken.
+
+    Attributes:
+        step: The step.
+        rig: The rig after it.
+        fitted: The parameters that were fitted.
+        problem: Its problem.
+        fine: The same on the rig's own cells, where it was corrected.
+        estimate: Its estimate.
+    """
+
+    step: Step
+    rig: Rig
+    fitted: list[FitParameter]
+    problem: Problem
+    fine: Problem | None
+    estimate: Estimate
+
+
+def _list_of(
+    rig: Rig, given: list[FitParameter], recordings: list[Recording]
+) -> tuple[list[FitParameter], list[str]]:
+    """Parameters of a rig, those with one value in each recording once for each; held paths."""
+    base = given or (calibrated_parameters(rig) if rig.model == "pde" else default_parameters(rig))
+    listed, held = listed_parameters(rig, base)
+    return one_each(listed, [r.name for r in recordings]), held
+
+
+def _work(
+    rig: Rig, steps: list[Step], recordings: list[Recording], count: int, tell: Tell | None
+) -> Work:
+    """What a fit has before it."""
+    seconds = sum(r.end_s for r in recordings)
+    return Work.of_steps(
+        [(step, weight_of(rig, step, seconds), count, len(rig.valves)) for step in steps],
+        tell or (lambda stage, fraction, note: None),
+    )
+
+
+def _tried(
+    job: _Job, rig: Rig, step: Step, every: list[FitParameter], last: _Taken | None
+) -> tuple[Rig, list[FitParameter]]:
+    """The rig with spools that were tried before a step, and the list of parameters it then has."""
+    if job.given or not (step.tries or step.limits):
+        return rig, every
+    told = job.work.begin(step)
+    if step.limits and last is not None:
+        rig, changed = try_limits(rig, last.problem, last.estimate, told)
+        if not changed:
+            return rig, every
+    else:
+        problem, _ = problem_of(rig, job.recordings, step, job.workers)
+        rig = try_spools(rig, problem, told)
+    every, _ = _list_of(rig, [], job.recordings)
+    for p, value in zip(every, _inner(every, start_of(rig, every)), strict=True):
+        job.centres.setdefault(_key(p), value)
+    return rig, every
+
+
+def _taken(
+    job: _Job,
+    rig: Rig,
+    step: Step,
+    every: list[FitParameter],
+    held: list[str],
+    unseen: set[Key],
+    before: _Taken | None,
+) -> _Taken:
+    """Takes a step."""
+    told = job.work.begin(step)
+    problem, fine = problem_of(rig, job.recordings, step, job.workers)
+    fitted = [
+        p
+        for p in every
+        if p.path not in held
+        and _key(p) not in unseen
+        and (not step.slow or job.given or is_slow(p))
+    ] or every
+    slope = None
+    if (
+        before is not None
+        and before.step.factor == step.factor
+        and before.step.pull_s == step.pull_s
+    ):
+        slope = _slope(before, fitted, problem, job.used(problem))
+    now, estimate = take(
+        rig,
+        problem,
+        fitted,
+        job.centres,
+        job.used(problem),
+        step.iterations,
+        job.robust,
+        told,
+        slope,
+    )
+    return _Taken(step, now, fitted, problem, fine, estimate)
+
+
+def _slope(
+    before: _Taken, fitted: list[FitParameter], problem: Problem, used: Mask
+) -> Floats | None:
+    """The Jacobian of the step before, where it is one of these parameters and readings."""
+    columns = {_key(p): k for k, p in enumerate(before.fitted)}
+    j = before.estimate.jacobian
+    shape = (int(used.sum()), problem.horizon * len(problem.taps))
+    if j.shape[:2] != shape or any(_key(p) not in columns for p in fitted):
+        return None
+    return j[..., [columns[_key(p)] for p in fitted]]
+
+
+def _unseen(fitted: list[FitParameter], estimate: Estimate) -> set[Key]:
+    """Parameters whose whole uncertainty would not move the predictions by one noise deviation."""
+    norms = np.sqrt(np.einsum("smp,smp->p", estimate.jacobian, estimate.jacobian))
+    return {
+        _key(p)
+        for p, norm, value in zip(fitted, norms, estimate.values, strict=True)
+        if norm * _spread(p, float(value)) < 1.0
+    }
+
+
+def _spread(p: FitParameter, value: float) -> float:
+    """How uncertain a parameter is beforehand, in the unit that it is estimated in."""
+    if p.log:
+        span = float(np.log(p.upper / p.lower))
+        return span if p.std is None else min(span, p.std / float(np.exp(value)))
+    return p.upper - p.lower if p.std is None else min(p.upper - p.lower, p.std)
+
+
+def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken) -> FitOutcome:
+    """Looks at the fitted rig on its own cells, and says what is known of it."""
+    job.work.words = "looking at the result"
+    now, fitted = last.rig, last.fitted
+    problem = make_problem(now, job.recordings, dx_m=last.problem.dx_m, workers=job.workers)
+    if last.problem.dx_m is not None:
+        problem.prepare(now)
+        problem = problem.with_grid(now.grid.dx_m)
+    out = problem.simulate([now], flows=True)
+    used = job.used(problem)
+    rmse = tap_rmse(problem, out.readings[0], used)
+    held_rmse = tap_rmse(problem, out.readings[0], ~used)
+    known = known_of(
+        every,
+        fitted,
+        last.estimate,
+        held,
+        _grid(last, job),
+        _held_change(now, every, held, last, job),
+    )
+    finite = [float(s) if np.isfinite(s) else None for s in known.std_errors]
     listed = [
-        p.model_copy(update={"std_error": s if np.isfinite(s) else None})
-        for p, s in zip(chosen_parameters, std_errors, strict=True)
+        p.model_copy(update={"std_error": s or None}) for p, s in zip(every, finite, strict=True)
     ]
+    times = _times_noise(problem, rmse, last, job)
+    effects: list[str] = []
+    if now.model == "pde" and max(times.values(), default=0.0) > ENOUGH:
+        effects = effects_that_help(now, last.problem, last.estimate)
+    bound = [p for p, at in zip(every, known.at_bound, strict=True) if at]
+    shortfall = shortfall_of(now, problem, out, times, bound, effects)
+    noise = {tap: float(n) for tap, n in zip(problem.taps, problem.noise_pa, strict=True)}
     now = now.model_copy(
         update={
-            "fit": now.fit.model_copy(update={"parameters": joined(listed, listed_before)}),
+            "fit": now.fit.model_copy(
+                update={"parameters": joined(listed, _once(listed)), "add": []}
+            ),
             "calibration": Calibration(
-                recording=recordings[0].name,
-                recordings=[r.name for r in recordings],
+                recording=job.recordings[0].name,
+                recordings=[r.name for r in job.recordings],
                 rmse_pa=rmse,
-                noise_floor_pa={
-                    tap: float(n) for tap, n in zip(problem.taps, problem.noise_pa, strict=True)
-                },
-                held_out_rmse_pa=held,
+                noise_floor_pa=noise,
+                held_out_rmse_pa=held_rmse,
             ),
         }
     )
     return FitOutcome(
         rig=now,
         parameters=listed,
-        start=start,
-        estimate=estimate,
-        warnings=warnings_of(listed, estimate) + _strangers(problem, readings),
+        start=[
+            float(np.exp(job.centres[_key(p)])) if p.log else job.centres[_key(p)] for p in every
+        ],
+        values=start_of(now, listed),
+        known=known,
+        estimate=last.estimate,
+        warnings=warnings_of(listed, known) + _strangers(problem, out.readings[0]),
+        shortfall=shortfall,
         rmse_pa=rmse,
-        held_out_rmse_pa=held,
+        held_out_rmse_pa=held_rmse,
     )
+
+
+def _times_noise(
+    problem: Problem, rmse: dict[str, float], last: _Taken, job: _Job
+) -> dict[str, float]:
+    """Times the noise per tap that is to be expected where nothing was fitted.
+
+    What each stretch leaves when it is left out of the estimate says it; never less than is left
+    with all of them.
+    """
+    mine = last.problem
+    count = np.isfinite(mine.measured[job.used(mine)]).sum(axis=(0, 1))
+    left = last.estimate.left_out.reshape(-1, mine.horizon, len(mine.taps))
+    expected = np.sqrt(np.sum(left**2, axis=(0, 1)) / np.maximum(count, 1))
+    return {
+        tap: max(rmse[tap] / float(noise), float(e))
+        for tap, noise, e in zip(problem.taps, problem.noise_pa, expected, strict=True)
+        if tap in rmse
+    }
+
+
+def _once(listed: list[FitParameter]) -> list[FitParameter]:
+    """Parameters as a rig file lists them: those with one value in each recording once."""
+    out: dict[str, FitParameter] = {}
+    for p in listed:
+        out.setdefault(p.path, p.model_copy(update={"recording": None}))
+    return list(out.values())
+
+
+def _grid(last: _Taken, job: _Job) -> Floats | None:
+    """(n_stretches used, m) what the rig's own cells add to longer ones, in noise deviations."""
+    if last.problem.grid_pa is None:
+        return None
+    seen = np.isfinite(last.problem.measured)
+    change = np.where(seen, last.problem.grid_pa / last.problem.noise_pa, 0.0)
+    chosen = change[job.used(last.problem)]
+    return np.asarray(chosen.reshape(chosen.shape[0], -1))
+
+
+def _held_change(
+    rig: Rig, every: list[FitParameter], held: list[str], last: _Taken, job: _Job
+) -> Floats | None:
+    """(K, n_stretches used, m) change of the residual per deviation of each parameter held."""
+    kept = [p for p in every if p.path in held]
+    if not kept:
+        return None
+    variables = variables_of(rig, kept)
+    residuals = residual_function(
+        last.problem, job.used(last.problem), lambda x: rig_at(rig, kept, x)
+    )
+    at = np.array([v.value for v in variables])
+    _, j = jacobian(residuals, at, variables)
+    spread = [_spread(p, float(value)) for p, value in zip(kept, at, strict=True)]
+    return np.moveaxis(j, -1, 0) * np.array(spread)[:, None, None]
 
 
 def _strangers(problem: Problem, readings: Floats) -> list[str]:
@@ -236,44 +469,10 @@ def _strangers(problem: Problem, readings: Floats) -> list[str]:
     ]
 
 
-def warnings_of(parameters: list[FitParameter], estimate: Estimate) -> list[str]:
-    """What the recording cannot identify, one sentence each.
-
-    Args:
-        parameters: What was fitted.
-        estimate: The result.
-    """
-    out = []
-    for p, seen, bound, v in zip(
-        parameters, estimate.visible, estimate.at_bound, estimate.values, strict=True
-    ):
-        if not seen:
-            out.append(f"{p.path}: the recording does not depend on it; it keeps its start value")
-        elif bound:
-            value = float(np.exp(v)) if p.log else float(v)
-            out.append(f"{p.path}: at its bound ({value:.4g}); the true value may lie outside")
-    c = estimate.correlation
-    for a, b in pairs_above(c, 0.98):
-        out.append(
-            f"{parameters[a].path} and {parameters[b].path} can only be told in combination"
-            f" (correlation {c[a, b]:+.3f})"
-        )
-    if estimate.condition > CONDITION_LIMIT:
-        out.append(
-            f"the estimation is ill-conditioned ({estimate.condition:.1e}); more varied excitation"
-            " or fewer parameters would help"
-        )
-    return out
+def _key(p: FitParameter) -> Key:
+    return p.path, p.recording
 
 
-def pairs_above(correlation: Floats, limit: float) -> list[tuple[int, int]]:
-    """Index pairs whose correlation exceeds a limit in size, largest first.
-
-    Args:
-        correlation: (P, P).
-        limit: Threshold.
-    """
-    i, j = np.triu_indices(correlation.shape[0], 1)
-    size = np.abs(correlation[i, j])
-    order = np.argsort(-size)
-    return [(int(i[k]), int(j[k])) for k in order if size[k] >= limit]
+def _inner(parameters: list[FitParameter], values: list[float]) -> list[float]:
+    """Values as they are estimated: logarithms where the parameter is logarithmic."""
+    return [float(np.log(v)) if p.log else v for p, v in zip(parameters, values, strict=True)]

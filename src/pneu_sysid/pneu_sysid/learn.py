@@ -24,12 +24,13 @@ from pneu_sysid.diagnose import (
     diagnose,
     diagnose_apart,
 )
-from pneu_sysid.fit import fit_rig, residual_function, tap_rmse
+from pneu_sysid.fit import fit_rig, tap_rmse
 from pneu_sysid.gauss_newton import Estimate, Variable, huber_cost, minimise
 from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.results import LearnResult, Step, Verdict, pneu_version, write_json
+from pneu_sysid.stages import residual_function
 from pneu_sysid.standing import floor_of
 
 Floats = NDArray[np.float64]
@@ -253,7 +254,7 @@ def learn(
     tell = progress or (lambda stage, done: None)
     if rig.calibration is None and (rig.fit.parameters or default_parameters(rig)):
         tell("fit", 0.0)
-        rig = fit_rig(rig, recording, hold_out=True, workers=workers).rig
+        rig = fit_rig(rig, recording, default_parameters(rig), hold_out=True, workers=workers).rig
         tell("fit", 1.0)
     recordings = [recording] if isinstance(recording, Recording) else list(recording)
     first = diagnose_apart(rig, recordings, FINALISTS, True, workers, progress)

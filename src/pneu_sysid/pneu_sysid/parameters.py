@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which numbers of a rig are fitted when its file does not say: the list of thesis 8.1.1."""
 
+from fnmatch import fnmatchcase
+
 import numpy as np
 
+from pneu_sim.errors import InputError
 from pneu_sim.rig.parameters import get_parameter, value_of, with_parameters
 from pneu_sim.rig.schema import CLOSED, FitParameter, Rig
 from pneu_sysid.gauss_newton import Variable
-
-SLOPE_CHANGE = 0.2
-"""Expected change of an opening curve's slope between neighbouring intervals, of its mean slope."""
-
-EXPONENT_CHANGE = 0.1
-"""Expected change of a power-law curve's local exponent between neighbouring intervals."""
 
 STEP_FRACTION = 2e-3
 """Difference step as a fraction of the range (of the value, for a logarithmic parameter)."""
@@ -118,6 +115,95 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
     return out
 
 
+def calibrated_parameters(rig: Rig) -> list[FitParameter]:
+    """What a calibration fits where the rig's file does not list it: base parameters and more.
+
+    Beside the `default_parameters` what real rigs have and no datasheet tells: the delays of a
+    valve, limits of its spool where the rig has them, heat through the walls of chambers,
+    restrictors, losses and volumes at junctions and fittings.
+
+    Args:
+        rig: The rig.
+    """
+    out = default_parameters(rig)
+    if rig.model != "pde":
+        return out
+
+    def add(path: str, lower: float, upper: float, std: float, log: bool = False) -> None:
+        out.append(FitParameter(path=path, lower=lower, upper=upper, std=std, log=log))
+
+    def around(path: str, factor: float, relative_std: float) -> None:
+        value = get_parameter(rig, path)
+        if value > 0.0:
+            add(path, value / factor, value * factor, value * relative_std, log=True)
+
+    for v, valve in rig.valves.items():
+        base = f"valves.{v}.spool"
+        longest = max(0.02, 4.0 * valve.spool.delay_s)
+        add(f"{base}.delay_s", 0.0, longest, 1.5e-3)
+        if valve.spool.closing_delay_s is not None:
+            add(f"{base}.closing_delay_s", 0.0, longest, 1.5e-3)
+        if valve.spool.max_speed_v_s is not None:
+            around(f"{base}.max_speed_v_s", 10.0, 1.0)
+        if valve.spool.max_acceleration_v_s2 is not None:
+            around(f"{base}.max_acceleration_v_s2", 10.0, 1.0)
+    for name in rig.chambers:
+        around(f"chambers.{name}.heat_w_per_k", 5.0, 0.4)
+    for name in rig.orifices:
+        around(f"orifices.{name}.conductance_m3_s_pa", 3.0, 0.3)
+        add(f"orifices.{name}.critical_ratio", 0.02, 0.7, 0.1)
+        add(f"orifices.{name}.laminar_ratio", 0.85, 0.9995, 0.02)
+    met: dict[str, int] = {}
+    for pipe in rig.pipes.values():
+        for node in (pipe.from_node, pipe.to_node):
+            met[node] = met.get(node, 0) + 1
+    volumes: set[str] = set()
+    listed = {p.path for p in out}
+    for name, pipe in rig.pipes.items():
+        for end, node in (("from", pipe.from_node), ("to", pipe.to_node)):
+            if node == CLOSED or node in rig.reservoirs:
+                continue
+            joined = met[node] > 1 and node not in rig.chambers
+            if joined or node in rig.chambers:
+                add(f"pipes.{name}.loss_{end}", 0.0, 4.0, 0.3)
+            path = f"pipes.{name}.volume_{end}_m3"
+            if joined and node not in volumes and path not in listed:
+                volumes.add(node)  # one of the ends that meet stands for all
+                reach = pipe.area_m2 * min(pipe.length_m, 0.3)
+                add(path, 0.0, 3.0 * reach, 0.1 * reach)
+    return out
+
+
+def listed_parameters(rig: Rig, base: list[FitParameter]) -> tuple[list[FitParameter], list[str]]:
+    """What is fitted of a rig, after what its file adds, drops and holds.
+
+    Args:
+        rig: The rig.
+        base: What is fitted where the file says nothing of it.
+
+    Returns:
+        The parameters, and the paths of those among them that are held: they keep their values.
+
+    Raises:
+        InputError: A pattern of ``fit.drop`` or ``fit.hold`` meets nothing.
+    """
+    added = {p.path: p for p in rig.fit.add}
+    every = [added.pop(p.path, p) for p in base] + list(added.values())
+    for field, patterns in (("drop", rig.fit.drop), ("hold", rig.fit.hold)):
+        for k, pattern in enumerate(patterns):
+            if not any(fnmatchcase(p.path, pattern) for p in every):
+                raise InputError(
+                    f"rig {rig.name!r}: fit.{field}.{k}: found {pattern!r}, which is no parameter"
+                    " of this rig's list; `pneu fit --list` shows it"
+                )
+
+    def meets(path: str, patterns: list[str]) -> bool:
+        return any(fnmatchcase(path, pattern) for pattern in patterns)
+
+    kept = [p for p in every if not meets(p.path, rig.fit.drop)]
+    return kept, [p.path for p in kept if meets(p.path, rig.fit.hold)]
+
+
 def variables_of(rig: Rig, parameters: list[FitParameter]) -> list[Variable]:
     """Variables of the estimation; logarithmic parameters are estimated as logarithms.
 
@@ -202,48 +288,3 @@ def joined(fitted: list[FitParameter], listed: list[FitParameter]) -> list[FitPa
         errors = [f.std_error for f in fitted if f.path == p.path and f.std_error is not None]
         out.append(p.model_copy(update={"std_error": max(errors) if errors else None}))
     return out
-
-
-def curve_ties(rig: Rig, parameters: list[FitParameter]) -> tuple[np.ndarray, np.ndarray]:
-    """Smoothness of the opening curves as prior relations between their points.
-
-    The slope of a curve may change from one interval to the next by about ``SLOPE_CHANGE`` of its
-    mean slope, so that a voltage the recording never dwelt on follows its neighbours.
-
-    Args:
-        rig: The rig.
-        parameters: What is estimated.
-
-    Returns:
-        (K, P) matrix and (K,) right side for ``gauss_newton.minimise``.
-    """
-    index = {p.path: k for k, p in enumerate(parameters)}
-    rows, sides = [], []
-    for v, valve in rig.valves.items():
-        for p, port in valve.ports.items():
-            curve = port.opening
-            if curve.mirror is not None:
-                continue
-            x, y = np.array(curve.voltage_v), np.array(curve.fraction)
-            if curve.interpolation == "power":
-                # in the logarithms a slope is the exponent of the local power law
-                x, y = np.log(np.abs(x - valve.spool.null_v)), np.log(y)
-                change = EXPONENT_CHANGE
-            else:
-                change = SLOPE_CHANGE / abs(x[np.argmax(y)] - valve.spool.null_v)
-            base = f"valves.{v}.ports.{p}.opening.fraction"
-            for k in range(1, x.size - 1):
-                left, right = 1.0 / (x[k] - x[k - 1]), 1.0 / (x[k + 1] - x[k])
-                weights = {k - 1: left, k: -left - right, k + 1: right}
-                row, side = np.zeros(len(parameters)), 0.0
-                for i, weight in weights.items():
-                    at = index.get(f"{base}.{i}")
-                    scaled = weight / change
-                    if at is None:
-                        side -= scaled * y[i]
-                    else:
-                        row[at] = scaled
-                if row.any():
-                    rows.append(row)
-                    sides.append(side)
-    return np.array(rows).reshape(-1, len(parameters)), np.array(sides)

@@ -226,6 +226,14 @@ class Problem:
             out.grid_pa = fine - coarse.result()[0]
         return out
 
+    def prepare(self, rig: Rig) -> None:
+        """Finds how each recording begins with a rig; all later rigs of its structure begin alike.
+
+        Args:
+            rig: The rig.
+        """
+        self._prepare(rig)
+
     def _prepare(self, rig: Rig) -> "_Prepared":
         """Grid of a structure, and how each recording begins, found with the first rig that has it.
 

@@ -212,6 +212,8 @@ class FittedParameter(Result):
     """Whether the estimate sits on a bound."""
     identified: bool
     """Whether the recording constrains it."""
+    held: bool = False
+    """Whether the rig file held it at its value."""
     lower: Number
     """Lower bound."""
     upper: Number
@@ -227,6 +229,19 @@ class Correlation(Result):
     """Path of the other."""
     value: Number
     """Correlation, at least 0.9 in size."""
+
+
+class FitShortfall(Result):
+    """Where a calibration stops short of the noise."""
+
+    times_noise: dict[str, Number]
+    """Times the noise at each tap where that is more than twice."""
+    sentence: str
+    """That it stops short."""
+    where: list[str]
+    """Per tap the regime and the time in which most of it is left."""
+    help: list[str]
+    """What would help."""
 
 
 class FitResult(Head):
@@ -246,12 +261,16 @@ class FitResult(Head):
     """Condition number of the scaled Jacobian."""
     warnings: list[str]
     """What the recording cannot identify, in plain words."""
+    shortfall: FitShortfall | None = None
+    """Where the fit stops short of the noise; null where every tap is within twice its noise."""
     rmse_pa: dict[str, Perhaps]
     """Per tap the error on the part that was used."""
     held_out_rmse_pa: dict[str, Perhaps]
     """Per tap the error on the part kept aside; empty where none was."""
     history: list[Perhaps]
-    """Cost after each iteration, the start first."""
+    """Cost after each iteration of the last step, its start first."""
+    seconds: Perhaps = None
+    """How long the fit took, s."""
 
 
 # ---- diagnose ------------------------------------------------------------------------------

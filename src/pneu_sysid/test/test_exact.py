@@ -130,7 +130,7 @@ def test_an_exact_model_is_not_accused_and_stays_where_it_is() -> None:
         FitParameter(path="valves.valve.ports.supply.critical_ratio", lower=0.02, upper=0.7),
         FitParameter(path="valves.valve.spool.bandwidth_hz", lower=20.0, upper=200.0, log=True),
     ]
-    outcome = fit_rig(rig, recording, parameters=parameters, stages_s=())
+    outcome = fit_rig(rig, recording, parameters=parameters, approach=False)
     values = np.array(outcome.estimate.values)
     truth = np.array(
         [np.log(s) if p.log else s for s, p in zip(outcome.start, parameters, strict=True)]
@@ -159,7 +159,7 @@ def test_the_recording_that_differs_is_named() -> None:
         rig,
         recordings[0],
         parameters=[FitParameter(path="reservoirs.supply.pressure_pa", lower=1e5, upper=2e6)],
-        stages_s=(),
+        approach=False,
         iterations=1,
     ).rig
     found = diagnose_apart(healthy, recordings[1:], finalists=2, refine=False)
@@ -187,7 +187,7 @@ def test_a_value_that_differs_from_recording_to_recording() -> None:
             FitParameter(path="reservoirs.supply.pressure_pa", lower=1e5, upper=2e6, each=True),
             FitParameter(path="valves.valve.spool.bandwidth_hz", lower=20.0, upper=200.0, log=True),
         ],
-        stages_s=(),
+        approach=False,
     )
     fitted = outcome.rig.recordings
     assert fitted["low"]["reservoirs.supply.pressure_pa"] == pytest.approx(0.97 * supply, rel=1e-3)

@@ -94,3 +94,87 @@ def test_outliers_weigh_less_under_the_robust_loss() -> None:
     robust = minimise(linear(np.abs(a), y), variables, robust=True, iterations=30).values[0]
     clean = minimise(linear(np.abs(a), np.where(y > 40.0, np.abs(a) @ truth, y)), variables)
     assert abs(robust - clean.values[0]) < 0.3 * abs(plain - clean.values[0])
+
+
+def test_standard_errors_are_the_scatter_that_correlated_errors_make() -> None:
+    """What a model is wrong by lasts a whole cluster: repeated draws scatter as the errors say."""
+    clusters, samples, count = 25, 30, 6
+    estimates, told = [], []
+    for seed in range(150):
+        rng = np.random.default_rng([7, seed])
+        a = rng.normal(size=(clusters, 1, count)) + 0.3 * rng.normal(
+            size=(clusters, samples, count)
+        )
+        lasting = 2.0 * rng.normal(size=(clusters, 1))
+        y = a @ np.ones(count) + rng.normal(size=(clusters, samples)) + lasting
+        variables = [Variable(f"x{k}", 0.5, -9.0, 9.0, 1e-3) for k in range(count)]
+        found = minimise(linear(a, y), variables, iterations=3)
+        estimates.append(found.values)
+        told.append(found.std_errors)
+    scatter = np.std(np.array(estimates), axis=0)
+    mean = np.sqrt(np.mean(np.array(told) ** 2, axis=0))
+    # the jackknife errs on the large side; of white noise they would be told five times too small
+    assert (mean > 0.9 * scatter).all() and (mean < 1.7 * scatter).all()
+    inside = np.abs(np.array(estimates) - 1.0) < 1.645 * np.array(told)
+    assert 0.85 < inside.mean() < 0.98
+
+
+def test_what_only_the_prior_says_is_as_uncertain_as_the_prior() -> None:
+    rng = np.random.default_rng(8)
+    a = np.concatenate([rng.normal(size=(CLUSTERS, SAMPLES, 1))] * 2, axis=-1)
+    y = a @ np.array([0.5, 0.5]) + 3.0 * rng.normal(size=(CLUSTERS, 1))
+    variables = [Variable(name, 0.4, -5.0, 5.0, 1e-3, std=0.3) for name in ("x", "y")]
+    found = minimise(linear(a, y), variables)
+    # the data tell the sum alone, so that each is known to 0.3 over the root of two
+    np.testing.assert_allclose(found.std_errors, 0.3 / np.sqrt(2.0), rtol=0.15)
+
+
+def test_what_is_left_out_is_predicted_by_the_rest() -> None:
+    """The residual of a cluster at the estimate from the others, computed by fitting those."""
+    truth = np.array([1.0, -2.0, 0.5])
+    a, y = problem(9, truth)
+    a, y = a[:6], y[:6]
+    variables = [Variable(f"x{k}", 0.0, -10.0, 10.0, 1e-3) for k in range(3)]
+    found = minimise(linear(a, y), variables)
+    for left in range(6):
+        rest = [k for k in range(6) if k != left]
+        x = np.linalg.lstsq(a[rest].reshape(-1, 3), y[rest].ravel(), rcond=None)[0]
+        np.testing.assert_allclose(found.left_out[left], y[left] - a[left] @ x, atol=1e-6)
+
+
+def curved(points: Sequence[Floats]) -> Floats:
+    """A curved valley: measured minus ``(x1 exp(t x2), x1 x2)``, least at (2, -1)."""
+    t = np.linspace(0.0, 2.0, SAMPLES)
+    y = np.tile(2.0 * np.exp(-t), (4, 1))
+    return 100.0 * np.stack([y - x[0] * np.exp(t * x[1]) for x in points])
+
+
+def test_secants_reach_the_same_with_fewer_jacobians() -> None:
+    counts = {}
+    for secants in (0, 3):
+        asked = []
+
+        def residuals(points: Sequence[Floats], asked: list[int] = asked) -> Floats:
+            asked.append(len(points))
+            return curved(points)
+
+        variables = [Variable("x1", 1.0, 0.1, 9.0, 1e-6), Variable("x2", -0.2, -5.0, 5.0, 1e-6)]
+        found = minimise(residuals, variables, iterations=20, tolerance=1e-9, secants=secants)
+        np.testing.assert_allclose(found.values, [2.0, -1.0], rtol=1e-4)
+        counts[secants] = sum(n == 3 for n in asked)
+    assert counts[3] < counts[0]
+
+
+def test_a_jacobian_that_is_known_is_not_computed() -> None:
+    a, y = problem(10, np.array([1.0, 2.0]))
+    variables = [Variable(name, 0.0, -9.0, 9.0, 1e-3) for name in ("x", "y")]
+    asked = []
+
+    def residuals(points: Sequence[Floats]) -> Floats:
+        asked.append(len(points))
+        return linear(a, y)(points)
+
+    known = minimise(residuals, variables, iterations=1, slope=-a)
+    assert asked == [1, 2]
+    np.testing.assert_allclose(known.values, minimise(linear(a, y), variables).values, rtol=1e-4)
+    assert known.gained > 0.5

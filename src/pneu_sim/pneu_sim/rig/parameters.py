@@ -117,12 +117,13 @@ def misfit(rig: Rig) -> str:
     Raises:
         InputError: A path leads nowhere.
     """
-    for k, p in enumerate(rig.fit.parameters):
-        value = value_of(rig, p)
-        slack = 1e-6 * (p.upper - p.lower)
-        if not p.lower - slack <= value <= p.upper + slack:
-            return (
-                f"fit.parameters.{k}: {p.path} starts at {value:g}, outside its bounds"
-                f" {p.lower:g} to {p.upper:g}"
-            )
+    for field, listed in (("parameters", rig.fit.parameters), ("add", rig.fit.add)):
+        for k, p in enumerate(listed):
+            value = value_of(rig, p)
+            slack = 1e-6 * (p.upper - p.lower)
+            if not p.lower - slack <= value <= p.upper + slack:
+                return (
+                    f"fit.{field}.{k}: {p.path} starts at {value:g}, outside its bounds"
+                    f" {p.lower:g} to {p.upper:g}"
+                )
     return ""

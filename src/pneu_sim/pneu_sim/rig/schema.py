@@ -478,8 +478,15 @@ class FitParameter(Part):
 class Fit(Part):
     """How the rig is identified: parameters, and how far ahead it predicts (thesis 8.1.1, 8.1.2).
 
+    Paths of ``drop`` and ``hold`` are patterns: ``*`` stands for anything, so that
+    ``valves.*.opening.*`` means every point of every curve.
+
     Attributes:
-        parameters: What may change.
+        parameters: What may change, in place of the list that follows from the rig.
+        add: What may change besides; a path that is in the list already has these bounds instead.
+        drop: Patterns of paths that are known exactly: they keep the file's value.
+        hold: Patterns of paths that keep the file's value though it is not exact: its uncertainty
+            counts in the standard errors of the others.
         horizon_s: How far ahead the model has to predict, and the length of the stretches into
             which a recording is cut: its gas is drawn to the taps so slowly that errors add up
             over that time; None lets it run free over the whole recording.
@@ -488,6 +495,9 @@ class Fit(Part):
     """
 
     parameters: list[FitParameter] = []
+    add: list[FitParameter] = []
+    drop: list[str] = []
+    hold: list[str] = []
     horizon_s: Positive | None = 0.5
     warm_up_s: NonNegative = 0.15
     nudge_s: Positive | None = None

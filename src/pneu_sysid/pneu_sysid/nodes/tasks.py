@@ -132,7 +132,9 @@ def perform(request: Request, tell: Tell) -> Outcome:
                 recordings,
                 iterations=FIT_ITERATIONS,
                 workers=workers,
-                progress=lambda stage, i, _: tell(f"fitting {stage}", min(i / FIT_ITERATIONS, 1.0)),
+                progress=lambda stage, done, note: tell(
+                    f"{stage} ({note})", math.nan if done is None else done
+                ),
             )
             save_rig(fitted.rig, written)
             write_json(result, fit_result(request.rig, request.output, recordings, fitted))

@@ -2,7 +2,7 @@
 """A recording: every signal at its own times, and the findings made while it was read."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -57,6 +57,21 @@ class Recording:
     def end_s(self) -> float:
         """Time of the last reading, s."""
         return max((float(s.time_s[-1]) for s in self.pressures.values() if len(s)), default=0.0)
+
+    def until(self, end_s: float) -> "Recording":
+        """The first part of the recording; all of it where it is no longer.
+
+        Args:
+            end_s: Where the part ends, s.
+        """
+        if end_s >= self.end_s:
+            return self
+        first = min(float(s.time_s[0]) for s in self.commands.values()) if self.commands else 0.0
+        return replace(
+            self,
+            commands={n: s.within(min(first, 0.0), end_s) for n, s in self.commands.items()},
+            pressures={n: s.within(0.0, end_s) for n, s in self.pressures.items()},
+        )
 
 
 def even_recording(

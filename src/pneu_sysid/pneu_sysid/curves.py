@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Opening curves as they are fitted: points of their own for each port, and ties between them."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from pneu_sim.monotone import monotone_cubic
+from pneu_sim.rig.schema import FitParameter, Opening, Rig, Spool
+
+SLOPE_CHANGE = 0.2
+"""Expected change of an opening curve's slope between neighbouring intervals, of its mean slope."""
+
+EXPONENT_CHANGE = 0.1
+"""Expected change of a power-law curve's local exponent between neighbouring intervals."""
+WIDEST = 2.0
+"""Points of a power-law curve are no further apart than this factor of the distance from null."""
+NEAREST = 0.02
+"""... down to this part of the stroke; nearer to null the power law goes on."""
+LEAST_OPENING = 1e-4
+"""A port that is shut counts as open by so much, where the logarithm is taken."""
+
+
+def with_own_curves(rig: Rig) -> Rig:
+    """The rig with an opening curve of its own for each port, with points close enough to fit.
+
+    A mirrored curve becomes one of its own, so that filling and exhausting may differ; a curve on
+    one side of null becomes a power law between its points.
+
+    Args:
+        rig: The rig; left as it is.
+    """
+    copy = rig.model_copy(deep=True)
+    for valve in copy.valves.values():
+        curves = {}
+        for name, port in valve.ports.items():
+            opening, null = port.opening, valve.spool.null_v
+            if opening.mirror is not None:
+                source = valve.ports[opening.mirror].opening
+                opening = Opening(
+                    voltage_v=[2.0 * null - v for v in reversed(source.voltage_v)],
+                    fraction=list(reversed(source.fraction)),
+                    interpolation=source.interpolation,
+                )
+            curves[name] = _finer(opening, valve.spool)
+        for name, opening in curves.items():
+            valve.ports[name].opening = opening
+    return copy
+
+
+def _finer(opening: Opening, spool: Spool) -> Opening:
+    """A curve as a power law with points no further apart than ``WIDEST``; others as they are."""
+    v, f = np.array(opening.voltage_v), np.array(opening.fraction)
+    s = v - spool.null_v
+    if np.any(s > 0.0) and np.any(s < 0.0):
+        return opening
+    side = 1.0 if s[-1] > 0.0 else -1.0
+    order = np.argsort(np.abs(s))
+    s, f = np.abs(s)[order], f[order]
+    given = s[s > 0.0]
+    reach = float(given[-1])
+    wanted: list[float] = []
+    low = max(float(given[0]), NEAREST * reach)
+    if opening.interpolation == "cubic":
+        low = NEAREST * reach
+    points = [low, *(float(x) for x in given if x > low * 1.001)]
+    for a, b in pairwise(points):
+        count = int(np.ceil(np.log(b / a) / np.log(WIDEST) - 1e-9))
+        wanted += [a * (b / a) ** (k / count) for k in range(count)]
+    wanted.append(points[-1])
+    at = np.array(wanted)
+    if opening.interpolation == "power":
+        inside = monotone_cubic(np.log(s), np.log(f), np.log(np.clip(at, s[0], s[-1])))
+        value = np.exp(inside)
+    else:
+        value = np.maximum(monotone_cubic(s, f, np.clip(at, s[0], s[-1])), LEAST_OPENING)
+    volts = spool.null_v + side * at
+    if side < 0.0:
+        volts, value = volts[::-1], value[::-1]
+    return Opening(
+        voltage_v=[round(float(x), 6) for x in volts],
+        fraction=[float(x) for x in value],
+        interpolation="power",
+    )
+
+
+def curve_ties(rig: Rig, parameters: list[FitParameter]) -> tuple[np.ndarray, np.ndarray]:
+    """Smoothness of the opening curves as prior relations between their points.
+
+    The slope of a curve may change from one interval to the next by about ``SLOPE_CHANGE`` of its
+    mean slope, so that a voltage the recording never dwelt on follows its neighbours.
+
+    Args:
+        rig: The rig.
+        parameters: What is estimated.
+
+    Returns:
+        (K, P) matrix and (K,) right side for ``gauss_newton.minimise``.
+    """
+    index = {p.path: k for k, p in enumerate(parameters)}
+    rows, sides = [], []
+    for v, valve in rig.valves.items():
+        for p, port in valve.ports.items():
+            curve = port.opening
+            if curve.mirror is not None:
+                continue
+            x, y = np.array(curve.voltage_v), np.array(curve.fraction)
+            if curve.interpolation == "power":
+                # in the logarithms a slope is the exponent of the local power law
+                x, y = np.log(np.abs(x - valve.spool.null_v)), np.log(y)
+                change = EXPONENT_CHANGE
+            else:
+                change = SLOPE_CHANGE / abs(x[np.argmax(y)] - valve.spool.null_v)
+            base = f"valves.{v}.ports.{p}.opening.fraction"
+            for k in range(1, x.size - 1):
+                left, right = 1.0 / (x[k] - x[k - 1]), 1.0 / (x[k + 1] - x[k])
+                weights = {k - 1: left, k: -left - right, k + 1: right}
+                row, side = np.zeros(len(parameters)), 0.0
+                for i, weight in weights.items():
+                    at = index.get(f"{base}.{i}")
+                    scaled = weight / change
+                    if at is None:
+                        side -= scaled * y[i]
+                    else:
+                        row[at] = scaled
+                if row.any():
+                    rows.append(row)
+                    sides.append(side)
+    return np.array(rows).reshape(-1, len(parameters)), np.array(sides)

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a fitted rig stops short of the noise, and what would help."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sim.rig.schema import FitParameter, Rig
+from pneu_sysid.candidates import all_sites, best_per_place, score
+from pneu_sysid.gauss_newton import Estimate
+from pneu_sysid.nuisance import Nuisance
+from pneu_sysid.problem import Problem, Rollouts
+from pneu_sysid.regimes import operation
+
+Floats = NDArray[np.float64]
+
+ENOUGH = 2.0
+"""Times the noise that a calibration may leave at a tap."""
+TELLS = 0.15
+"""Share of what is left that an effect has to explain to be worth a word."""
+POSITIONS = 3
+"""Intervals between the positions along the longest pipe that are asked."""
+
+
+@dataclass(frozen=True)
+class Shortfall:
+    """Where a fitted rig stops short of the noise.
+
+    Attributes:
+        by_tap: Times the noise at each tap where it is too much.
+        sentence: That it stops short, and how far.
+        where: Per tap the regime and the time in which most of it is left.
+        help: What would help.
+    """
+
+    by_tap: dict[str, float]
+    sentence: str
+    where: list[str]
+    help: list[str]
+
+    @property
+    def lines(self) -> list[str]:
+        """All of it, line by line."""
+        return [self.sentence, *self.where, *self.help]
+
+
+def shortfall_of(
+    rig: Rig,
+    problem: Problem,
+    out: Rollouts,
+    times: dict[str, float],
+    at_bound: list[FitParameter],
+    effects: list[str],
+) -> Shortfall | None:
+    """Says where a rig stops short of the noise; None where it does not.
+
+    Args:
+        rig: The fitted rig.
+        problem: The problem, on its own cells.
+        out: Its predictions, flows included.
+        times: Times the noise per tap that is to be expected.
+        at_bound: Parameters that ended at a bound.
+        effects: What the catalogue's effects would explain, as `effects_that_help` tells.
+    """
+    r = problem.residual(out.readings[0])
+    short = {tap: value for tap, value in times.items() if value > ENOUGH}
+    if not short:
+        return None
+    named = ", ".join(f"{tap} {value:.1f}" for tap, value in short.items())
+    sentence = (
+        f"The calibration stops short: where it has not been fitted it is to be expected to leave"
+        f" more than {ENOUGH:g} times the noise at {named} (times)."
+    )
+    work = operation(problem, rig, out)
+    where = [_where(problem, r, work, tap) for tap in short]
+    more = [
+        f"{p.path} ended at its bound of {p.lower:g} to {p.upper:g}: look whether it may lie"
+        " beyond, and say so with fit.add"
+        for p in at_bound[:2]
+    ]
+    more += effects
+    if not effects:
+        more.append(
+            "No effect of the catalogue explains what is left; look at the worst stretches with"
+            " `pneu compare --report`, and at the geometry in the rig file."
+        )
+    return Shortfall(short, sentence, where, more)
+
+
+def _where(problem: Problem, r: Floats, work: object, tap: str) -> str:
+    """The regime and the second in which most of a tap's error is left."""
+    t = problem.taps.index(tap)
+    total = float(np.sum(r[:, :, t] ** 2))
+    found: dict[bool, tuple[float, str]] = {}
+    for one in work.sets(tap):  # type: ignore[attr-defined]
+        inside = r[:, :, t][one.mask]
+        excess = float(np.sum(inside**2)) / np.sqrt(one.mask.sum())
+        is_time = one.kind == "time"
+        share = float(np.sum(inside**2)) / total
+        text = f"{one.label} ({np.sqrt(np.mean(inside**2)):.1f} times, {100 * share:.0f} % of it)"
+        if excess > found.get(is_time, (0.0, ""))[0]:
+            found[is_time] = (excess, text)
+    words = [text for _, text in found.values()]
+    return f"{tap}: most with {' and at '.join(words)}" if words else f"{tap}: everywhere"
+
+
+def effects_that_help(
+    rig: Rig,
+    problem: Problem,
+    estimate: Estimate,
+    progress: Callable[[float], None] | None = None,
+) -> list[str]:
+    """What the catalogue's effects would explain of what a fit leaves, to first order.
+
+    What the fitted parameters could make of it is taken out first.
+
+    Args:
+        rig: The fitted rig.
+        problem: The problem that it was fitted on, on long cells.
+        estimate: The estimation.
+        progress: Called with the fraction done.
+    """
+    if estimate.jacobian.shape[0] != problem.stretches:
+        return []
+    project = Nuisance(estimate.jacobian / np.maximum(_norms(estimate), 1e-12)).without(
+        np.ones(problem.stretches, dtype=bool)
+    )
+    _, scores = score(problem, rig, all_sites(rig, POSITIONS), project, progress)
+    best = [s for s in best_per_place(scores) if s.explained > TELLS and s.t > 3.0][:2]
+    return [
+        f"{s.site.label} would explain {100.0 * s.explained:.0f} % of it (about"
+        f" {s.strength:.2g} {s.site.effect.strength.unit}): see `pneu diagnose`, or add it with"
+        " `pneu add`"
+        for s in best
+    ]
+
+
+def _norms(estimate: Estimate) -> Floats:
+    """(P,) norm of each column, so that the ridge of 1 hardly holds any of them back."""
+    return 1e-3 * np.sqrt(np.einsum("smp,smp->p", estimate.jacobian, estimate.jacobian))

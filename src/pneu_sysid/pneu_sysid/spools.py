@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the fit of a spool starts: bandwidths, limits and delays tried side by side.
+
+A limit that is never reached has no slope to follow, and a spool that is slow for another reason
+than the one assumed is a valley of its own; so what a spool may be is tried before it is fitted.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sim.rig.schema import Rig, Spool
+from pneu_sysid.gauss_newton import Estimate, huber_cost
+from pneu_sysid.problem import Problem
+
+Floats = NDArray[np.float64]
+Told = Callable[[int], Callable[[float], None]]
+
+BANDWIDTHS = (0.6, 1.0, 1.6)
+"""Factors on the bandwidth."""
+DELAYS_S = (0.0, 2e-3, 5e-3)
+"""Delays besides the one in the file."""
+SPEEDS = (0.8, 0.55, 0.35, 0.2)
+"""Limits of the speed, in parts of the largest that the unlimited spool would reach."""
+ACCELERATIONS = (0.6, 0.35, 0.2, 0.1)
+"""Limits of the acceleration, likewise."""
+FASTER = (1.0, 1.35, 1.8)
+"""A spool with a limit is as much faster where it is not reached."""
+WORTH = 0.03
+"""A limit has to take away so much of the cost to be assumed."""
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """What a spool may be, relative to what it would do without limits."""
+
+    bandwidth: float = 1.0
+    delay_s: float = 0.0
+    speed: float | None = None
+    acceleration: float | None = None
+
+
+def try_spools(rig: Rig, problem: Problem, told: Told | None = None) -> Rig:
+    """The rig with the bandwidths and delays, of those tried, with which it does best.
+
+    Spools that follow at once stay as they are; closing gets a delay of its own.
+
+    Args:
+        rig: The rig.
+        problem: The problem, on long cells.
+        told: Given the size of a batch, what is called with the fraction of it that is done.
+    """
+    for name, valve in rig.valves.items():
+        if valve.spool.bandwidth_hz is None:
+            continue
+        trials = [_Trial(b, d) for b in BANDWIDTHS for d in DELAYS_S]
+        rigs = _tried(rig, name, trials, 0.0)
+        tell = None if told is None else told(len(rigs))
+        r = problem.residual(problem.simulate(rigs, progress=tell, strict=False).readings)
+        rig = rigs[int(np.argmin([huber_cost(np.nan_to_num(one, nan=1e6)) for one in r]))]
+        spool = rig.valves[name].spool
+        if spool.closing_delay_s is None:
+            rig = _with(rig, name, spool.model_copy(update={"closing_delay_s": spool.delay_s}))
+    return rig
+
+
+def try_limits(
+    rig: Rig, problem: Problem, estimate: Estimate, told: Told | None = None
+) -> tuple[Rig, bool]:
+    """The rig with the limits of its spools, of those tried, with which it would do best.
+
+    What the parameters of the last estimation could make good is taken out of every trial.
+
+    Args:
+        rig: The rig, as it was estimated.
+        problem: The problem that it was estimated on.
+        estimate: The estimation.
+        told: Given the size of a batch, what is called with the fraction of it that is done.
+
+    Returns:
+        The rig, and whether a spool got a limit.
+    """
+    changed = False
+    for name, valve in rig.valves.items():
+        spool = valve.spool
+        limited = spool.max_speed_v_s is not None or spool.max_acceleration_v_s2 is not None
+        step_v = largest_step_v(problem, valve.command)
+        if spool.bandwidth_hz is None or limited or step_v <= 0.0:
+            continue
+        trials = [_Trial(b, speed=s) for b in FASTER for s in SPEEDS]
+        trials += [_Trial(b, acceleration=a) for b in FASTER for a in ACCELERATIONS]
+        costs = _costs(rig, _tried(rig, name, trials, step_v), problem, estimate, told)
+        k = int(np.argmin(costs[1:]))
+        if costs[1 + k] > (1.0 - WORTH) * costs[0]:
+            continue
+        best = trials[k]
+        more = [
+            replace(best, speed=best.speed or s, acceleration=best.acceleration or a)
+            for s, a in zip(SPEEDS, ACCELERATIONS, strict=True)
+        ]
+        again = _costs(rig, _tried(rig, name, more, step_v), problem, estimate, told)
+        if again[1:].min() < (1.0 - WORTH) * costs[1 + k]:
+            best = more[int(np.argmin(again[1:]))]
+        rig, changed = _tried(rig, name, [best], step_v)[0], True
+    return rig, changed
+
+
+def largest_step_v(problem: Problem, command: str) -> float:
+    """The largest change of a command at once, V.
+
+    Args:
+        problem: The problem.
+        command: Name of the command.
+    """
+    steps = [
+        float(np.max(np.abs(np.diff(r.commands[command].values)), initial=0.0))
+        for r in problem.recordings
+    ]
+    return max(steps, default=0.0)
+
+
+def _tried(rig: Rig, name: str, trials: list[_Trial], step_v: float) -> list[Rig]:
+    """A rig for each trial of one of its spools."""
+    given = rig.valves[name].spool
+    return [_with(rig, name, _spool(given, trial, step_v)) for trial in trials]
+
+
+def _spool(given: Spool, trial: _Trial, step_v: float) -> Spool:
+    """A spool as a trial has it."""
+    assert given.bandwidth_hz is not None
+    bandwidth = given.bandwidth_hz * trial.bandwidth
+    values = {"bandwidth_hz": bandwidth, "delay_s": given.delay_s + trial.delay_s}
+    if given.closing_delay_s is not None:
+        values["closing_delay_s"] = given.closing_delay_s + trial.delay_s
+    # of the unlimited spool after a step: x'' at once, x' at its first peak
+    omega, zeta = 2.0 * math.pi * given.bandwidth_hz, min(given.damping, 0.999)
+    root = math.sqrt(1.0 - zeta * zeta)
+    if trial.speed is not None:
+        fastest = step_v * omega * math.exp(-zeta / root * math.acos(zeta))
+        values["max_speed_v_s"] = trial.speed * fastest
+    if trial.acceleration is not None:
+        values["max_acceleration_v_s2"] = trial.acceleration * step_v * omega**2
+    return given.model_copy(update=values)
+
+
+def _with(rig: Rig, valve: str, spool: Spool) -> Rig:
+    valves = {**rig.valves, valve: rig.valves[valve].model_copy(update={"spool": spool})}
+    return rig.model_copy(update={"valves": valves})
+
+
+def _costs(
+    rig: Rig, trials: list[Rig], problem: Problem, estimate: Estimate, told: Told | None
+) -> Floats:
+    """(1 + n,) cost of the rig and of each trial after what the parameters can make good."""
+    rigs = [rig, *trials]
+    tell = None if told is None else told(len(rigs))
+    out = problem.simulate(rigs, progress=tell, strict=False).readings
+    r = np.nan_to_num(problem.residual(out), nan=1e4, posinf=1e4, neginf=-1e4)
+    r = r.reshape(len(rigs), problem.stretches, -1)
+    left = r - np.einsum("smp,kp->ksm", estimate.jacobian, estimate.amounts(r))
+    return np.array([0.5 * float(np.sum(one**2)) for one in left])

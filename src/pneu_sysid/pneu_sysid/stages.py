@@ -1,0 +1,341 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The steps in which a calibration comes near: how much flows, how fast, and then all of it.
+
+Long cells and short predictions come first. What is left to the end is told by long cells too,
+whose error at the present rig is made good by a run on the rig's own: only what changes with a
+parameter has to be told by them.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sim.rig.build import plan_grid
+from pneu_sim.rig.parameters import value_of
+from pneu_sim.rig.schema import FitParameter, Rig
+from pneu_sysid.curves import curve_ties
+from pneu_sysid.gauss_newton import DAMPINGS, Estimate, Variable, minimise
+from pneu_sysid.parameters import rig_at, variables_of
+from pneu_sysid.problem import Problem, make_problem, pull_of
+from pneu_sysid.records import Recording
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Tell = Callable[[str, float | None, str], None]
+
+SETTLED = 0.03
+"""A step that gained no more of the cost need not be taken again."""
+UNSTABLE = 1e4
+"""Residual, in noise deviations, that a simulation counts with once it is unstable."""
+SECANTS = 2
+"""Steps with a Jacobian corrected by secants, for each that is computed."""
+SLOW_PULL_S = 0.06
+"""Over so short a time a prediction is nearly linear in what flows."""
+COARSEST = 4.0
+"""Cells of the first steps are at most this much longer than the rig's."""
+FEWEST_CELLS = 20
+"""... as long as so many are left."""
+APPROACH_S = 20.0
+"""So much of long recordings serves the first steps; the last take all."""
+SLOW_PARTS = (
+    "conductance_m3_s_pa",
+    "critical_ratio",
+    "area_m2",
+    "fraction",
+    "leakage",
+    "volume_m3",
+    "pressure_pa",
+)
+"""Ends of the paths of what says how much flows, and how much it fills."""
+TRIED = 45
+"""Runs that it takes to try what a spool may be, about."""
+ENDS_HEAVY = 30.0
+"""Ends, ports and chambers of a rig cost as much time as so many cells."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a calibration.
+
+    Attributes:
+        words: What it is, for people.
+        factor: How much longer its cells are than the rig's.
+        pull_s: Time constant of the pull to the taps; None is the rig's own.
+        iterations: Gauss-Newton iterations, at most.
+        slow: Whether only what says how much flows is fitted.
+        corrected: Whether the error of its cells is made good.
+        part: Whether long recordings are cut.
+        tries: Whether what spools may be is tried first.
+        limits: Whether limits of spools are tried first, which the step before makes possible.
+        again: Whether it is left out once nothing more is gained.
+    """
+
+    words: str
+    factor: float
+    pull_s: float | None
+    iterations: int
+    slow: bool = False
+    corrected: bool = False
+    part: bool = False
+    tries: bool = False
+    limits: bool = False
+    again: bool = False
+
+
+def steps_of(rig: Rig, approach: bool, iterations: int) -> list[Step]:
+    """The steps of a calibration.
+
+    Args:
+        rig: The rig.
+        approach: Whether it has to come near first; else it is nearly right.
+        iterations: Iterations of a step on the rig's own horizon, at most.
+    """
+    if rig.model != "pde":
+        return [
+            Step("all", 1.0, None, iterations),
+            Step("all again", 1.0, None, max(3, iterations // 2)),
+        ]
+    if not approach:
+        return [
+            Step("all", 1.0, None, iterations),
+            Step("all again", 1.0, None, max(3, iterations // 2)),
+        ]
+    cells = sum(n for _, n in plan_grid(rig).pipes.values())
+    coarse = float(np.clip(cells / FEWEST_CELLS, 1.0, COARSEST))
+    pull = pull_of(rig)
+    out = []
+    if pull is None or pull > 1.5 * SLOW_PULL_S:
+        out.append(Step("slow: what flows", coarse, SLOW_PULL_S, 3, slow=True, part=True))
+    few = max(1, iterations // 4)
+    out.append(Step("fast: spools and waves", coarse, None, few, part=True, tries=True))
+    out.append(Step("fast: limits of spools", coarse, None, few, part=True, limits=True))
+    out.append(Step("all", coarse, None, few, corrected=True))
+    out += [
+        Step(f"all, {time} time", coarse, None, few, corrected=True, again=True)
+        for time in ("second", "third", "fourth")
+    ]
+    return out
+
+
+class Work:
+    """How much of a calibration is done, and who is told of it."""
+
+    def __init__(self, ends: dict[Step, tuple[float, float]], tell: Tell) -> None:
+        """Nothing is done yet.
+
+        Args:
+            ends: Per step what all is worth when it is done, and what one run in it is worth.
+            tell: Called with a stage, the fraction done and a note.
+        """
+        self._ends, self._tell = ends, tell
+        self._total = 1.05 * max((end for end, _ in ends.values()), default=1.0)
+        self._done = self._until = 0.0
+        self.words = ""
+
+    @classmethod
+    def of_steps(cls, steps: list[tuple[Step, float, int, int]], tell: Tell) -> "Work":
+        """What some steps are worth.
+
+        Args:
+            steps: Each with what one run is worth, how many parameters it fits, and how many
+                valves the rig has.
+            tell: Called with a stage, the fraction done and a note.
+        """
+        ends, sofar = {}, 0.0
+        for step, weight, count, valves in steps:
+            sofar += weight * runs_of(step, count, valves)
+            ends[step] = (sofar, weight)
+        return cls(ends, tell)
+
+    def begin(self, step: Step) -> Callable[[int], Callable[[float], None]]:
+        """Begins a step: given the size of a batch, what is called with the fraction done of it.
+
+        Args:
+            step: The step.
+        """
+        self.words = step.words
+        self._until, weight = self._ends[step]
+
+        def told(count: int) -> Callable[[float], None]:
+            begun = self._done
+
+            def tell(fraction: float) -> None:
+                self._done = min(begun + weight * count * fraction, self._until)
+                self._tell("calibrating", self._done / self._total, self.words)
+
+            return tell
+
+        return told
+
+    def finish(self, step: Step) -> None:
+        """Ends a step, whether or not all of it had to be done.
+
+        Args:
+            step: The step.
+        """
+        self._done = self._ends[step][0]
+
+
+def weight_of(rig: Rig, step: Step, seconds: float) -> float:
+    """What one run of a rig in a step costs, in any unit.
+
+    Args:
+        rig: The rig.
+        step: The step.
+        seconds: Length of the recordings, s.
+    """
+    cells = sum(n for _, n in plan_grid(rig).pipes.values()) / step.factor
+    runs = min(seconds, APPROACH_S) if step.part else seconds
+    return runs * (cells + ENDS_HEAVY) / step.factor
+
+
+def runs_of(step: Step, count: int, valves: int) -> int:
+    """How many runs a step takes at most, told in those of its own cells.
+
+    Args:
+        step: The step.
+        count: Parameters.
+        valves: Valves.
+    """
+    once = 2.0 * step.factor**2 if step.corrected else 0.0
+    fitted = count // 2 if step.slow else count
+    tried = TRIED * valves if step.tries else 0
+    return round(step.iterations * (fitted + 1 + len(DAMPINGS)) + 3 + once + tried)
+
+
+def is_slow(parameter: FitParameter) -> bool:
+    """Whether a parameter says how much flows, or how much it fills.
+
+    Args:
+        parameter: The parameter.
+    """
+    parts = parameter.path.split(".")
+    name = parts[-2] if parts[-1].isdigit() else parts[-1]
+    return name in SLOW_PARTS
+
+
+def residual_function(
+    problem: Problem,
+    chosen: Mask,
+    rig_of: Callable[[Floats], Rig],
+    told: Callable[[int], Callable[[float], None]] | None = None,
+) -> Callable[[Sequence[Floats]], Floats]:
+    """Batched residuals over chosen stretches for `gauss_newton.minimise`.
+
+    Args:
+        problem: The problem.
+        chosen: (n_stretches,) stretches to use.
+        rig_of: Rig at a parameter vector.
+        told: Given the size of a batch, what is called with the fraction of it that is done.
+    """
+    target = problem.target()[chosen]
+
+    def residuals(points: Sequence[Floats]) -> Floats:
+        tell = None if told is None else told(len(points))
+        rigs = [rig_of(x) for x in points]
+        y = problem.simulate(rigs, progress=tell, strict=False).readings[:, chosen]
+        r = np.where(np.isfinite(target), (target - y) / problem.noise_pa, 0.0)
+        # a trial that no longer can be simulated is only a bad one
+        r[~(np.abs(r) < UNSTABLE)] = UNSTABLE
+        return r.reshape(len(points), target.shape[0], -1)
+
+    return residuals
+
+
+def settled(estimate: Estimate) -> bool:
+    """Whether the last estimation gained too little for another like it.
+
+    Args:
+        estimate: The estimation.
+    """
+    return estimate.gained < SETTLED
+
+
+def problem_of(
+    rig: Rig, recordings: list[Recording], step: Step, workers: int | None
+) -> tuple[Problem, Problem | None]:
+    """The problem that a step solves, and the one on the rig's own cells where it is corrected.
+
+    Recordings begin as they are found to with the rig as it is.
+
+    Args:
+        rig: The rig.
+        recordings: The recordings.
+        step: The step.
+        workers: Threads of a batch.
+    """
+    if step.part:
+        recordings = [r.until(APPROACH_S) for r in recordings]
+    dx_m = None if step.factor == 1.0 else step.factor * rig.grid.dx_m
+    problem = make_problem(rig, recordings, pull_s=step.pull_s, dx_m=dx_m, workers=workers)
+    if not step.corrected:
+        return problem, None
+    problem.prepare(rig)
+    fine = problem.with_grid(rig.grid.dx_m)
+    problem.grid_pa = fine.predict([rig])[0] - problem.predict([rig])[0]
+    return problem, fine
+
+
+def centred(
+    rig: Rig, parameters: list[FitParameter], centres: dict[tuple[str, str | None], float]
+) -> list[Variable]:
+    """Variables of an estimation that starts at a rig, with the datasheet as the prior's centre.
+
+    Args:
+        rig: The rig.
+        parameters: What is estimated.
+        centres: Centre by path and recording.
+    """
+    return [
+        replace(v, centre=centres[p.path, p.recording])
+        for v, p in zip(variables_of(rig, parameters), parameters, strict=True)
+    ]
+
+
+def take(
+    rig: Rig,
+    problem: Problem,
+    parameters: list[FitParameter],
+    centres: dict[tuple[str, str | None], float],
+    used: Mask,
+    iterations: int,
+    robust: bool,
+    told: Callable[[int], Callable[[float], None]] | None = None,
+    slope: Floats | None = None,
+) -> tuple[Rig, Estimate]:
+    """Takes one step: the rig after it, and the estimate.
+
+    Args:
+        rig: The rig.
+        problem: The problem.
+        parameters: What is estimated.
+        centres: Centre of the prior by path and recording.
+        used: (n_stretches,) stretches to use.
+        iterations: At most so many.
+        robust: Whether outliers weigh less.
+        told: See `residual_function`.
+        slope: Jacobian to begin with, where it is known.
+    """
+    estimate = minimise(
+        residual_function(problem, used, partial(rig_at, rig, parameters), told),
+        centred(rig, parameters, centres),
+        iterations=iterations,
+        robust=robust,
+        ties=curve_ties(rig, parameters),
+        secants=SECANTS,
+        slope=slope,
+    )
+    return rig_at(rig, parameters, estimate.values), estimate
+
+
+def start_of(rig: Rig, parameters: list[FitParameter]) -> list[float]:
+    """Value of each parameter in a rig, within its bounds.
+
+    Args:
+        rig: The rig.
+        parameters: The parameters.
+    """
+    return [float(np.clip(value_of(rig, p), p.lower, p.upper)) for p in parameters]

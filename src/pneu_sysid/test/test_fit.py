@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibration: what is fitted, from where it starts, and what is said where it stops short."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from studies.exact_rigs import draw_rig, record
+
+from pneu_sim.errors import InputError
+from pneu_sim.rig.build import build
+from pneu_sim.rig.schema import AttachedEffect, FitParameter, Opening, Rig
+from pneu_sysid.curves import WIDEST, with_own_curves
+from pneu_sysid.fit import FitOutcome, fit_rig, parameters_of
+from pneu_sysid.parameters import calibrated_parameters, listed_parameters
+from pneu_sysid.problem import make_problem
+from pneu_sysid.records import Recording
+
+BANDWIDTH = "valves.valve.spool.bandwidth_hz"
+SUPPLY = "valves.valve.ports.supply.conductance_m3_s_pa"
+EXHAUST = "valves.valve.ports.exhaust.conductance_m3_s_pa"
+VOLUME = "chambers.chamber.volume_m3"
+
+
+def coarse(shape: str, rng: np.random.Generator) -> Rig:
+    """A rig on longer cells, which take a fraction of the time."""
+    rig = draw_rig(shape, rng)
+    rig.grid.dx_m, rig.grid.memory = 0.2, False
+    return rig
+
+
+def openings(rig: Rig, port: str, volts: np.ndarray) -> np.ndarray:
+    """Opening of a port at some voltages, as the simulator has it."""
+    model = build(rig)
+    q = model.plan.port_names.index(f"valve.{port}")
+    table = np.linspace(*model.curve_v[q], model.curve.shape[1])
+    return np.interp(volts, table, model.curve[q])
+
+
+@pytest.mark.parametrize("interpolation", ["power", "cubic"])
+def test_ports_get_curves_of_their_own_and_keep_their_openings(interpolation: str) -> None:
+    rig = draw_rig("line", np.random.default_rng(1))
+    if interpolation == "cubic":
+        given = Opening(voltage_v=[5.0, 5.5, 7.0, 10.0], fraction=[0.0, 0.05, 0.4, 1.0])
+        rig.valves["valve"].ports["supply"].opening = given
+    own = with_own_curves(rig)
+    volts = np.linspace(5.15, 10.0, 60)
+    for port, at in (("supply", volts), ("exhaust", 10.0 - volts)):
+        curve = own.valves["valve"].ports[port].opening
+        assert curve.mirror is None and curve.interpolation == "power"
+        distance = np.sort(np.abs(np.array(curve.voltage_v) - 5.0))
+        assert (distance[1:] / distance[:-1] < WIDEST * 1.001).all()
+        # between the points another interpolation, hence not the same to the last digit
+        np.testing.assert_allclose(
+            openings(own, port, at), openings(rig, port, at), atol=0.02, rtol=0.05
+        )
+    assert rig.valves["valve"].ports["exhaust"].opening.mirror == "supply"
+
+
+def test_the_file_adds_drops_and_holds() -> None:
+    rig = draw_rig("restrictor", np.random.default_rng(2))
+    paths = [p.path for p in parameters_of(rig)]
+    assert "orifices.restrictor.conductance_m3_s_pa" in paths
+    assert "chambers.chamber.heat_w_per_k" in paths
+    assert any(p.endswith("loss_to") for p in paths)
+    rig.fit.add = [
+        FitParameter(path="taps.tube.lag_s", lower=0.0, upper=0.02, std=2e-3),
+        FitParameter(path=BANDWIDTH, lower=10.0, upper=20.0, log=True),
+    ]
+    rig.fit.drop = ["valves.*.opening.*"]
+    rig.fit.hold = ["chambers.*"]
+    listed, held = listed_parameters(rig, calibrated_parameters(with_own_curves(rig)))
+    by_path = {p.path: p for p in listed}
+    assert by_path["taps.tube.lag_s"].upper == 0.02
+    assert by_path[BANDWIDTH].upper == 20.0
+    assert not any("opening" in path for path in by_path)
+    assert set(held) == {VOLUME, "chambers.chamber.heat_w_per_k"}
+    rig.fit.drop = ["valve.*"]
+    with pytest.raises(InputError, match=r"fit\.drop\.0: found 'valve\.\*', which is no parameter"):
+        parameters_of(rig)
+
+
+def few(rig: Rig, *paths: str) -> list[FitParameter]:
+    """Some parameters of a rig's list."""
+    return [p for p in calibrated_parameters(rig) if p.path in paths]
+
+
+def test_what_is_held_counts_in_the_errors_of_the_others() -> None:
+    """A volume that is not known exactly makes the conductance that fills it as uncertain."""
+    rng = np.random.default_rng(3)
+    rig = coarse("two_valves", rng)
+    recording = record(rig, rng, 125.0, 2.5, moving=False)
+    rig.fit.parameters = few(rig, SUPPLY, EXHAUST, BANDWIDTH, VOLUME)
+
+    def errors(**fit: list[str]) -> dict[str, float | None]:
+        given = rig.model_copy(update={"fit": rig.fit.model_copy(update=fit)})
+        outcome = fit_rig(given, recording, approach=False, iterations=2)
+        return {p.path: p.std_error for p in outcome.parameters}
+
+    exact, held = errors(drop=[VOLUME]), errors(hold=[VOLUME])
+    assert VOLUME not in exact and held[VOLUME] is None
+    volume = next(p for p in rig.fit.parameters if p.path == VOLUME)
+    relative = volume.std / rig.chambers["chamber"].volume_m3
+    conductance = rig.valves["valve"].ports["exhaust"].conductance_m3_s_pa
+    # what flows fills the chamber: an error of the one is nearly as large an error of the other
+    assert 0.5 * relative * conductance < held[EXHAUST] < 1.5 * relative * conductance
+    assert exact[EXHAUST] < 0.1 * held[EXHAUST]
+
+
+@pytest.fixture(scope="module")
+def calibrated() -> tuple[Rig, Recording, FitOutcome]:
+    """A rig with a slow spool and curves that differ, known from a datasheet, calibrated."""
+    rng = np.random.default_rng(4)
+    truth = with_own_curves(coarse("line", rng))
+    valve = truth.valves["valve"]
+    valve.spool.bandwidth_hz, valve.spool.damping, valve.spool.delay_s = 70.0, 0.8, 1e-3
+    valve.spool.max_acceleration_v_s2 = 0.2 * 5.0 * (2.0 * np.pi * 70.0) ** 2
+    supply, exhaust = valve.ports["supply"], valve.ports["exhaust"]
+    exhaust.opening.fraction = [f**1.2 for f in exhaust.opening.fraction]
+    datasheet = truth.model_copy(deep=True)
+    guess = datasheet.valves["valve"]
+    guess.spool = guess.spool.model_copy(
+        update={"bandwidth_hz": 55.0, "delay_s": 0.0, "max_acceleration_v_s2": None}
+    )
+    guess.ports["supply"].conductance_m3_s_pa = 1.3 * supply.conductance_m3_s_pa
+    guess.ports["exhaust"].conductance_m3_s_pa = exhaust.conductance_m3_s_pa / 1.2
+    volts = [5.1, 5.5, 7.0, 10.0]
+    guess.ports["supply"].opening = Opening(
+        voltage_v=volts, fraction=[0.02, 0.1, 0.4, 1.0], interpolation="power"
+    )
+    guess.ports["exhaust"].opening = Opening(mirror="supply")
+    # what the recordings hardly show costs time here
+    datasheet.fit.drop = ["pipes.*", "*.laminar_*", "*.jet_loss", "*.inlet_head", "reservoirs.*"]
+    recordings = [record(truth, rng, 125.0, 6.0, moving=False, name=f"run_{k}") for k in (1, 2)]
+    return truth, recordings[1], fit_rig(datasheet, recordings[0])
+
+
+def test_a_datasheet_becomes_a_calibration(
+    calibrated: tuple[Rig, Recording, FitOutcome],
+) -> None:
+    """It leaves the noise on a recording kept aside; the datasheet lacked the spool's limit."""
+    truth, aside, outcome = calibrated
+    problem = make_problem(outcome.rig, aside)
+    r = problem.residual(problem.predict([outcome.rig])[0])
+    count = np.isfinite(problem.measured).sum(axis=(0, 1))
+    assert (np.sqrt(np.sum(r**2, axis=(0, 1)) / count) < 2.0).all()
+    assert outcome.shortfall is None
+    spool = outcome.rig.valves["valve"].spool
+    assert spool.max_acceleration_v_s2 is not None or spool.max_speed_v_s is not None
+    for path in (SUPPLY, EXHAUST):
+        k = next(k for k, p in enumerate(outcome.parameters) if p.path == path)
+        error = outcome.parameters[k].std_error
+        port = path.split(".")[3]
+        true = truth.valves["valve"].ports[port].conductance_m3_s_pa
+        assert abs(outcome.values[k] - true) < 3.0 * error, path
+        assert error < 0.1 * true
+
+
+def test_warnings_are_three_lines_at_most(calibrated: tuple[Rig, Recording, FitOutcome]) -> None:
+    assert len(calibrated[2].warnings) <= 3
+
+
+def test_where_it_stops_short_it_says_where_and_what_would_help() -> None:
+    """A lag of one sensor, which no calibration fits: the tap is named, and the effect."""
+    rng = np.random.default_rng(5)
+    truth = coarse("line", rng)
+    lag = AttachedEffect(effect="sensor_lag", place="end", parameters={"lag_s": 8e-3})
+    plant = truth.model_copy(update={"effects": [lag]})
+    recording = record(plant, rng, 250.0, 3.0, moving=False)
+    parameters = few(truth, SUPPLY, EXHAUST, BANDWIDTH)
+    short = fit_rig(truth, recording, parameters, approach=False, iterations=2).shortfall
+    assert short is not None
+    assert max(short.by_tap, key=short.by_tap.__getitem__) == "end"
+    assert "stops short" in short.sentence and "end" in short.sentence
+    assert any(line.startswith("end: most with") for line in short.where)
+    assert any(line.startswith("sensor_lag@end would explain") for line in short.help)
+
+
+def test_the_first_part_of_a_recording() -> None:
+    rng = np.random.default_rng(6)
+    recording = record(coarse("line", rng), rng, 125.0, 3.0, moving=True)
+    part = recording.until(1.0)
+    assert part.end_s <= 1.0 < recording.end_s
+    assert part.commands["voltage"].time_s[0] == recording.commands["voltage"].time_s[0]
+    assert recording.until(10.0) is recording
