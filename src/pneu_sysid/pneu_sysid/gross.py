@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_sim.rig.plausible import RANGES
 from pneu_sim.rig.schema import CLOSED, Rig
 from pneu_sim.signals import Signal
 from pneu_sysid.problem import Problem, make_problem
@@ -28,7 +29,7 @@ PULL_S = 0.3
 """Long enough for a wrong part to show, short enough for two Gauss-Newton steps to converge."""
 LEAD_S = 0.4
 """How a recording begins is not looked for: what follows of it is forgotten after a pull."""
-USED_S = 4.0
+USED_S = 6.0
 """Of all recordings together so much does, where the commands move most."""
 STEP = 0.02
 DAMPINGS = (1e-3, 1e-1, 1e1)
@@ -43,7 +44,7 @@ CLEAN = 0.1
 """Where the fitted datasheet leaves less of the spread at every tap, nothing else is looked for."""
 FAR = 0.75
 """... unless it needed a size changed by more than exp(0.75) = 2.1."""
-GAIN = 1.0
+GAIN = 1.5
 """By how much the logarithms of the taps' errors must fall together before anybody is accused."""
 ALIKE = 0.25
 """Explanations whose gains are no further apart are both told."""
@@ -52,19 +53,26 @@ DELAY_S = 2e-3
 """Limits of a spool's speed and delays that no datasheet has, one sigma."""
 NEAR_M = 0.3
 """A tap of a chamber is not told from one so near on a pipe to it."""
-SHORTEST_M = 0.1
-"""No pipe is tried that is shorter."""
+SHORTEST_M = 0.05
+"""No pipe is tried that is shorter: its cells would need very many steps."""
 FURTHER = (2.0, 3.0)
+TRIED_S = 2.5
+"""Guesses are first tried on so much."""
 STEPS = 2
 MORE_STEPS = 4
 MOST = 2
 """Errors looked for one after the other, each with those before made good."""
-KEPT = {"size": 3, "wiring": 4, "tap": 3}
+BEST = 3
+"""... and of those so many are given more."""
+KEPT = {"size": 3, "wiring": 2, "tap": 2}
 """Guesses of each kind that are given Gauss-Newton steps; the others explain less as they stand."""
 GAUGE = (0.75, 1.25)
 """A reservoir given above the room's pressure is off by this much of it."""
 RESERVOIR = 0.15
 """A reservoir further from what its taps read is not meant; the fit's own range is 10 %."""
+
+STEADY = 0.25
+"""A tap in a reservoir's own pipe moves by no more of its reading."""
 
 
 @dataclass(frozen=True)
@@ -221,9 +229,7 @@ class _Bench:
 
     def score(self, left: Floats) -> Floats:
         """Sum of the logarithms of the taps' errors."""
-        return np.asarray(
-            0.5 * np.sum(np.log(self.mean(left) + self.floor_pa**2), axis=-1)
-        )
+        return np.asarray(0.5 * np.sum(np.log(self.mean(left) + self.floor_pa**2), axis=-1))
 
 
 def _turned(rig: Rig, knobs: list[_Knob], x: Floats) -> Rig:
@@ -295,6 +301,20 @@ def _sizes(rig: Rig) -> list[tuple[str, tuple[str, ...]]]:
     for p in rig.pipes:
         singles += [f"pipes.{p}.area_m2", f"pipes.{p}.length_m"]
     return out + [(path, (path,)) for path in singles]
+
+
+def _possible(
+    rig: Rig, cases: list[tuple[str, tuple[str, ...], float]]
+) -> list[tuple[str, tuple[str, ...], float]]:
+    """Sizes so changed that are worth a run: very short pipes need very many steps."""
+    out = []
+    for what, paths, decades in cases:
+        known = RANGES[paths[0].rpartition(".")[2]]
+        value = _value(rig, paths[0]) * 10.0**decades
+        least = max(known.low, SHORTEST_M) if paths[0].endswith("length_m") else known.low
+        if least <= value <= known.high:
+            out.append((what, paths, decades))
+    return out
 
 
 def _resized(base: _Guess, what: str, paths: tuple[str, ...], decades: float) -> _Guess:
@@ -374,9 +394,7 @@ def _moved_taps(base: _Guess) -> list[_Guess]:
     rig, out = base.rig, []
 
     def placed(places: dict[str, dict[str, Any]]) -> Rig:
-        taps = {
-            name: tap.model_copy(update=places.get(name, {})) for name, tap in rig.taps.items()
-        }
+        taps = {name: tap.model_copy(update=places.get(name, {})) for name, tap in rig.taps.items()}
         return rig.model_copy(update={"taps": taps})
 
     own = {
@@ -429,7 +447,7 @@ def gross_errors(rig: Rig, problem: Problem) -> list[GrossError]:
     errors, corrected = _reservoirs(rig, problem)
     base = _Guess("none", "", "", corrected, recordings)
     for _ in range(MOST):
-        nominal = _settle(_begin(_Bench(base.rig, recordings, problem), base), STEPS)
+        nominal = _settle(_begin(_Bench(base.rig, base.recordings, problem), base), STEPS)
         if _fits(nominal):
             break
         nominal = _settle(nominal, MORE_STEPS - STEPS)
@@ -477,32 +495,37 @@ def _fits(settled: _Settled) -> bool:
 def _accused(nominal: _Settled, like: Problem) -> tuple[GrossError, _Guess] | None:
     """The guess that explains far more than the file does, if there is one."""
     base = nominal.guess
-    sizes = [
-        _resized(base, what, paths, decades)
-        for what, paths in _sizes(base.rig)
-        for decades in DECADES
-        if not (
-            paths[0].endswith("length_m")
-            and _value(base.rig, paths[0]) * 10.0**decades < SHORTEST_M
-        )
-    ]
-    tried = _tried(sizes, nominal, like)
-    start = float(nominal.bench.score(nominal.bench.left([base.rig])[0]))
-    again = [
-        _resized(base, t.guess.what, t.guess.paths, further * t.guess.decades)
-        for t in tried
-        if t.cost < start
+    # what explains least is told by a short part of the recordings
+    parts = [_liveliest(r, TRIED_S / len(base.recordings)) for r in base.recordings]
+    short = replace(base, recordings=parts)
+    bench = _Bench(short.rig, parts, like)
+    start = float(bench.score(bench.left([base.rig])[0]))
+    cases = [(what, paths, d) for what, paths in _sizes(base.rig) for d in DECADES]
+    costs = _tried([_resized(short, *case) for case in _possible(base.rig, cases)], bench, like)
+    full = [_resized(base, *case) for case in _possible(base.rig, cases)]
+    cases = [
+        (guess.what, guess.paths, further * guess.decades)
+        for guess, cost in zip(full, costs, strict=True)
+        if cost < start
         for further in FURTHER
     ]
-    tried += _tried(again, nominal, like)
-    tried += _tried(_wirings(base), nominal, like)
-    tried += _tried(_moved_taps(base), nominal, like)
+    full += [_resized(base, *case) for case in _possible(base.rig, cases)]
+    costs += _tried([_resized(short, *case) for case in _possible(base.rig, cases)], bench, like)
+    full += [*_wirings(base), *_moved_taps(base)]
+    costs += _tried([*_wirings(short), *_moved_taps(short)], bench, like)
     chosen = []
     for kind, most in KEPT.items():
-        of_kind = sorted((t for t in tried if t.guess.kind == kind), key=lambda t: t.cost)
-        chosen += of_kind[:most]
-    settled = sorted((_settle(t, 1) for t in chosen), key=lambda t: t.cost)
-    settled = [_settle(t, STEPS) for t in settled[:3]]
+        ranked = sorted((cost, k) for k, cost in enumerate(costs) if full[k].kind == kind)
+        of_kind: dict[str, _Guess] = {}
+        for _, k in ranked:
+            of_kind.setdefault(full[k].what, full[k])  # the best of each part
+        chosen += list(of_kind.values())[:most]
+    begun = [
+        _begin(_Bench(g.rig, g.recordings, like) if g.own_grid else nominal.bench, g)
+        for g in chosen
+    ]
+    settled = sorted((_settle(t, 1) for t in begun), key=lambda t: t.cost)
+    settled = [_settle(t, STEPS) for t in settled[:BEST]]
     settled.sort(key=lambda t: t.cost)
     best = settled[0]
     if nominal.cost - best.cost < GAIN:
@@ -520,19 +543,14 @@ def _accused(nominal: _Settled, like: Problem) -> tuple[GrossError, _Guess] | No
     return error, best.guess
 
 
-def _tried(guesses: list[_Guess], nominal: _Settled, like: Problem) -> list[_Settled]:
-    """Guesses as they stand: those that share the structure in one batch."""
-    out = []
-    shared = [g for g in guesses if not g.own_grid]
-    if shared:
-        bench = nominal.bench
-        for guess, left in zip(shared, bench.left([g.rig for g in shared]), strict=True):
-            cost = float(bench.score(left))
-            out.append(_Settled(guess, bench, np.zeros(nominal.x.size), left, cost))
-    for guess in guesses:
-        if guess.own_grid:
-            out.append(_begin(_Bench(guess.rig, guess.recordings, like), guess))
-    return out
+def _tried(guesses: list[_Guess], bench: _Bench, like: Problem) -> list[float]:
+    """Costs of guesses as they stand: those that share the structure in one batch."""
+    shared = [g.rig for g in guesses if not g.own_grid]
+    costs = iter(bench.score(bench.left(shared)) if shared else ())
+    return [
+        _begin(_Bench(g.rig, g.recordings, like), g).cost if g.own_grid else float(next(costs))
+        for g in guesses
+    ]
 
 
 def _size_words(settled: _Settled) -> str:
@@ -572,7 +590,11 @@ def _reservoirs(rig: Rig, problem: Problem) -> tuple[list[GrossError], Rig]:
                 continue
             values = np.concatenate([r.pressures[tap].values for r in problem.recordings])
             # friction and sag only take away from a supply, and add to a sink
-            levels[tap] = float(np.median(_resting(values)))
+            level = float(np.median(_resting(values)))
+            low, high = np.quantile(values, (0.05, 0.95))
+            # what moves more is no volume with a reservoir at its end: the tap is elsewhere
+            if high - low < STEADY * level:
+                levels[tap] = level
         if not levels:
             continue
         tap, level = max(levels.items(), key=lambda item: item[1])
