@@ -37,7 +37,7 @@ PRIOR = 0.05
 """Weight of a knob's prior, in the logarithm of the error: three sigmas cost a fifth."""
 NOISE_FLOOR = 3.0
 SPREAD_FLOOR = 0.02
-"""Errors below three times the noise, or 2 % of how far the pressures spread, tell nothing gross."""
+"""Errors below three times the noise, or 2 % of how far the pressures spread, are not gross."""
 LOST = 10.0
 """What cannot be simulated counts as so many times the spread."""
 CLEAN = 0.1
@@ -213,11 +213,9 @@ class _Bench:
         # (a supply hardly moves: what is a small part of all motion is not looked at more closely)
         self.spread_pa = np.maximum(spread, 0.3 * spread.max())
         self.floor_pa = np.hypot(NOISE_FLOOR * self.noise_pa, SPREAD_FLOOR * self.spread_pa)
-        self.runs = 0
 
     def left(self, rigs: Sequence[Rig]) -> Floats:
         """(n_rigs, n_stretches, horizon, n_taps) measured minus predicted, Pa."""
-        self.runs += len(rigs)
         y = self.problem.simulate(rigs, strict=False).readings
         left = np.where(self.seen, self.problem.measured - y, 0.0)
         wild = LOST * self.spread_pa
@@ -445,6 +443,8 @@ def gross_errors(rig: Rig, problem: Problem) -> list[GrossError]:
         return []
     recordings = [_liveliest(r, USED_S / len(problem.recordings)) for r in problem.recordings]
     errors, corrected = _reservoirs(rig, problem)
+    if _runs_away(_Bench(corrected, recordings, problem), corrected):
+        corrected = _plain(corrected)
     base = _Guess("none", "", "", corrected, recordings)
     for _ in range(MOST):
         nominal = _settle(_begin(_Bench(base.rig, base.recordings, problem), base), STEPS)
@@ -459,6 +459,20 @@ def gross_errors(rig: Rig, problem: Problem) -> list[GrossError]:
         error, base = found
         errors.append(error)
     return errors
+
+
+def _runs_away(bench: _Bench, rig: Rig) -> bool:
+    y = bench.problem.simulate([rig], strict=False).readings[0]
+    return not bool(np.isfinite(y[bench.seen]).all())
+
+
+def _plain(rig: Rig) -> Rig:
+    """A rig whose ports take no more than one head: with ports far too large, two run away."""
+    out = rig.model_copy(deep=True)
+    for valve in out.valves.values():
+        for port in valve.ports.values():
+            port.jet_loss, port.inlet_head = min(port.jet_loss, 1.0), min(port.inlet_head, 1.0)
+    return out
 
 
 def _liveliest(recording: Recording, seconds: float) -> Recording:
@@ -585,7 +599,7 @@ def _reservoirs(rig: Rig, problem: Problem) -> tuple[list[GrossError], Rig]:
             if node in rig.reservoirs and node != name
         }
         levels = {}
-        for t, tap in enumerate(problem.taps):
+        for tap in problem.taps:
             if volume_of_tap(volume, rig.taps[tap]) not in fed - others:
                 continue
             values = np.concatenate([r.pressures[tap].values for r in problem.recordings])
