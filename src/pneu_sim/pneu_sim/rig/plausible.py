@@ -52,18 +52,18 @@ class Range:
 
 _BAR = (("bar", 1e5, 0.0), ("kPa", 1e3, 0.0), ("psi", 6894.757, 0.0), ("MPa", 1e6, 0.0))
 _MM = (("mm", 1e-3, 0.0),)
-_MM2 = (("mm2", 1e-6, 0.0),)
+_MM2 = (("mm2", 1e-6, 0.0), ("cm2", 1e-4, 0.0))
 _CM3 = (("cm3", 1e-6, 0.0), ("litres", 1e-3, 0.0))
 
 RANGES = {
     "pressure_pa": Range(1e3, 1e8, "Pa", _BAR, (5e4, 2e7), zero=False),
     "temperature_k": Range(150.0, 1000.0, "K", (("°C", 1.0, 273.15),), (230.0, 400.0), zero=False),
-    "length_m": Range(1e-3, 1e3, "m", _MM, (1e-2, 1e2), zero=False),
-    "position_m": Range(0.0, 1e3, "m", _MM, (1e-2, 1e2)),
+    "length_m": Range(1e-3, 1e2, "m", _MM, (1e-2, 1e2), zero=False),
+    "position_m": Range(0.0, 1e2, "m", _MM, (1e-2, 1e2)),
     "dx_m": Range(1e-4, 1e2, "m", _MM, (1e-3, 1.0), zero=False),
-    "area_m2": Range(1e-12, 0.1, "m2", _MM2, (1e-9, 1e-3)),
+    "area_m2": Range(1e-12, 1e-2, "m2", _MM2, (1e-7, 1e-3)),
     "leak_area_m2": Range(1e-15, 0.1, "m2", _MM2, (1e-9, 1e-3)),
-    "volume_m3": Range(1e-10, 100.0, "m3", _CM3, (1e-8, 1.0)),
+    "volume_m3": Range(1e-10, 10.0, "m3", _CM3, (1e-8, 1.0)),
     "volume_from_m3": Range(0.0, 0.1, "m3", _CM3, (1e-9, 1e-2)),
     "volume_to_m3": Range(0.0, 0.1, "m3", _CM3, (1e-9, 1e-2)),
     "conductance_m3_s_pa": Range(
