@@ -11,6 +11,7 @@ from pneu_sim.errors import InputError
 from pneu_sim.rig.schema import Calibration, FitParameter, Rig
 from pneu_sysid.curves import with_own_curves
 from pneu_sysid.gauss_newton import Estimate, jacobian
+from pneu_sysid.gross import GrossError, gross_errors
 from pneu_sysid.parameters import (
     calibrated_parameters,
     default_parameters,
@@ -25,6 +26,8 @@ from pneu_sysid.records import Recording
 from pneu_sysid.shortfall import ENOUGH, Shortfall, effects_that_help, shortfall_of
 from pneu_sysid.spools import try_limits, try_spools
 from pneu_sysid.stages import (
+    COARSEST,
+    SLOW_PULL_S,
     Step,
     Tell,
     Work,
@@ -174,6 +177,23 @@ def parameters_of(rig: Rig) -> list[FitParameter]:
     given = rig.fit.parameters
     drawn = with_own_curves(rig) if rig.model == "pde" and not given else rig
     return _list_of(drawn, given, [])[0]
+
+
+def gross_errors_in(
+    rig: Rig, recordings: Sequence[Recording], workers: int | None = None
+) -> list[GrossError]:
+    """What is so wrong in a rig file that no fit would mean anything.
+
+    Args:
+        rig: The rig.
+        recordings: The recordings.
+        workers: Threads of a batch.
+    """
+    if rig.model != "pde":
+        return []
+    cells = COARSEST * rig.grid.dx_m
+    problem = make_problem(rig, recordings, dx_m=cells, pull_s=SLOW_PULL_S, workers=workers)
+    return gross_errors(rig, problem)
 
 
 Key = tuple[str, str | None]
