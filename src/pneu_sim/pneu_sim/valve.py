@@ -515,28 +515,54 @@ def openings_along(
     Returns:
         (count, n_ports) openings, dimensionless.
     """
-    plan = model.plan
-    edges = begin_s + step_s * np.arange(count)
-    positions: dict[int, Floats] = {}
-    for v, name in enumerate(plan.commands):
-        row = model.spool[v]
-        signal = commands[name]
-        if row[B.V_CLOSING] != 0.0:
-            signal = _as_it_acts(signal, row)
-        positions[v] = np.empty(count)
-        at = edges - row[B.V_DELAY]
-        first = float(signal.held(at[0]))
-        rest = float(row[B.V_NULL]) if at_null else first
-        if row[B.V_FREQUENCY] <= 0.0:
-            if row[B.V_SPEED] < math.inf:
-                _rate_limited(
-                    signal.time_s, signal.values, at[0], rest, step_s, row, memory[v], positions[v]
-                )
-                continue
-            at = at + 0.5 * step_s
-        mean = signal.mean_between(at)
-        _follow(mean, first, rest, step_s, row, memory[v], positions[v])
+    positions = {
+        v: positions_along(
+            model.spool[v], commands[name], begin_s, step_s, count, memory[v], at_null
+        )
+        for v, name in enumerate(model.plan.commands)
+    }
     return _of_ports(model, positions, count)
+
+
+def positions_along(
+    row: Floats,
+    command: Signal,
+    begin_s: float,
+    step_s: float,
+    count: int,
+    memory: Floats,
+    at_null: bool = False,
+) -> Floats:
+    """Positions of one spool along a command that has times of its own.
+
+    Args:
+        row: Valve parameters, see ``pneu_sim.rig.build``.
+        command: Volts, each held until the next.
+        begin_s: Time of the first position, s.
+        step_s: Interval of the positions, s.
+        count: How many.
+        memory: (4,) where the spool stands, brought up to the last position; NaN has it at rest.
+            See `spool_positions`.
+        at_null: Whether a spool at rest stands closed, else where the command has it.
+
+    Returns:
+        (count,) positions, volts.
+    """
+    if row[B.V_CLOSING] != 0.0:
+        command = _as_it_acts(command, row)
+    positions = np.empty(count)
+    at = begin_s + step_s * np.arange(count) - row[B.V_DELAY]
+    first = float(command.held(at[0]))
+    rest = float(row[B.V_NULL]) if at_null else first
+    if row[B.V_FREQUENCY] <= 0.0:
+        if row[B.V_SPEED] < math.inf:
+            _rate_limited(
+                command.time_s, command.values, at[0], rest, step_s, row, memory, positions
+            )
+            return positions
+        at = at + 0.5 * step_s
+    _follow(command.mean_between(at), first, rest, step_s, row, memory, positions)
+    return positions
 
 
 def _as_it_acts(signal: Signal, row: Floats) -> Signal:

@@ -419,7 +419,7 @@ class _Prepared:
 def record_for(
     rig: Rig, path: str, start_s: float | None = None, end_s: float | None = None
 ) -> Recording:
-    """Reads the recording of a rig: its commands and tap pressures.
+    """Reads the recording of a rig: its commands, tap pressures and measured spool positions.
 
     Args:
         path: Bag or text file.
@@ -445,6 +445,7 @@ def record_for(
         rate_hz=rig.rate_hz,
         start_s=start_s,
         end_s=end_s,
+        positions={n: v.position for n, v in rig.valves.items() if v.position is not None},
     )
     return checked(rig, str(path), recording)
 

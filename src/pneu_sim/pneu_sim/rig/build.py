@@ -12,7 +12,7 @@ from pneu_sim import layout as L
 from pneu_sim.errors import InputError
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.monotone import monotone_cubic
-from pneu_sim.rig.schema import CLOSED, Pipe, Port, Rig, Valve
+from pneu_sim.rig.schema import CLOSED, Pipe, Port, Rig, Spool, Valve
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -446,20 +446,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
     spool = np.zeros((len(rig.valves), VALVE_COLUMNS))
     q = 0
     for v, valve in enumerate(rig.valves.values()):
-        s = valve.spool
-        spool[v] = (
-            0.0 if s.bandwidth_hz is None else 2.0 * math.pi * s.bandwidth_hz,
-            s.damping,
-            s.integral,
-            math.inf if s.max_acceleration_v_s2 is None else s.max_acceleration_v_s2,
-            s.delay_s,
-            s.hysteresis_v,
-            s.null_offset_v,
-            s.dead_band_v,
-            s.null_v,
-            math.inf if s.max_speed_v_s is None else s.max_speed_v_s,
-            0.0 if s.closing_delay_s is None else s.closing_delay_s - s.delay_s,
-        )
+        spool[v] = spool_row(valve.spool)
         for p in valve.ports.values():
             port[q] = (
                 p.conductance_m3_s_pa,
@@ -556,6 +543,30 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
     apply_to_model(rig, model)
     model.compliant = bool(np.any(model.cell[L.COMPLIANCE] > 0.0))
     return model
+
+
+def spool_row(spool: Spool) -> Floats:
+    """(VALVE_COLUMNS,) a spool in numbers, see `Model.spool`.
+
+    Args:
+        spool: The spool.
+    """
+    s = spool
+    return np.array(
+        [
+            0.0 if s.bandwidth_hz is None else 2.0 * math.pi * s.bandwidth_hz,
+            s.damping,
+            s.integral,
+            math.inf if s.max_acceleration_v_s2 is None else s.max_acceleration_v_s2,
+            s.delay_s,
+            s.hysteresis_v,
+            s.null_offset_v,
+            s.dead_band_v,
+            s.null_v,
+            math.inf if s.max_speed_v_s is None else s.max_speed_v_s,
+            0.0 if s.closing_delay_s is None else s.closing_delay_s - s.delay_s,
+        ]
+    )
 
 
 def area_steps(models: Sequence[Model]) -> tuple[Ints, Floats]:

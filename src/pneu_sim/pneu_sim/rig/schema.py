@@ -356,11 +356,14 @@ class Valve(Part):
 
     Attributes:
         command: Name of the command it follows.
+        position: Where the spool's measured position is recorded, in volts of command. Recordings
+            may lack it; from those that have it the spool is identified without any gas.
         spool: How the spool follows.
         ports: Its flow paths.
     """
 
     command: str
+    position: Channel | None = None
     spool: Spool = Spool()
     ports: dict[str, Port] = Field(min_length=1)
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import reduce
 from operator import attrgetter
 from pathlib import Path, PurePath
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import numpy as np
 import zstandard
@@ -33,8 +33,8 @@ from pneu_sim.documents import read_yaml
 from pneu_sim.errors import InputError
 from pneu_sim.topics import same_topic
 from pneu_sim.unpacking import Allowance, Bounded, chunk_records, unzstd
-from pneu_sysid.records.recording import Finding
-from pneu_sysid.records.stream import STAMP_LIMIT_NS, Stream
+from pneu_sysid.records.recording import Finding, absent
+from pneu_sysid.records.stream import STAMP_LIMIT_NS, Role, Stream
 
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no CDR message starts so: its first byte is 0
 _DATA_OPCODES = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK}
@@ -76,7 +76,10 @@ def bag_topics(path: Path) -> dict[str, tuple[str, int]]:
 
 
 def read_bag(
-    path: Path, commands: dict[str, Channel], pressures: dict[str, Channel]
+    path: Path,
+    commands: dict[str, Channel],
+    pressures: dict[str, Channel],
+    positions: dict[str, Channel] | None = None,
 ) -> tuple[list[Stream], list[Finding]]:
     """Read the mapped channels of a bag.
 
@@ -85,10 +88,11 @@ def read_bag(
             compressed with zstd by message, chunk or file, or not.
         commands: Held channels by name.
         pressures: Pressure channels by name.
+        positions: Channels of spools' positions by name, which the bag may lack.
 
     Returns:
         One stream per channel in file order, with ``stamp_ns`` set to the log time, and
-        the findings about the files.
+        the findings about the files. Positions that are not in the bag are among the findings.
 
     Raises:
         InputError: The bag is unreadable, or a channel's topic, type or field is not in it.
@@ -96,21 +100,24 @@ def read_bag(
     for name, channel in {**commands, **pressures}.items():
         if channel.topic is None:
             raise InputError(f"{path}: channel '{name}' has no topic, which a bag needs")
-    channels_of_bag = (*commands.values(), *pressures.values())
+    positions = positions or {}
+    channels_of_bag = (*commands.values(), *pressures.values(), *positions.values())
     wanted = {t for c in channels_of_bag for t in (c.topic, c.applied) if t}
     topics, findings = _collect(path, wanted)
     decoded: dict[tuple[str, str], list[Any]] = {}
     streams = []
-    roles: list[tuple[Literal["command", "pressure"], dict[str, Channel]]] = [
+    roles: list[tuple[Role, dict[str, Channel]]] = [
         ("command", commands),
         ("pressure", pressures),
+        ("position", positions),
     ]
     for role, channels in roles:
         for name, channel in channels.items():
-            applied = channel.applied is not None and any(
-                same_topic(full, channel.applied) and any(k.count for k in kinds.values())
-                for full, kinds in topics.items()
-            )
+            applied = _is_in(topics, channel.applied)
+            if role == "position" and not (applied or _is_in(topics, channel.topic)):
+                what = f"topic '{channel.topic}' has no message in the bag"
+                findings.append(absent(name, what if channel.topic else "it has no topic"))
+                continue
             if applied:
                 channel = channel.model_copy(update={"topic": channel.applied})
             topic = _find_topic(path, name, channel, topics)
@@ -143,6 +150,14 @@ def read_bag(
                 )
             )
     return streams, findings
+
+
+def _is_in(topics: _Topics, wanted: str | None) -> bool:
+    """Whether there is a message on a topic."""
+    return wanted is not None and any(
+        same_topic(full, wanted) and any(kind.count for kind in kinds.values())
+        for full, kinds in topics.items()
+    )
 
 
 # ---- the container ------------------------------------------------------------------------

@@ -98,7 +98,7 @@ def _drop_frozen(stream: Stream) -> tuple[Stream, list[Finding]]:
         kind = "constant" if stream.role == "command" else "frozen"
         note = f"the value never changes ({values[0]:.6g}); kept, but it tells nothing"
         return stream, [Finding(stream.name, kind, len(values), note)]
-    if stream.role == "command":
+    if stream.role != "pressure":  # gas is never still, a spool that rests is
         return stream, []
     starts = np.concatenate(([0], np.flatnonzero(np.diff(values) != 0) + 1, [len(values)]))
     lengths = np.diff(starts)
@@ -158,7 +158,7 @@ def _describe_timing(stream: Stream) -> list[Finding]:
 
 def _describe_level(stream: Stream) -> list[Finding]:
     """Warn of a pressure that is hardly in absolute pascals."""
-    if stream.role == "command":
+    if stream.role != "pressure":
         return []
     level = float(np.median(stream.values))
     if 1e3 < level < 1e8:

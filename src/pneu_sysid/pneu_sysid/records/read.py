@@ -11,7 +11,7 @@ from pneu_sim.signals import Signal
 from pneu_sysid.records.bag import read_bag
 from pneu_sysid.records.clean import clean, is_regular
 from pneu_sysid.records.clock import choose_clock, mend_clock_jumps
-from pneu_sysid.records.recording import Finding, Recording
+from pneu_sysid.records.recording import Finding, Recording, absent
 from pneu_sysid.records.stream import GAP_PERIODS, LONGEST_STEP, Stream, median_period_ns
 from pneu_sysid.records.text import read_text
 
@@ -29,6 +29,7 @@ def read_recording(
     rate_hz: float | None = None,
     start_s: float | None = None,
     end_s: float | None = None,
+    positions: dict[str, Channel] | None = None,
 ) -> Recording:
     """Read commands and pressures of a recording, each at its own times; nothing is resampled.
 
@@ -47,6 +48,9 @@ def read_recording(
             picking the first after each even beat, without a filter; all are kept if not given.
         start_s: Start of the part to keep, in s after the start of the recording.
         end_s: End of the part to keep, in s after the start of the recording.
+        positions: Channels of the measured positions of spools, by valve. They are optional: what
+            is not there, or of no use, is told in the report. They are not thinned; kept is what
+            lies within the readings of the taps.
 
     Returns:
         The recording, with all that was detected and handled in ``report``.
@@ -56,25 +60,34 @@ def read_recording(
             it runs backwards, or a channel has too few usable samples.
     """
     path = Path(path)
-    _check_arguments(path, commands, pressures, rate_hz, start_s, end_s)
+    # A valve may well have the name of its command.
+    valves = {f"{valve}.position": valve for valve in positions or {}}
+    spools = {name: (positions or {})[valve] for name, valve in valves.items()}
+    _check_arguments(path, commands, pressures, spools, rate_hz, start_s, end_s)
     if _is_bag(path):
-        streams, findings = read_bag(path, commands, pressures)
+        streams, findings = read_bag(path, commands, pressures, spools)
     else:
-        streams, findings = read_text(path, commands, pressures, text or TextFormat())
+        layout = text or TextFormat()
+        streams, findings = read_text(path, commands, pressures, layout, spools)
     for stream in streams:
         if not len(stream):
             raise InputError(f"{path}: {stream.label} has no samples")
+    streams, found = _readable(streams)
+    findings += found
 
-    wanted = {name: channel.stamp for name, channel in {**commands, **pressures}.items()}
+    wanted = {name: channel.stamp for name, channel in {**commands, **pressures, **spools}.items()}
     streams, found = choose_clock(streams, wanted, str(path))
     findings += found
     streams, found = mend_clock_jumps(streams)
     findings += found
-    cleaned = []
+    cleaned, measured = [], []
     for stream in streams:
         if len(stream):
             stream, found = clean(str(path), stream)
             findings += found
+        if stream.role == "position":
+            measured.append(stream)
+            continue
         least = MIN_SAMPLES if stream.role == "pressure" else 1
         if len(stream) < least:
             raise InputError(
@@ -111,7 +124,30 @@ def read_recording(
             stream, found = _thin(str(path), stream, origin_ns, rate_hz)
             findings += found
         recording.pressures[stream.name] = _signal(stream, origin_ns)
+    for stream in measured:
+        inside = (stream.stamp_ns >= origin_ns) & (stream.stamp_ns <= until_ns)
+        if np.count_nonzero(inside) < MIN_SAMPLES:
+            why = (
+                f"{np.count_nonzero(inside)} usable sample(s) of {len(stream)} lie within the "
+                f"readings of the taps, at least {MIN_SAMPLES} are needed"
+            )
+            findings.append(absent(stream.name, why))
+            continue
+        stream = stream.pick(inside)
+        findings += _describe_gaps(stream, origin_ns, until_ns)
+        recording.positions[valves[stream.name]] = _signal(stream, origin_ns)
     return recording
+
+
+def _readable(streams: list[Stream]) -> tuple[list[Stream], list[Finding]]:
+    """Streams without the positions that have no number at all."""
+    kept, findings = [], []
+    for stream in streams:
+        if stream.role == "position" and not np.isfinite(stream.values).any():
+            findings.append(absent(stream.name, f"all {len(stream)} values are missing"))
+        else:
+            kept.append(stream)
+    return kept, findings
 
 
 def _signal(stream: Stream, origin_ns: int) -> Signal:
@@ -217,6 +253,7 @@ def _check_arguments(
     path: Path,
     commands: dict[str, Channel],
     pressures: dict[str, Channel],
+    spools: dict[str, Channel],
     rate_hz: float | None,
     start_s: float | None,
     end_s: float | None,
@@ -225,9 +262,12 @@ def _check_arguments(
         raise InputError(f"{path}: no such file or folder")
     if not pressures:
         raise InputError(f"{path}: no pressure channel is mapped, at least one is needed")
-    if both := commands.keys() & pressures.keys():
+    if both := (commands.keys() & pressures.keys()) | (
+        spools.keys() & (commands.keys() | pressures.keys())
+    ):
         raise InputError(
-            f"{path}: '{min(both)}' names both a command and a tap; names must be different"
+            f"{path}: '{min(both)}' names two of commands, taps and measured positions; names "
+            "must be different"
         )
     if rate_hz is not None and not 0.0 < rate_hz < 1e7:
         raise InputError(f"{path}: rate_hz is {rate_hz}, it must be above 0 and below 1e7")

@@ -15,12 +15,13 @@ class Finding:
     """One defect or peculiarity of a recording, and how it was handled.
 
     Attributes:
-        channel: Name of the command or tap, or of the file.
+        channel: Name of the command or tap, or of the file; ``valve.position`` of the measured
+            position of a valve's spool.
         kind: One of ``truncated``, ``no_metadata``, ``no_definition``, ``no_header_stamp``,
             ``clock_offset``, ``clock_rate``, ``clock_jump``, ``out_of_order``,
             ``duplicate``, ``not_finite``, ``unreadable``, ``short_row``, ``irregular``,
             ``missing``, ``gap``, ``event_driven``, ``frozen``, ``constant``, ``cropped``,
-            ``thinned``, ``suspicious_unit``, ``mark``.
+            ``thinned``, ``suspicious_unit``, ``mark``, ``absent``.
         count: Number of samples, gaps or rows concerned.
         action: What was found in figures and what was done, in one sentence.
     """
@@ -35,6 +36,16 @@ class Finding:
         return f"{self.channel}: {self.kind} ({self.count}): {self.action}"
 
 
+def absent(channel: str, why: str) -> Finding:
+    """What is told of a measured position that a recording lacks.
+
+    Args:
+        channel: Its name.
+        why: What is not there.
+    """
+    return Finding(channel, "absent", 0, f"{why}; the recording is read without it")
+
+
 @dataclass
 class Recording:
     """Signals of one recording, each at its own times, in SI units.
@@ -45,6 +56,7 @@ class Recording:
         pressures: Absolute pressures in Pa by tap.
         report: What was detected while reading, and how it was handled.
         start_time_s: Clock time of time 0 (Unix time for stamped bags).
+        positions: Measured positions of spools by valve, volts of command; where they are recorded.
     """
 
     name: str
@@ -52,6 +64,7 @@ class Recording:
     pressures: dict[str, Signal]
     report: list[Finding] = field(default_factory=list)
     start_time_s: float = 0.0
+    positions: dict[str, Signal] = field(default_factory=dict)
 
     @property
     def end_s(self) -> float:
@@ -71,6 +84,7 @@ class Recording:
             self,
             commands={n: s.within(min(first, 0.0), end_s) for n, s in self.commands.items()},
             pressures={n: s.within(0.0, end_s) for n, s in self.pressures.items()},
+            positions={n: s.within(0.0, end_s) for n, s in self.positions.items()},
         )
 
 

@@ -15,14 +15,17 @@ GAP_PERIODS = 3.0
 LONGEST_STEP = GAP_PERIODS + 0.05
 """The same with what clocks jitter."""
 
+Role = Literal["command", "pressure", "position"]
+
 
 @dataclass(frozen=True)
 class Stream:
     """Samples of one channel in order of arrival.
 
     Attributes:
-        name: Name of the command or tap.
-        role: Whether the channel is held from sample to sample (command) or read (pressure).
+        name: Name of the command or tap, or ``valve.position``.
+        role: Whether the channel is held from sample to sample (command) or read; of what is read,
+            a recording may lack positions of spools.
         source: Where it comes from, worded for messages.
         arrival: Position in the file of each sample, shape (n,), increasing.
         log_ns: Recorder's clock in ns, shape (n,).
@@ -33,7 +36,7 @@ class Stream:
     """
 
     name: str
-    role: Literal["command", "pressure"]
+    role: Role
     source: str
     arrival: NDArray[np.int64]
     log_ns: NDArray[np.int64]
@@ -65,7 +68,8 @@ class Stream:
     @property
     def label(self) -> str:
         """Name of the channel for messages."""
-        return f"{'command' if self.role == 'command' else 'tap'} '{self.name}' ({self.source})"
+        kind = {"command": "command", "pressure": "tap", "position": "position"}[self.role]
+        return f"{kind} '{self.name}' ({self.source})"
 
 
 def median_period_ns(stamp_ns: NDArray[np.int64]) -> float:

@@ -3,15 +3,14 @@
 
 import csv
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim.channels import Channel, TextFormat
 from pneu_sim.errors import InputError
-from pneu_sysid.records.recording import Finding
-from pneu_sysid.records.stream import STAMP_LIMIT_NS, Stream
+from pneu_sysid.records.recording import Finding, absent
+from pneu_sysid.records.stream import STAMP_LIMIT_NS, Role, Stream
 
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "-"}
 
@@ -21,6 +20,7 @@ def read_text(
     commands: dict[str, Channel],
     pressures: dict[str, Channel],
     layout: TextFormat,
+    positions: dict[str, Channel] | None = None,
 ) -> tuple[list[Stream], list[Finding]]:
     """Read the mapped columns of a text file.
 
@@ -29,9 +29,11 @@ def read_text(
         commands: Held channels by name.
         pressures: Pressure channels by name.
         layout: How the rows are laid out.
+        positions: Channels of spools' positions by name, which the file may lack.
 
     Returns:
-        One stream per channel on the file's time column, and the findings about rows.
+        One stream per channel on the file's time column, and the findings about rows. Positions
+        without a column in the file are among the findings.
 
     Raises:
         InputError: The file is missing or not text, or a column is absent or not numeric.
@@ -42,6 +44,16 @@ def read_text(
         name: _column(path, name, channel.column, names, len(rows[0]))
         for name, channel in {**commands, **pressures}.items()
     }
+    present: dict[str, Channel] = {}
+    for name, channel in (positions or {}).items():
+        column = channel.column
+        if column is None:
+            findings.append(absent(name, "it has no column"))
+        elif column in names or (isinstance(column, int) and 0 <= column < len(rows[0])):
+            wanted[name] = _column(path, name, column, names, len(rows[0]))
+            present[name] = channel
+        else:
+            findings.append(absent(name, f"the file has no column {column!r}"))
     width = max([time_index, *wanted.values()]) + 1
     whole = [i for i, row in enumerate(rows) if len(row) >= width]
     if len(whole) < len(rows):
@@ -59,9 +71,10 @@ def read_text(
     stamp_ns = np.clip(time_ns, -STAMP_LIMIT_NS, STAMP_LIMIT_NS).astype(np.int64)
     arrival = np.flatnonzero(timed)
     streams = []
-    roles: list[tuple[Literal["command", "pressure"], dict[str, Channel]]] = [
+    roles: list[tuple[Role, dict[str, Channel]]] = [
         ("command", commands),
         ("pressure", pressures),
+        ("position", present),
     ]
     for role, channels in roles:
         for name, channel in channels.items():
