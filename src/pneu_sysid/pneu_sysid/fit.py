@@ -2,7 +2,7 @@
 """Calibrating a rig: fitting its base parameters to recordings, and what is then known of them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,13 +24,18 @@ from pneu_sysid.parameters import (
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.shortfall import ENOUGH, Shortfall, effects_that_help, shortfall_of
+from pneu_sysid.spool_position import fit_spools
 from pneu_sysid.spools import try_limits, try_spools
 from pneu_sysid.stages import (
     COARSEST,
+    GRID_SHOWS,
+    MOST_CELLS,
     SLOW_PULL_S,
     Step,
     Tell,
     Work,
+    cells_of,
+    grid_error,
     is_slow,
     problem_of,
     residual_function,
@@ -45,6 +50,15 @@ from pneu_sysid.uncertainty import Known, known_of, warnings_of
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+SPOOL_NUMBERS = (
+    "bandwidth_hz",
+    "damping",
+    "delay_s",
+    "closing_delay_s",
+    "max_speed_v_s",
+    "max_acceleration_v_s2",
+)
+"""Numbers of a spool that its measured position tells."""
 STRANGE = 3.0
 """A recording with so many times the error of the best one is told to be another's."""
 
@@ -135,7 +149,9 @@ def fit_rig(
     """
     recordings = [recording] if isinstance(recording, Recording) else list(recording)
     given = parameters or rig.fit.parameters
-    drawn = with_own_curves(rig) if rig.model == "pde" and approach and not given else rig
+    drawn, measured = _with_measured_spools(rig, recordings)
+    if rig.model == "pde" and approach and not given:
+        drawn = with_own_curves(drawn)
     every, held = _list_of(drawn, given, recordings)
     if not every:
         raise InputError(
@@ -151,21 +167,23 @@ def fit_rig(
         workers,
         _work(drawn, steps, recordings, len(every), progress),
         dict(zip(map(_key, every), _inner(every, start_of(drawn, every)), strict=True)),
+        measured,
     )
     last: _Taken | None = None
     now = drawn
     unseen: set[Key] = set()
+    finer = False
     for step in steps:
-        if step.again and last is not None and settled(last.estimate):
+        if step.again and last is not None and settled(last.estimate) and not finer:
             continue
         now, every = _tried(job, now, step, every, last)
         last = _taken(job, now, step, every, held, unseen, last)
-        now = last.rig
+        now, finer = _on_finer_cells(last)
         if not step.slow:
             unseen |= _unseen(last.fitted, last.estimate)
         job.work.finish(step)
     assert last is not None
-    return _outcome(job, every, held, last)
+    return _outcome(job, every, held, replace(last, rig=now), rig.grid.dx_m)
 
 
 def parameters_of(rig: Rig) -> list[FitParameter]:
@@ -211,6 +229,7 @@ class _Job:
         workers: Threads of a batch.
         work: How much is done.
         centres: Centre of the prior of each parameter; those that come up on the way are added.
+        measured: Standard errors of the numbers of spools that were fitted to their positions.
     """
 
     recordings: list[Recording]
@@ -220,6 +239,7 @@ class _Job:
     workers: int | None
     work: Work
     centres: dict[Key, float]
+    measured: dict[str, float | None]
 
     def used(self, problem: Problem) -> Mask:
         """(n_stretches,) stretches that are fitted."""
@@ -256,6 +276,22 @@ def _list_of(
     return one_each(listed, [r.name for r in recordings]), held
 
 
+def _with_measured_spools(
+    rig: Rig, recordings: list[Recording]
+) -> tuple[Rig, dict[str, float | None]]:
+    """The rig with the spools whose positions were recorded, and what is known of their numbers."""
+    if not any(r.positions for r in recordings):
+        return rig, {}
+    found = fit_spools(rig, recordings)
+    out = rig.model_copy(deep=True)
+    measured: dict[str, float | None] = {}
+    for name, fitted in found.items():
+        out.valves[name].spool = fitted.spool
+        measured |= {f"valves.{name}.spool.{n}": None for n in SPOOL_NUMBERS}
+        measured |= fitted.std_error
+    return out, measured
+
+
 def _work(
     rig: Rig, steps: list[Step], recordings: list[Recording], count: int, tell: Tell | None
 ) -> Work:
@@ -274,13 +310,14 @@ def _tried(
     if job.given or not (step.tries or step.limits):
         return rig, every
     told = job.work.begin(step)
+    done = {path.split(".")[1] for path in job.measured}
     if step.limits and last is not None:
-        rig, changed = try_limits(rig, last.problem, last.estimate, told)
+        rig, changed = try_limits(rig, last.problem, last.estimate, done, told)
         if not changed:
             return rig, every
     else:
         problem, _ = problem_of(rig, job.recordings, step, job.workers)
-        rig = try_spools(rig, problem, told)
+        rig = try_spools(rig, problem, done, told)
     every, _ = _list_of(rig, [], job.recordings)
     for p, value in zip(every, _inner(every, start_of(rig, every)), strict=True):
         job.centres.setdefault(_key(p), value)
@@ -303,15 +340,13 @@ def _taken(
         p
         for p in every
         if p.path not in held
+        and p.path not in job.measured
         and _key(p) not in unseen
         and (not step.slow or job.given or is_slow(p))
     ] or every
     slope = None
-    if (
-        before is not None
-        and before.step.factor == step.factor
-        and before.step.pull_s == step.pull_s
-    ):
+    alike = before is not None and before.step.dx_m == step.dx_m
+    if before is not None and alike and before.step.pull_s == step.pull_s:
         slope = _slope(before, fitted, problem, job.used(problem))
     now, estimate = take(
         rig,
@@ -325,6 +360,20 @@ def _taken(
         slope,
     )
     return _Taken(step, now, fitted, problem, fine, estimate)
+
+
+def _on_finer_cells(taken: _Taken) -> tuple[Rig, bool]:
+    """The rig after a step, on cells of half the length if the error of its own shows; whether so.
+
+    What a grid is off by would be made good by friction that no wall has.
+    """
+    rig = taken.rig
+    if taken.fine is None or taken.step.again or cells_of(rig) > MOST_CELLS:
+        return rig, False
+    if grid_error(rig, taken.fine) < GRID_SHOWS:
+        return rig, False
+    grid = rig.grid.model_copy(update={"dx_m": 0.5 * rig.grid.dx_m, "dt_s": None})
+    return rig.model_copy(update={"grid": grid}), True
 
 
 def _slope(
@@ -357,7 +406,9 @@ def _spread(p: FitParameter, value: float) -> float:
     return p.upper - p.lower if p.std is None else min(p.upper - p.lower, p.std)
 
 
-def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken) -> FitOutcome:
+def _outcome(
+    job: _Job, every: list[FitParameter], held: list[str], last: _Taken, start_dx_m: float
+) -> FitOutcome:
     """Looks at the fitted rig on its own cells, and says what is known of it."""
     job.work.words = "looking at the result"
     now, fitted = last.rig, last.fitted
@@ -377,6 +428,10 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
         _grid(last, job),
         _held_change(now, every, held, last, job),
     )
+    for k, p in enumerate(every):
+        if p.path in job.measured:
+            known.std_errors[k] = job.measured[p.path] or np.inf
+            known.seen[k] = True
     finite = [float(s) if np.isfinite(s) else None for s in known.std_errors]
     listed = [
         p.model_copy(update={"std_error": s or None}) for p, s in zip(every, finite, strict=True)
@@ -411,7 +466,9 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
         values=start_of(now, listed),
         known=known,
         estimate=last.estimate,
-        warnings=warnings_of(listed, known) + _strangers(problem, out.readings[0]),
+        warnings=warnings_of(listed, known)
+        + _strangers(problem, out.readings[0])
+        + _regridded(start_dx_m, now),
         shortfall=shortfall,
         rmse_pa=rmse,
         held_out_rmse_pa=held_rmse,
@@ -470,6 +527,16 @@ def _held_change(
     _, j = jacobian(residuals, at, variables)
     spread = [_spread(p, float(value)) for p, value in zip(kept, at, strict=True)]
     return np.moveaxis(j, -1, 0) * np.array(spread)[:, None, None]
+
+
+def _regridded(before_m: float, rig: Rig) -> list[str]:
+    """That the rig's cells were made shorter."""
+    if rig.grid.dx_m == before_m:
+        return []
+    return [
+        f"grid.dx_m: {rig.grid.dx_m:g} instead of {before_m:g}, since the error of the longer cells"
+        " showed beside the noise"
+    ]
 
 
 def _strangers(problem: Problem, readings: Floats) -> list[str]:

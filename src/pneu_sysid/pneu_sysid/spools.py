@@ -6,7 +6,7 @@ than the one assumed is a valley of its own; so what a spool may be is tried bef
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,7 +43,9 @@ class _Trial:
     acceleration: float | None = None
 
 
-def try_spools(rig: Rig, problem: Problem, told: Told | None = None) -> Rig:
+def try_spools(
+    rig: Rig, problem: Problem, known: Container[str] = (), told: Told | None = None
+) -> Rig:
     """The rig with the bandwidths and delays, of those tried, with which it does best.
 
     Spools that follow at once stay as they are; closing gets a delay of its own.
@@ -51,10 +53,11 @@ def try_spools(rig: Rig, problem: Problem, told: Told | None = None) -> Rig:
     Args:
         rig: The rig.
         problem: The problem, on long cells.
+        known: Valves whose spools are known already.
         told: Given the size of a batch, what is called with the fraction of it that is done.
     """
     for name, valve in rig.valves.items():
-        if valve.spool.bandwidth_hz is None:
+        if valve.spool.bandwidth_hz is None or name in known:
             continue
         trials = [_Trial(b, d) for b in BANDWIDTHS for d in DELAYS_S]
         rigs = _tried(rig, name, trials, 0.0)
@@ -68,7 +71,11 @@ def try_spools(rig: Rig, problem: Problem, told: Told | None = None) -> Rig:
 
 
 def try_limits(
-    rig: Rig, problem: Problem, estimate: Estimate, told: Told | None = None
+    rig: Rig,
+    problem: Problem,
+    estimate: Estimate,
+    known: Container[str] = (),
+    told: Told | None = None,
 ) -> tuple[Rig, bool]:
     """The rig with the limits of its spools, of those tried, with which it would do best.
 
@@ -78,6 +85,7 @@ def try_limits(
         rig: The rig, as it was estimated.
         problem: The problem that it was estimated on.
         estimate: The estimation.
+        known: Valves whose spools are known already.
         told: Given the size of a batch, what is called with the fraction of it that is done.
 
     Returns:
@@ -88,7 +96,7 @@ def try_limits(
         spool = valve.spool
         limited = spool.max_speed_v_s is not None or spool.max_acceleration_v_s2 is not None
         step_v = largest_step_v(problem, valve.command)
-        if spool.bandwidth_hz is None or limited or step_v <= 0.0:
+        if spool.bandwidth_hz is None or limited or step_v <= 0.0 or name in known:
             continue
         trials = [_Trial(b, speed=s) for b in FASTER for s in SPEEDS]
         trials += [_Trial(b, acceleration=a) for b in FASTER for a in ACCELERATIONS]

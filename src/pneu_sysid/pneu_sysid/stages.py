@@ -7,6 +7,7 @@ parameter has to be told by them.
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -36,10 +37,16 @@ SLOW_PULL_S = 0.06
 """Over so short a time a prediction is nearly linear in what flows."""
 COARSEST = 4.0
 """Cells of the first steps are at most this much longer than the rig's."""
+MOST_CELLS = 80
+"""Up to so many cells a rig's are halved where their error shows."""
+GRID_SHOWS = 0.5
+"""An error of the grid of so many noise deviations does."""
 FEWEST_CELLS = 20
 """... as long as so many are left."""
-APPROACH_S = 20.0
-"""So much of long recordings serves the first steps; the last take all."""
+APPROACH_S = 8.0
+"""So much of all recordings together serves the first steps; the last take all."""
+LEAST_S = 3.0
+"""... but no less of any."""
 SLOW_PARTS = (
     "conductance_m3_s_pa",
     "critical_ratio",
@@ -52,6 +59,8 @@ SLOW_PARTS = (
 """Ends of the paths of what says how much flows, and how much it fills."""
 TRIED = 45
 """Runs that it takes to try what a spool may be, about."""
+ENOUGH_CELLS = 40
+"""... or, in the last steps, so many."""
 ENDS_HEAVY = 30.0
 """Ends, ports and chambers of a rig cost as much time as so many cells."""
 
@@ -62,7 +71,7 @@ class Step:
 
     Attributes:
         words: What it is, for people.
-        factor: How much longer its cells are than the rig's.
+        dx_m: Length of its cells.
         pull_s: Time constant of the pull to the taps; None is the rig's own.
         iterations: Gauss-Newton iterations, at most.
         slow: Whether only what says how much flows is fitted.
@@ -74,7 +83,7 @@ class Step:
     """
 
     words: str
-    factor: float
+    dx_m: float
     pull_s: float | None
     iterations: int
     slow: bool = False
@@ -93,18 +102,12 @@ def steps_of(rig: Rig, approach: bool, iterations: int) -> list[Step]:
         approach: Whether it has to come near first; else it is nearly right.
         iterations: Iterations of a step on the rig's own horizon, at most.
     """
-    if rig.model != "pde":
+    if rig.model != "pde" or not approach:
         return [
-            Step("all", 1.0, None, iterations),
-            Step("all again", 1.0, None, max(3, iterations // 2)),
+            Step("all", rig.grid.dx_m, None, iterations),
+            Step("all again", rig.grid.dx_m, None, max(3, iterations // 2)),
         ]
-    if not approach:
-        return [
-            Step("all", 1.0, None, iterations),
-            Step("all again", 1.0, None, max(3, iterations // 2)),
-        ]
-    cells = sum(n for _, n in plan_grid(rig).pipes.values())
-    coarse = float(np.clip(cells / FEWEST_CELLS, 1.0, COARSEST))
+    coarse = rig.grid.dx_m * float(np.clip(cells_of(rig) / FEWEST_CELLS, 1.0, COARSEST))
     pull = pull_of(rig)
     out = []
     if pull is None or pull > 1.5 * SLOW_PULL_S:
@@ -112,9 +115,11 @@ def steps_of(rig: Rig, approach: bool, iterations: int) -> list[Step]:
     few = max(1, iterations // 4)
     out.append(Step("fast: spools and waves", coarse, None, few, part=True, tries=True))
     out.append(Step("fast: limits of spools", coarse, None, few, part=True, limits=True))
-    out.append(Step("all", coarse, None, few, corrected=True))
+    # what the cells do to the slopes is not made good, so these are shorter where that is cheap
+    mid = rig.grid.dx_m * float(np.clip(cells_of(rig) / ENOUGH_CELLS, 1.0, COARSEST))
+    out.append(Step("all", mid, None, max(1, iterations // 8), corrected=True))
     out += [
-        Step(f"all, {time} time", coarse, None, few, corrected=True, again=True)
+        Step(f"all, {time} time", mid, None, 1, corrected=True, again=True)
         for time in ("second", "third", "fourth")
     ]
     return out
@@ -187,9 +192,8 @@ def weight_of(rig: Rig, step: Step, seconds: float) -> float:
         step: The step.
         seconds: Length of the recordings, s.
     """
-    cells = sum(n for _, n in plan_grid(rig).pipes.values()) / step.factor
     runs = min(seconds, APPROACH_S) if step.part else seconds
-    return runs * (cells + ENDS_HEAVY) / step.factor
+    return runs * (cells_of(rig, step.dx_m) + ENDS_HEAVY) / step.dx_m
 
 
 def runs_of(step: Step, count: int, valves: int) -> int:
@@ -200,7 +204,7 @@ def runs_of(step: Step, count: int, valves: int) -> int:
         count: Parameters.
         valves: Valves.
     """
-    once = 2.0 * step.factor**2 if step.corrected else 0.0
+    once = 30 if step.corrected else 0
     fitted = count // 2 if step.slow else count
     tried = TRIED * valves if step.tries else 0
     return round(step.iterations * (fitted + 1 + len(DAMPINGS)) + 3 + once + tried)
@@ -245,6 +249,30 @@ def residual_function(
     return residuals
 
 
+def cells_of(rig: Rig, dx_m: float | None = None) -> int:
+    """Number of cells of a rig.
+
+    Args:
+        rig: The rig.
+        dx_m: Length of its cells in place of its own, m.
+    """
+    return sum(n for _, n in plan_grid(rig, dx_m).pipes.values())
+
+
+def grid_error(rig: Rig, own: Problem) -> float:
+    """How far cells of half the length change the predictions, in noise deviations, worst tap.
+
+    Args:
+        rig: The rig.
+        own: The problem on its own cells.
+    """
+    finer = own.with_grid(0.5 * rig.grid.dx_m)
+    with ThreadPoolExecutor(1) as pool:  # beside the run on its own cells
+        half = pool.submit(finer.predict, [rig])
+        change = (half.result()[0] - own.predict([rig])[0]) / own.noise_pa
+    return float(np.sqrt(np.nanmax(np.nanmean(change**2, axis=(0, 1)))))
+
+
 def settled(estimate: Estimate) -> bool:
     """Whether the last estimation gained too little for another like it.
 
@@ -268,8 +296,9 @@ def problem_of(
         workers: Threads of a batch.
     """
     if step.part:
-        recordings = [r.until(APPROACH_S) for r in recordings]
-    dx_m = None if step.factor == 1.0 else step.factor * rig.grid.dx_m
+        part_s = max(APPROACH_S / len(recordings), LEAST_S)
+        recordings = [r.until(part_s) for r in recordings]
+    dx_m = None if step.dx_m == rig.grid.dx_m else step.dx_m
     problem = make_problem(rig, recordings, pull_s=step.pull_s, dx_m=dx_m, workers=workers)
     if not step.corrected:
         return problem, None

@@ -8,8 +8,10 @@ import pytest
 from studies.exact_rigs import draw_rig, record
 
 from pneu_sim.errors import InputError
-from pneu_sim.rig.build import build
+from pneu_sim.rig.build import build, spool_row
 from pneu_sim.rig.schema import AttachedEffect, FitParameter, Opening, Rig
+from pneu_sim.signals import Signal
+from pneu_sim.valve import positions_along
 from pneu_sysid.curves import WIDEST, with_own_curves
 from pneu_sysid.fit import FitOutcome, fit_rig, parameters_of
 from pneu_sysid.parameters import calibrated_parameters, listed_parameters
@@ -158,6 +160,29 @@ def test_a_datasheet_becomes_a_calibration(
 
 def test_warnings_are_three_lines_at_most(calibrated: tuple[Rig, Recording, FitOutcome]) -> None:
     assert len(calibrated[2].warnings) <= 3
+
+
+def test_a_spool_whose_position_was_recorded_is_fitted_to_it() -> None:
+    """Its numbers come from the position alone, and the gas tells the rest."""
+    rng = np.random.default_rng(7)
+    rig = coarse("line", rng)
+    recording = record(rig, rng, 125.0, 3.0, moving=False)
+    spool = rig.valves["valve"].spool
+    command = recording.commands["voltage"]
+    at = np.arange(0.0, 2.9, 2e-3)
+    memory = np.full(4, np.nan)
+    seen = positions_along(spool_row(spool), command, 0.0, 2e-3, at.size, memory)
+    recording.positions["valve"] = Signal(at, seen + 0.01 * rng.normal(size=at.size))
+    datasheet = rig.model_copy(deep=True)
+    datasheet.valves["valve"].spool.bandwidth_hz = 1.4 * spool.bandwidth_hz
+    outcome = fit_rig(
+        datasheet, recording, few(rig, SUPPLY, EXHAUST, BANDWIDTH), approach=False, iterations=2
+    )
+    by_path = {p.path: (p, v) for p, v in zip(outcome.parameters, outcome.values, strict=True)}
+    found, value = by_path[BANDWIDTH]
+    assert abs(value - spool.bandwidth_hz) < 0.02 * spool.bandwidth_hz
+    assert found.std_error < 0.01 * value
+    assert by_path[SUPPLY][0].std_error is not None
 
 
 def test_where_it_stops_short_it_says_where_and_what_would_help() -> None:
