@@ -197,8 +197,6 @@ class _Bench:
 
     def __init__(self, rig: Rig, recordings: list[Recording], like: Problem) -> None:
         self.rig = rig.model_copy(deep=True)
-        # one stretch, from the first readings on: no beginning is looked for
-        self.rig.fit = self.rig.fit.model_copy(update={"horizon_s": None})
         for t, name in enumerate(like.taps):
             self.rig.taps[name] = self.rig.taps[name].model_copy(
                 update={"noise_pa": float(like.noise_pa[t]), "quantum_pa": 0.0}
@@ -446,6 +444,8 @@ def gross_errors(rig: Rig, problem: Problem) -> list[GrossError]:
         return []
     recordings = [_liveliest(r, USED_S / len(problem.recordings)) for r in problem.recordings]
     errors, corrected = _reservoirs(rig, problem)
+    # one stretch, from the first readings on: no beginning is looked for
+    corrected.fit = corrected.fit.model_copy(update={"horizon_s": None})
     if _runs_away(_Bench(corrected, recordings, problem), corrected):
         corrected = _plain(corrected)
     base = _Guess("none", "", "", corrected, recordings)
