@@ -2,7 +2,7 @@
 """Calibrating a rig: fitting its base parameters to recordings, and what is then known of them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +28,10 @@ from pneu_sysid.spool_position import fit_spools
 from pneu_sysid.spools import try_limits, try_spools
 from pneu_sysid.stages import (
     COARSEST,
-    GRID_SHOWS,
-    MOST_CELLS,
     SLOW_PULL_S,
     Step,
     Tell,
     Work,
-    cells_of,
-    grid_error,
     is_slow,
     problem_of,
     residual_function,
@@ -172,18 +168,17 @@ def fit_rig(
     last: _Taken | None = None
     now = drawn
     unseen: set[Key] = set()
-    finer = False
     for step in steps:
-        if step.again and last is not None and settled(last.estimate) and not finer:
+        if step.again and last is not None and settled(last.estimate):
             continue
         now, every = _tried(job, now, step, every, last)
         last = _taken(job, now, step, every, held, unseen, last)
-        now, finer = _on_finer_cells(last)
+        now = last.rig
         if not step.slow:
             unseen |= _unseen(last.fitted, last.estimate)
         job.work.finish(step)
     assert last is not None
-    return _outcome(job, every, held, replace(last, rig=now), rig.grid.dx_m)
+    return _outcome(job, every, held, last)
 
 
 def parameters_of(rig: Rig) -> list[FitParameter]:
@@ -362,20 +357,6 @@ def _taken(
     return _Taken(step, now, fitted, problem, fine, estimate)
 
 
-def _on_finer_cells(taken: _Taken) -> tuple[Rig, bool]:
-    """The rig after a step, on cells of half the length if the error of its own shows; whether so.
-
-    What a grid is off by would be made good by friction that no wall has.
-    """
-    rig = taken.rig
-    if taken.fine is None or taken.step.again or cells_of(rig) > MOST_CELLS:
-        return rig, False
-    if grid_error(rig, taken.fine) < GRID_SHOWS:
-        return rig, False
-    grid = rig.grid.model_copy(update={"dx_m": 0.5 * rig.grid.dx_m, "dt_s": None})
-    return rig.model_copy(update={"grid": grid}), True
-
-
 def _slope(
     before: _Taken, fitted: list[FitParameter], problem: Problem, used: Mask
 ) -> Floats | None:
@@ -406,9 +387,7 @@ def _spread(p: FitParameter, value: float) -> float:
     return p.upper - p.lower if p.std is None else min(p.upper - p.lower, p.std)
 
 
-def _outcome(
-    job: _Job, every: list[FitParameter], held: list[str], last: _Taken, start_dx_m: float
-) -> FitOutcome:
+def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken) -> FitOutcome:
     """Looks at the fitted rig on its own cells, and says what is known of it."""
     job.work.words = "looking at the result"
     now, fitted = last.rig, last.fitted
@@ -466,9 +445,7 @@ def _outcome(
         values=start_of(now, listed),
         known=known,
         estimate=last.estimate,
-        warnings=warnings_of(listed, known)
-        + _strangers(problem, out.readings[0])
-        + _regridded(start_dx_m, now),
+        warnings=warnings_of(listed, known) + _strangers(problem, out.readings[0]),
         shortfall=shortfall,
         rmse_pa=rmse,
         held_out_rmse_pa=held_rmse,
@@ -527,16 +504,6 @@ def _held_change(
     _, j = jacobian(residuals, at, variables)
     spread = [_spread(p, float(value)) for p, value in zip(kept, at, strict=True)]
     return np.moveaxis(j, -1, 0) * np.array(spread)[:, None, None]
-
-
-def _regridded(before_m: float, rig: Rig) -> list[str]:
-    """That the rig's cells were made shorter."""
-    if rig.grid.dx_m == before_m:
-        return []
-    return [
-        f"grid.dx_m: {rig.grid.dx_m:g} instead of {before_m:g}, since the error of the longer cells"
-        " showed beside the noise"
-    ]
 
 
 def _strangers(problem: Problem, readings: Floats) -> list[str]:

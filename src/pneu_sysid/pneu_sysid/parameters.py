@@ -147,6 +147,7 @@ def calibrated_parameters(rig: Rig) -> list[FitParameter]:
             around(f"{base}.max_speed_v_s", 10.0, 1.0)
         if valve.spool.max_acceleration_v_s2 is not None:
             around(f"{base}.max_acceleration_v_s2", 10.0, 1.0)
+    add("pipes.*.wall.roughness_m", 0.0, 5e-5, 5e-6)
     for name in rig.chambers:
         around(f"chambers.{name}.heat_w_per_k", 5.0, 0.4)
     for name in rig.orifices:

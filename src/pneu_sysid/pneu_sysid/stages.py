@@ -7,7 +7,6 @@ parameter has to be told by them.
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -37,10 +36,6 @@ SLOW_PULL_S = 0.06
 """Over so short a time a prediction is nearly linear in what flows."""
 COARSEST = 4.0
 """Cells of the first steps are at most this much longer than the rig's."""
-MOST_CELLS = 80
-"""Up to so many cells a rig's are halved where their error shows."""
-GRID_SHOWS = 0.5
-"""An error of the grid of so many noise deviations does."""
 FEWEST_CELLS = 20
 """... as long as so many are left."""
 APPROACH_S = 8.0
@@ -59,8 +54,6 @@ SLOW_PARTS = (
 """Ends of the paths of what says how much flows, and how much it fills."""
 TRIED = 45
 """Runs that it takes to try what a spool may be, about."""
-ENOUGH_CELLS = 40
-"""... or, in the last steps, so many."""
 ENDS_HEAVY = 30.0
 """Ends, ports and chambers of a rig cost as much time as so many cells."""
 
@@ -114,13 +107,11 @@ def steps_of(rig: Rig, approach: bool, iterations: int) -> list[Step]:
         out.append(Step("slow: what flows", coarse, SLOW_PULL_S, 3, slow=True, part=True))
     few = max(1, iterations // 4)
     out.append(Step("fast: spools and waves", coarse, None, few, part=True, tries=True))
-    out.append(Step("fast: limits of spools", coarse, None, few, part=True, limits=True))
-    # what the cells do to the slopes is not made good, so these are shorter where that is cheap
-    mid = rig.grid.dx_m * float(np.clip(cells_of(rig) / ENOUGH_CELLS, 1.0, COARSEST))
-    out.append(Step("all", mid, None, max(1, iterations // 8), corrected=True))
+    out.append(Step("fast: limits of spools", coarse, None, few, limits=True))
+    out.append(Step("all", coarse, None, few, corrected=True))
     out += [
-        Step(f"all, {time} time", mid, None, 1, corrected=True, again=True)
-        for time in ("second", "third", "fourth")
+        Step(f"all, {time} time", coarse, None, 1, corrected=True, again=True)
+        for time in ("second", "third", "fourth", "fifth", "sixth", "seventh")
     ]
     return out
 
@@ -257,20 +248,6 @@ def cells_of(rig: Rig, dx_m: float | None = None) -> int:
         dx_m: Length of its cells in place of its own, m.
     """
     return sum(n for _, n in plan_grid(rig, dx_m).pipes.values())
-
-
-def grid_error(rig: Rig, own: Problem) -> float:
-    """How far cells of half the length change the predictions, in noise deviations, worst tap.
-
-    Args:
-        rig: The rig.
-        own: The problem on its own cells.
-    """
-    finer = own.with_grid(0.5 * rig.grid.dx_m)
-    with ThreadPoolExecutor(1) as pool:  # beside the run on its own cells
-        half = pool.submit(finer.predict, [rig])
-        change = (half.result()[0] - own.predict([rig])[0]) / own.noise_pa
-    return float(np.sqrt(np.nanmax(np.nanmean(change**2, axis=(0, 1)))))
 
 
 def settled(estimate: Estimate) -> bool:
