@@ -2,7 +2,7 @@
 """Calibrating a rig: fitting its base parameters to recordings, and what is then known of them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ from pneu_sysid.stages import (
     Step,
     Tell,
     Work,
+    at_noise,
     is_slow,
     problem_of,
     residual_function,
@@ -170,7 +171,9 @@ def fit_rig(
     unseen: set[Key] = set()
     for step in steps:
         if step.again and last is not None and settled(last.estimate):
-            continue
+            if last.fresh or at_noise(last.estimate, last.problem):
+                continue
+            last = replace(last, stale=True)
         now, every = _tried(job, now, step, every, last)
         last = _taken(job, now, step, every, held, unseen, last)
         now = last.rig
@@ -252,6 +255,8 @@ class _Taken:
         problem: Its problem.
         fine: The same on the rig's own cells, where it was corrected.
         estimate: Its estimate.
+        fresh: Whether it began with a Jacobian of its own.
+        stale: Whether its Jacobian is not to be used again.
     """
 
     step: Step
@@ -260,6 +265,8 @@ class _Taken:
     problem: Problem
     fine: Problem | None
     estimate: Estimate
+    fresh: bool
+    stale: bool = False
 
 
 def _list_of(
@@ -340,7 +347,7 @@ def _taken(
         and (not step.slow or job.given or is_slow(p))
     ] or every
     slope = None
-    alike = before is not None and before.step.dx_m == step.dx_m
+    alike = before is not None and before.step.dx_m == step.dx_m and not before.stale
     if before is not None and alike and before.step.pull_s == step.pull_s:
         slope = _slope(before, fitted, problem, job.used(problem))
     now, estimate = take(
@@ -354,7 +361,7 @@ def _taken(
         told,
         slope,
     )
-    return _Taken(step, now, fitted, problem, fine, estimate)
+    return _Taken(step, now, fitted, problem, fine, estimate, fresh=slope is None)
 
 
 def _slope(

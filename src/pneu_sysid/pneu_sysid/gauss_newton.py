@@ -15,7 +15,7 @@ Residuals = Callable[[Sequence[Floats]], Floats]
 DAMPINGS = (1e-6, 1e-3, 1e-1, 1e1)
 SECANT_WORTH = 0.05
 """A step that takes away so much of the cost is followed by one with the same Jacobian."""
-MOST_FORECAST = 3.0
+MOST_FORECAST = 2.0
 """A cluster that is left out counts with no more than this times the usual residual."""
 HUBER = 3.0
 """Residuals beyond this many noise deviations count linearly under the robust loss."""

@@ -28,6 +28,8 @@ Tell = Callable[[str, float | None, str], None]
 
 SETTLED = 0.03
 """A step that gained no more of the cost need not be taken again."""
+AT_NOISE = 1.15
+"""Times the noise, of all taps, at which an estimation that gains little is done."""
 UNSTABLE = 1e4
 """Residual, in noise deviations, that a simulation counts with once it is unstable."""
 SECANTS = 2
@@ -257,6 +259,17 @@ def settled(estimate: Estimate) -> bool:
         estimate: The estimation.
     """
     return estimate.gained < SETTLED
+
+
+def at_noise(estimate: Estimate, problem: Problem) -> bool:
+    """Whether an estimation leaves so little that a new Jacobian is not worth its time.
+
+    Args:
+        estimate: The estimation.
+        problem: Its problem.
+    """
+    count = max(int(np.isfinite(problem.measured).sum()), 1)
+    return float(np.sum(estimate.residual**2)) < AT_NOISE**2 * count
 
 
 def problem_of(
