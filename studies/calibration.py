@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from pneu_sim.monotone import monotone_cubic
 from pneu_sim.progress import progress
 from pneu_sim.rig import load_rig
+from pneu_sim.rig.opening import opening_at
 from pneu_sim.rig.parameters import get_parameter
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.fit import FitOutcome, fit_rig
@@ -167,10 +167,8 @@ def true_value(truth: Rig, fitted: Rig, path: str) -> float | None:
         null = truth.valves[valve].spool.null_v
         at = abs(fitted.valves[valve].ports[port].opening.voltage_v[point] - null)
         curve = truth.valves[valve].ports[port].opening
-        s, f = np.abs(np.array(curve.voltage_v) - null), np.array(curve.fraction)
-        order = np.argsort(s)
-        x = np.clip(np.log(np.array([at])), np.log(s.min()), np.log(s.max()))
-        return float(np.exp(monotone_cubic(np.log(s[order]), np.log(f[order]), x))[0])
+        side = 1.0 if curve.voltage_v[-1] > null else -1.0
+        return float(opening_at(curve, null, np.array([null + side * at]))[0])
     if parts[-1] == "closing_delay_s":
         spool = truth.valves[parts[1]].spool
         return spool.delay_s if spool.closing_delay_s is None else spool.closing_delay_s

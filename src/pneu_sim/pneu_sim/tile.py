@@ -342,8 +342,8 @@ def advance_safely(
 ) -> tuple[Floats, Floats, Floats]:
     """Advances a batch in place; lanes that are too fast for the step are done again with more.
 
-    The step is chosen before anything flows, for gas that is not hot and rushes at less than
-    ``grid.wave_speed_m_s``; no lane costs more than one that stays within that, until it does not.
+    The step is chosen before anything flows, for waves of ``grid.wave_speed_m_s`` at most; a lane
+    with faster ones, or one that is not finite, takes more steps for this piece.
 
     Args:
         tile: The batch.
@@ -407,8 +407,11 @@ def courant(tile: Tile, dt_s: float) -> Floats:
     """How many cells the fastest wave of each lane crosses in a step, as of the last sample.
 
     Args:
-        tile: The batch; NaN where its gas is not finite.
+        tile: The batch.
         dt_s: Step, s.
+
+    Returns:
+        (lanes,); NaN where the gas is not finite.
     """
     speed = np.abs(tile.work[L.W_U]) + tile.work[L.W_C]
     crossed: Floats = dt_s * np.max(speed / tile.cell[L.LENGTH], axis=0)  # negative in ghosts

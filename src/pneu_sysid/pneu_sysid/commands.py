@@ -20,7 +20,6 @@ from pneu_sim.outputs import check_folder, check_output
 from pneu_sim.progress import progress
 
 if TYPE_CHECKING:
-    from pneu_sim.progress import Tell
     from pneu_sim.rig.schema import FitParameter, Rig
     from pneu_sysid.diagnose import Diagnosis
     from pneu_sysid.fit import FitOutcome
@@ -164,6 +163,8 @@ def fit(
     """Fit a rig's base parameters to recordings."""
     from pneu_sim.rig import save_rig
     from pneu_sysid.fit import fit_rig, parameters_of
+    from pneu_sysid.gross import refuse_gross_errors
+    from pneu_sysid.shortfall import ENOUGH
 
     console = _console()
     for path in (output, json_path, report):
@@ -176,7 +177,11 @@ def fit(
     begun = time.monotonic()
     with progress("fitting") as tell:
         if not anyway:
-            _refuse_gross_errors(rig, start, recordings, workers, tell)
+            tell("looking for gross errors")
+            try:
+                refuse_gross_errors(start, recordings, workers)
+            except InputError as error:
+                raise InputError(f"{rig}: {error}; --anyway fits it all the same") from None
         outcome = fit_rig(
             start,
             recordings,
@@ -196,25 +201,12 @@ def fit(
     for warning in outcome.warnings:
         console.print(warning, style="yellow")
     if outcome.shortfall is None:
-        console.print("Every tap is within twice its noise.")
+        console.print(f"Every tap is expected to be within {ENOUGH:g} times its noise.")
     else:
         for k, line in enumerate(outcome.shortfall.lines):
             console.print(line, style="bold red" if k == 0 else "yellow")
     console.print(f"condition number {outcome.known.condition:.2g}; wrote {output}")
     _finish(result, json_path, report, console, fit=result.as_dict())
-
-
-def _refuse_gross_errors(
-    path: Path, rig: "Rig", recordings: "list[Recording]", workers: int | None, tell: "Tell"
-) -> None:
-    """Refuses a rig file with which no fit would mean anything."""
-    from pneu_sysid.fit import gross_errors_in
-
-    tell("looking for gross errors")
-    found = gross_errors_in(rig, recordings, workers)
-    if found:
-        more = f" (and {len(found) - 1} more: {found[1].sentence})" if len(found) > 1 else ""
-        raise InputError(f"{path}: {found[0].sentence}{more}; --anyway fits it all the same")
 
 
 def _parameter_list(parameters: "list[FitParameter]") -> Table:

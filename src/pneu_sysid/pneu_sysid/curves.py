@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pneu_sim.monotone import monotone_cubic
+from pneu_sim.rig.opening import opening_at
 from pneu_sim.rig.schema import FitParameter, Opening, Rig, Spool
 
 SLOPE_CHANGE = 0.2
@@ -50,31 +50,22 @@ def with_own_curves(rig: Rig) -> Rig:
 
 def _finer(opening: Opening, spool: Spool) -> Opening:
     """A curve as a power law with points no further apart than ``WIDEST``; others as they are."""
-    v, f = np.array(opening.voltage_v), np.array(opening.fraction)
-    s = v - spool.null_v
+    s = np.array(opening.voltage_v) - spool.null_v
     if np.any(s > 0.0) and np.any(s < 0.0):
         return opening
     side = 1.0 if s[-1] > 0.0 else -1.0
-    order = np.argsort(np.abs(s))
-    s, f = np.abs(s)[order], f[order]
-    given = s[s > 0.0]
-    reach = float(given[-1])
+    given = np.sort(np.abs(s[s != 0.0]))
+    low = NEAREST * float(given[-1])
+    if opening.interpolation == "power":
+        low = max(low, float(given[0]))
     wanted: list[float] = []
-    low = max(float(given[0]), NEAREST * reach)
-    if opening.interpolation == "cubic":
-        low = NEAREST * reach
     points = [low, *(float(x) for x in given if x > low * 1.001)]
     for a, b in pairwise(points):
         count = int(np.ceil(np.log(b / a) / np.log(WIDEST) - 1e-9))
         wanted += [a * (b / a) ** (k / count) for k in range(count)]
-    wanted.append(points[-1])
-    at = np.array(wanted)
-    if opening.interpolation == "power":
-        inside = monotone_cubic(np.log(s), np.log(f), np.log(np.clip(at, s[0], s[-1])))
-        value = np.exp(inside)
-    else:
-        value = np.maximum(monotone_cubic(s, f, np.clip(at, s[0], s[-1])), LEAST_OPENING)
+    at = np.array([*wanted, points[-1]])
     volts = spool.null_v + side * at
+    value = np.maximum(opening_at(opening, spool.null_v, volts), LEAST_OPENING)
     if side < 0.0:
         volts, value = volts[::-1], value[::-1]
     return Opening(

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim.errors import InputError
+from pneu_sim.progress import Tell
 from pneu_sim.rig.schema import Calibration, FitParameter, Rig
 from pneu_sysid.curves import with_own_curves
 from pneu_sysid.gauss_newton import Estimate, jacobian
-from pneu_sysid.gross import GrossError, gross_errors
 from pneu_sysid.parameters import (
     calibrated_parameters,
     default_parameters,
@@ -25,12 +25,9 @@ from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.shortfall import ENOUGH, Shortfall, effects_that_help, shortfall_of
 from pneu_sysid.spool_position import fit_spools
-from pneu_sysid.spools import try_limits, try_spools
+from pneu_sysid.spool_starts import try_limits, try_spools
 from pneu_sysid.stages import (
-    COARSEST,
-    SLOW_PULL_S,
     Step,
-    Tell,
     Work,
     at_noise,
     is_slow,
@@ -150,10 +147,11 @@ def fit_rig(
     if rig.model == "pde" and approach and not given:
         drawn = with_own_curves(drawn)
     every, held = _list_of(drawn, given, recordings)
-    if not every:
+    if all(p.path in held or p.path in measured for p in every):
         raise InputError(
-            f"rig {rig.name!r}: fit.parameters is empty and a {rig.model} model of this rig has no"
-            " parameters by default, at least one is needed"
+            f"rig {rig.name!r}: nothing is to be fitted, at least one parameter is needed; fit.drop"
+            " and fit.hold leave none, or fit.parameters is empty and a"
+            f" {rig.model} model of this rig has none by default"
         )
     steps = steps_of(drawn, approach, iterations)
     job = _Job(
@@ -171,11 +169,23 @@ def fit_rig(
     unseen: set[Key] = set()
     for step in steps:
         if step.again and last is not None and settled(last.estimate):
-            if last.fresh or at_noise(last.estimate, last.problem):
+            if last.fresh or at_noise(last.estimate, last.problem, job.used(last.problem)):
                 continue
             last = replace(last, stale=True)
         now, every = _tried(job, now, step, every, last)
-        last = _taken(job, now, step, every, held, unseen, last)
+        fitted = [
+            p
+            for p in every
+            if p.path not in held
+            and p.path not in measured
+            and _key(p) not in unseen
+            and (not step.slow or job.given or is_slow(p))
+        ]
+        if not fitted:
+            if last is None:
+                continue  # of what is to be fitted nothing is slow
+            fitted = last.fitted
+        last = _taken(job, now, step, fitted, last)
         now = last.rig
         if not step.slow:
             unseen |= _unseen(last.fitted, last.estimate)
@@ -193,23 +203,6 @@ def parameters_of(rig: Rig) -> list[FitParameter]:
     given = rig.fit.parameters
     drawn = with_own_curves(rig) if rig.model == "pde" and not given else rig
     return _list_of(drawn, given, [])[0]
-
-
-def gross_errors_in(
-    rig: Rig, recordings: Sequence[Recording], workers: int | None = None
-) -> list[GrossError]:
-    """What is so wrong in a rig file that no fit would mean anything.
-
-    Args:
-        rig: The rig.
-        recordings: The recordings.
-        workers: Threads of a batch.
-    """
-    if rig.model != "pde":
-        return []
-    cells = COARSEST * rig.grid.dx_m
-    problem = make_problem(rig, recordings, dx_m=cells, pull_s=SLOW_PULL_S, workers=workers)
-    return gross_errors(rig, problem)
 
 
 Key = tuple[str, str | None]
@@ -253,7 +246,6 @@ class _Taken:
         rig: The rig after it.
         fitted: The parameters that were fitted.
         problem: Its problem.
-        fine: The same on the rig's own cells, where it was corrected.
         estimate: Its estimate.
         fresh: Whether it began with a Jacobian of its own.
         stale: Whether its Jacobian is not to be used again.
@@ -263,7 +255,6 @@ class _Taken:
     rig: Rig
     fitted: list[FitParameter]
     problem: Problem
-    fine: Problem | None
     estimate: Estimate
     fresh: bool
     stale: bool = False
@@ -301,7 +292,7 @@ def _work(
     seconds = sum(r.end_s for r in recordings)
     return Work.of_steps(
         [(step, weight_of(rig, step, seconds), count, len(rig.valves)) for step in steps],
-        tell or (lambda stage, fraction, note: None),
+        tell or (lambda stage, fraction=None, note="": None),
     )
 
 
@@ -314,11 +305,13 @@ def _tried(
     told = job.work.begin(step)
     done = {path.split(".")[1] for path in job.measured}
     if step.limits and last is not None:
-        rig, changed = try_limits(rig, last.problem, last.estimate, done, told)
+        rig, changed = try_limits(
+            rig, last.problem, job.used(last.problem), last.estimate, done, told
+        )
         if not changed:
             return rig, every
     else:
-        problem, _ = problem_of(rig, job.recordings, step, job.workers)
+        problem = problem_of(rig, job.recordings, step, job.workers)
         rig = try_spools(rig, problem, done, told)
     every, _ = _list_of(rig, [], job.recordings)
     for p, value in zip(every, _inner(every, start_of(rig, every)), strict=True):
@@ -330,22 +323,12 @@ def _taken(
     job: _Job,
     rig: Rig,
     step: Step,
-    every: list[FitParameter],
-    held: list[str],
-    unseen: set[Key],
+    fitted: list[FitParameter],
     before: _Taken | None,
 ) -> _Taken:
     """Takes a step."""
     told = job.work.begin(step)
-    problem, fine = problem_of(rig, job.recordings, step, job.workers)
-    fitted = [
-        p
-        for p in every
-        if p.path not in held
-        and p.path not in job.measured
-        and _key(p) not in unseen
-        and (not step.slow or job.given or is_slow(p))
-    ] or every
+    problem = problem_of(rig, job.recordings, step, job.workers)
     slope = None
     alike = before is not None and before.step.dx_m == step.dx_m and not before.stale
     if before is not None and alike and before.step.pull_s == step.pull_s:
@@ -361,7 +344,7 @@ def _taken(
         told,
         slope,
     )
-    return _Taken(step, now, fitted, problem, fine, estimate, fresh=slope is None)
+    return _Taken(step, now, fitted, problem, estimate, fresh=slope is None)
 
 
 def _slope(
@@ -413,11 +396,8 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
         held,
         _grid(last, job),
         _held_change(now, every, held, last, job),
+        job.measured,
     )
-    for k, p in enumerate(every):
-        if p.path in job.measured:
-            known.std_errors[k] = job.measured[p.path] or np.inf
-            known.seen[k] = True
     finite = [float(s) if np.isfinite(s) else None for s in known.std_errors]
     listed = [
         p.model_copy(update={"std_error": s or None}) for p, s in zip(every, finite, strict=True)
@@ -425,15 +405,13 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
     times = _times_noise(problem, rmse, last, job)
     effects: list[str] = []
     if now.model == "pde" and max(times.values(), default=0.0) > ENOUGH:
-        effects = effects_that_help(now, last.problem, last.estimate)
+        effects = effects_that_help(now, last.problem, job.used(last.problem), last.estimate)
     bound = [p for p, at in zip(every, known.at_bound, strict=True) if at]
     shortfall = shortfall_of(now, problem, out, times, bound, effects)
     noise = {tap: float(n) for tap, n in zip(problem.taps, problem.noise_pa, strict=True)}
     now = now.model_copy(
         update={
-            "fit": now.fit.model_copy(
-                update={"parameters": joined(listed, _once(listed)), "add": []}
-            ),
+            "fit": now.fit.model_copy(update={"parameters": joined(listed), "add": []}),
             "calibration": Calibration(
                 recording=job.recordings[0].name,
                 recordings=[r.name for r in job.recordings],
@@ -476,14 +454,6 @@ def _times_noise(
         for tap, noise, e in zip(problem.taps, problem.noise_pa, expected, strict=True)
         if tap in rmse
     }
-
-
-def _once(listed: list[FitParameter]) -> list[FitParameter]:
-    """Parameters as a rig file lists them: those with one value in each recording once."""
-    out: dict[str, FitParameter] = {}
-    for p in listed:
-        out.setdefault(p.path, p.model_copy(update={"recording": None}))
-    return list(out.values())
 
 
 def _grid(last: _Taken, job: _Job) -> Floats | None:

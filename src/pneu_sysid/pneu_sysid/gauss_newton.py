@@ -321,7 +321,7 @@ def _summary(
     values = np.linalg.eigvalsh(hessian)
     condition = float(np.sqrt(values[-1] / max(values[0], 1e-300)))
     inverse = np.linalg.pinv(hessian, rcond=1e-12)
-    moves = _moves(hessian, information / units, np.einsum("smp,sm->sp", jw, r * w) / scale)
+    moves = left_out_moves(hessian, information / units, np.einsum("smp,sm->sp", jw, r * w) / scale)
     # The data weigh less than white noise would, so the prior was given as much more weight; what
     # its centre is off by is what it says nevertheless.
     off = weight**4 * inverse @ (prior / units) @ inverse
@@ -365,7 +365,7 @@ def _left_out(fitted: Floats, left: Floats) -> Floats:
     )
 
 
-def _moves(hessian: Floats, information: Floats, scores: Floats) -> Floats:
+def left_out_moves(hessian: Floats, information: Floats, scores: Floats) -> Floats:
     """(n_clusters, P) by how much the estimate moves when one cluster is left out (jackknife).
 
     To first order, with the information of the cluster taken out too: a cluster that alone tells

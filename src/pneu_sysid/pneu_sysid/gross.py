@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_sim.errors import InputError
+from pneu_sim.rig.parameters import get_parameter, with_parameters
 from pneu_sim.rig.plausible import RANGES
 from pneu_sim.rig.schema import CLOSED, Rig
 from pneu_sim.signals import Signal
@@ -25,6 +27,8 @@ from pneu_sysid.volumes import volume_of_tap, volumes_of
 
 Floats = NDArray[np.float64]
 
+COARSER = 4.0
+"""Cells on which errors are looked for are this much longer than the rig's."""
 PULL_S = 0.3
 """Long enough for a wrong part to show, short enough for two Gauss-Newton steps to converge."""
 LEAD_S = 0.4
@@ -111,7 +115,10 @@ class _Guess:
 
 @dataclass(frozen=True)
 class _Knob:
-    """What an ordinary fit may change: by its standard deviation, and at most by its reach."""
+    """What an ordinary fit may change: by its standard deviation, and at most by its reach.
+
+    Its paths are scaled by the exponential of how far it is turned.
+    """
 
     paths: tuple[str, ...]
     std: float
@@ -119,10 +126,8 @@ class _Knob:
     curve_of: str = ""
     delay_of: str = ""
 
-    def turn(self, rig: Rig, x: float) -> None:
-        """Scales by exp(x), bends a valve's opening curves by the exponent x, or delays it."""
-        for path in self.paths:
-            _scale(rig, path, math.exp(x))
+    def bend(self, rig: Rig, x: float) -> None:
+        """Bends a valve's opening curves by the exponent x, or delays it; the rig is changed."""
         if self.delay_of:
             rig.valves[self.delay_of].spool.delay_s += DELAY_S * max(x, 0.0)
         if not self.curve_of:
@@ -156,21 +161,6 @@ class _Settled:
     def times_noise(self) -> float:
         """What is left of all taps, in times the noise."""
         return float(np.sqrt(np.mean(self.mean_pa2 / self.bench.noise_pa**2)))
-
-
-def _scale(rig: Rig, path: str, factor: float) -> None:
-    *parents, last = path.split(".")
-    node: Any = rig
-    for part in parents:
-        node = node[part] if isinstance(node, dict) else getattr(node, part)
-    setattr(node, last, getattr(node, last) * factor)
-
-
-def _value(rig: Rig, path: str) -> float:
-    node: Any = rig
-    for part in path.split("."):
-        node = node[part] if isinstance(node, dict) else getattr(node, part)
-    return float(node)
 
 
 def _knobs(rig: Rig) -> list[_Knob]:
@@ -232,9 +222,14 @@ class _Bench:
 
 
 def _turned(rig: Rig, knobs: list[_Knob], x: Floats) -> Rig:
-    out = rig.model_copy(deep=True)
+    scaled = {
+        path: get_parameter(rig, path) * math.exp(value)
+        for knob, value in zip(knobs, x, strict=True)
+        for path in knob.paths
+    }
+    out = with_parameters(rig, scaled)
     for knob, value in zip(knobs, x, strict=True):
-        knob.turn(out, float(value))
+        knob.bend(out, float(value))
     return out
 
 
@@ -309,7 +304,7 @@ def _possible(
     out = []
     for what, paths, decades in cases:
         known = RANGES[paths[0].rpartition(".")[2]]
-        value = _value(rig, paths[0]) * 10.0**decades
+        value = get_parameter(rig, paths[0]) * 10.0**decades
         least = max(known.low, SHORTEST_M) if paths[0].endswith("length_m") else known.low
         if least <= value <= known.high:
             out.append((what, paths, decades))
@@ -317,9 +312,9 @@ def _possible(
 
 
 def _resized(base: _Guess, what: str, paths: tuple[str, ...], decades: float) -> _Guess:
-    rig = base.rig.model_copy(deep=True)
-    for path in paths:
-        _scale(rig, path, 10.0**decades)
+    rig = with_parameters(
+        base.rig, {path: get_parameter(base.rig, path) * 10.0**decades for path in paths}
+    )
     length = paths[0].endswith("length_m")
     if length:
         pipe = paths[0].split(".")[1]
@@ -426,6 +421,29 @@ def _moved_taps(base: _Guess) -> list[_Guess]:
     return out
 
 
+def refuse_gross_errors(
+    rig: Rig, recordings: Sequence[Recording], workers: int | None = None
+) -> None:
+    """Refuses a rig with which no fit would mean anything.
+
+    Args:
+        rig: The rig as its file says.
+        recordings: Its recordings.
+        workers: Threads of a batch.
+
+    Raises:
+        InputError: Something in the rig is wrong beyond what a fit makes good.
+    """
+    if rig.model != "pde":
+        return
+    problem = make_problem(
+        rig, recordings, dx_m=COARSER * rig.grid.dx_m, pull_s=PULL_S, workers=workers
+    )
+    found = gross_errors(rig, problem)
+    if found:
+        raise InputError("; besides, ".join(error.sentence for error in found))
+
+
 def gross_errors(rig: Rig, problem: Problem) -> list[GrossError]:
     """What in a rig file is wrong beyond what an ordinary fit makes good; mostly nothing.
 
@@ -446,8 +464,6 @@ def gross_errors(rig: Rig, problem: Problem) -> list[GrossError]:
     errors, corrected = _reservoirs(rig, problem)
     # one stretch, from the first readings on: no beginning is looked for
     corrected.fit = corrected.fit.model_copy(update={"horizon_s": None})
-    if _runs_away(_Bench(corrected, recordings, problem), corrected):
-        corrected = _plain(corrected)
     base = _Guess("none", "", "", corrected, recordings)
     for _ in range(MOST):
         nominal = _settle(_begin(_Bench(base.rig, base.recordings, problem), base), STEPS)
@@ -462,20 +478,6 @@ def gross_errors(rig: Rig, problem: Problem) -> list[GrossError]:
         error, base = found
         errors.append(error)
     return errors
-
-
-def _runs_away(bench: _Bench, rig: Rig) -> bool:
-    y = bench.problem.simulate([rig], strict=False).readings[0]
-    return not bool(np.isfinite(y[bench.seen]).all())
-
-
-def _plain(rig: Rig) -> Rig:
-    """A rig whose ports take no more than one head: with ports far too large, two run away."""
-    out = rig.model_copy(deep=True)
-    for valve in out.valves.values():
-        for port in valve.ports.values():
-            port.jet_loss, port.inlet_head = min(port.jet_loss, 1.0), min(port.inlet_head, 1.0)
-    return out
 
 
 def _liveliest(recording: Recording, seconds: float) -> Recording:
@@ -592,8 +594,8 @@ def _size_words(settled: _Settled) -> str:
     guess = settled.guess
     rig = _turned(guess.rig, _knobs(guess.rig), settled.x)
     factor = 10.0**-guess.decades
-    now = [_value(rig, path) for path in guess.paths]
-    was = [_value(guess.rig, path) * factor for path in guess.paths]
+    now = [get_parameter(rig, path) for path in guess.paths]
+    was = [get_parameter(guess.rig, path) * factor for path in guess.paths]
     ratio = math.exp(float(np.mean(np.log(np.array(now) / np.array(was)))))
     change = f"{ratio:.2g} times as much" if ratio > 1.0 else f"{1.0 / ratio:.2g} times less"
     found = " and ".join(f"{v:.3g}" for v in was)

@@ -254,7 +254,9 @@ def learn(
     tell = progress or (lambda stage, done: None)
     if rig.calibration is None and (rig.fit.parameters or default_parameters(rig)):
         tell("fit", 0.0)
-        rig = fit_rig(rig, recording, default_parameters(rig), hold_out=True, workers=workers).rig
+        # no more than a datasheet leaves open: delays and limits may be what is missing
+        listed = rig.fit.parameters or default_parameters(rig)
+        rig = fit_rig(rig, recording, listed, hold_out=True, workers=workers).rig
         tell("fit", 1.0)
     recordings = [recording] if isinstance(recording, Recording) else list(recording)
     first = diagnose_apart(rig, recordings, FINALISTS, True, workers, progress)

@@ -190,9 +190,11 @@ def listed_parameters(rig: Rig, base: list[FitParameter]) -> tuple[list[FitParam
     """
     added = {p.path: p for p in rig.fit.add}
     every = [added.pop(p.path, p) for p in base] + list(added.values())
+    # a calibrated rig lists what was fitted, without what its patterns took out
+    known = {p.path for p in every + calibrated_parameters(rig)}
     for field, patterns in (("drop", rig.fit.drop), ("hold", rig.fit.hold)):
         for k, pattern in enumerate(patterns):
-            if not any(fnmatchcase(p.path, pattern) for p in every):
+            if not any(fnmatchcase(path, pattern) for path in known):
                 raise InputError(
                     f"rig {rig.name!r}: fit.{field}.{k}: found {pattern!r}, which is no parameter"
                     " of this rig's list; `pneu fit --list` shows it"
@@ -277,15 +279,15 @@ def one_each(parameters: list[FitParameter], recordings: list[str]) -> list[FitP
     ]
 
 
-def joined(fitted: list[FitParameter], listed: list[FitParameter]) -> list[FitParameter]:
-    """Parameters as the rig lists them, with the standard errors that the fit found.
+def joined(fitted: list[FitParameter]) -> list[FitParameter]:
+    """Parameters as a rig lists them: those with one value in each recording once.
 
     Args:
-        fitted: What was fitted, some of it once for each recording.
-        listed: The rig's list.
+        fitted: What was fitted; of several the largest standard error counts.
     """
-    out = []
-    for p in listed:
+    out: dict[str, FitParameter] = {}
+    for p in fitted:
         errors = [f.std_error for f in fitted if f.path == p.path and f.std_error is not None]
-        out.append(p.model_copy(update={"std_error": max(errors) if errors else None}))
-    return out
+        update = {"recording": None, "std_error": max(errors) if errors else None}
+        out.setdefault(p.path, p.model_copy(update=update))
+    return list(out.values())

@@ -12,7 +12,7 @@ from pneu_sysid.candidates import all_sites, best_per_place, score
 from pneu_sysid.gauss_newton import Estimate
 from pneu_sysid.nuisance import Nuisance
 from pneu_sysid.problem import Problem, Rollouts
-from pneu_sysid.regimes import operation
+from pneu_sysid.regimes import Operation, operation
 
 Floats = NDArray[np.float64]
 
@@ -20,6 +20,8 @@ ENOUGH = 2.0
 """Times the noise that a calibration may leave at a tap."""
 TELLS = 0.15
 """Share of what is left that an effect has to explain to be worth a word."""
+RIDGE = 1e-3
+"""What the fitted parameters can make good is taken out with a ridge that hardly holds them."""
 POSITIONS = 3
 """Intervals between the positions along the longest pipe that are asked."""
 
@@ -89,12 +91,12 @@ def shortfall_of(
     return Shortfall(short, sentence, where, more)
 
 
-def _where(problem: Problem, r: Floats, work: object, tap: str) -> str:
+def _where(problem: Problem, r: Floats, work: Operation, tap: str) -> str:
     """The regime and the second in which most of a tap's error is left."""
     t = problem.taps.index(tap)
     total = float(np.sum(r[:, :, t] ** 2))
     found: dict[bool, tuple[float, str]] = {}
-    for one in work.sets(tap):  # type: ignore[attr-defined]
+    for one in work.sets(tap):
         inside = r[:, :, t][one.mask]
         excess = float(np.sum(inside**2)) / np.sqrt(one.mask.sum())
         is_time = one.kind == "time"
@@ -109,6 +111,7 @@ def _where(problem: Problem, r: Floats, work: object, tap: str) -> str:
 def effects_that_help(
     rig: Rig,
     problem: Problem,
+    used: NDArray[np.bool_],
     estimate: Estimate,
     progress: Callable[[float], None] | None = None,
 ) -> list[str]:
@@ -119,14 +122,18 @@ def effects_that_help(
     Args:
         rig: The fitted rig.
         problem: The problem that it was fitted on, on long cells.
+        used: (n_stretches,) stretches that it was fitted on; of the others nothing is asked.
         estimate: The estimation.
         progress: Called with the fraction done.
     """
-    if estimate.jacobian.shape[0] != problem.stretches:
-        return []
-    project = Nuisance(estimate.jacobian / np.maximum(_norms(estimate), 1e-12)).without(
-        np.ones(problem.stretches, dtype=bool)
-    )
+    norms = RIDGE * np.sqrt(np.einsum("smp,smp->p", estimate.jacobian, estimate.jacobian))
+    change = np.zeros((problem.stretches, *estimate.jacobian.shape[1:]))
+    change[used] = estimate.jacobian / np.maximum(norms, 1e-12)
+    take_out = Nuisance(change).without(used)
+
+    def project(r: Floats) -> Floats:
+        return np.where(used[:, None], take_out(r), 0.0)
+
     _, scores = score(problem, rig, all_sites(rig, POSITIONS), project, progress)
     best = [s for s in best_per_place(scores) if s.explained > TELLS and s.t > 3.0][:2]
     return [
@@ -135,8 +142,3 @@ def effects_that_help(
         " `pneu add`"
         for s in best
     ]
-
-
-def _norms(estimate: Estimate) -> Floats:
-    """(P,) norm of each column, so that the ridge of 1 hardly holds any of them back."""
-    return 1e-3 * np.sqrt(np.einsum("smp,smp->p", estimate.jacobian, estimate.jacobian))

@@ -19,6 +19,7 @@ from pneu_sim.rig.build import spool_row
 from pneu_sim.rig.schema import Rig, Spool
 from pneu_sim.signals import Signal
 from pneu_sim.valve import positions_along
+from pneu_sysid.gauss_newton import left_out_moves
 from pneu_sysid.records import Recording
 
 Floats = NDArray[np.float64]
@@ -529,15 +530,13 @@ def _standard_errors(path: str, data: _Data, found: _Found) -> dict[str, float]:
     white = found.cost / left + RESOLVED_V**2
     inverse = np.linalg.pinv(hessian, rcond=1e-12, hermitian=True)
     variance = white * np.diag(inverse)
-    moves = []
-    for block in np.unique(data.blocks):
-        mine = data.blocks == block
-        own = jacobian[mine]
-        rest = np.linalg.pinv(hessian - own.T @ own, rcond=1e-10, hermitian=True)
-        moves.append(rest @ (own.T @ found.residual[mine]))
+    parts = [data.blocks == block for block in np.unique(data.blocks)]
+    information = np.array([jacobian[mine].T @ jacobian[mine] for mine in parts])
+    scores = np.array([jacobian[mine].T @ found.residual[mine] for mine in parts])
+    moves = left_out_moves(hessian, information, scores)
     if len(moves) > 1:
         # At a bound the slopes do not add up to nothing; only what scatters counts.
-        spread = np.asarray(moves) - np.mean(moves, axis=0)
+        spread = moves - np.mean(moves, axis=0)
         scatter = (len(moves) - 1) / len(moves) * np.sum(spread**2, axis=0)
         variance = np.maximum(variance, scatter)
     error = np.full(told.size, np.inf)

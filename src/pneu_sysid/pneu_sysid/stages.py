@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_sim.progress import Tell
 from pneu_sim.rig.build import plan_grid
 from pneu_sim.rig.parameters import value_of
 from pneu_sim.rig.schema import FitParameter, Rig
@@ -24,7 +25,6 @@ from pneu_sysid.records import Recording
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Tell = Callable[[str, float | None, str], None]
 
 SETTLED = 0.03
 """A step that gained no more of the cost need not be taken again."""
@@ -261,21 +261,20 @@ def settled(estimate: Estimate) -> bool:
     return estimate.gained < SETTLED
 
 
-def at_noise(estimate: Estimate, problem: Problem) -> bool:
+def at_noise(estimate: Estimate, problem: Problem, used: Mask) -> bool:
     """Whether an estimation leaves so little that a new Jacobian is not worth its time.
 
     Args:
         estimate: The estimation.
         problem: Its problem.
+        used: (n_stretches,) stretches that it used.
     """
-    count = max(int(np.isfinite(problem.measured).sum()), 1)
+    count = max(int(np.isfinite(problem.measured[used]).sum()), 1)
     return float(np.sum(estimate.residual**2)) < AT_NOISE**2 * count
 
 
-def problem_of(
-    rig: Rig, recordings: list[Recording], step: Step, workers: int | None
-) -> tuple[Problem, Problem | None]:
-    """The problem that a step solves, and the one on the rig's own cells where it is corrected.
+def problem_of(rig: Rig, recordings: list[Recording], step: Step, workers: int | None) -> Problem:
+    """The problem that a step solves.
 
     Recordings begin as they are found to with the rig as it is.
 
@@ -290,12 +289,11 @@ def problem_of(
         recordings = [r.until(part_s) for r in recordings]
     dx_m = None if step.dx_m == rig.grid.dx_m else step.dx_m
     problem = make_problem(rig, recordings, pull_s=step.pull_s, dx_m=dx_m, workers=workers)
-    if not step.corrected:
-        return problem, None
-    problem.prepare(rig)
-    fine = problem.with_grid(rig.grid.dx_m)
-    problem.grid_pa = fine.predict([rig])[0] - problem.predict([rig])[0]
-    return problem, fine
+    if step.corrected:
+        problem.prepare(rig)
+        fine = problem.with_grid(rig.grid.dx_m)
+        problem.grid_pa = fine.predict([rig])[0] - problem.predict([rig])[0]
+    return problem
 
 
 def centred(

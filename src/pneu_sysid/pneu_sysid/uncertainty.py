@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is known of fitted parameters: errors of noise, model, datasheet, grid and what is held."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +52,7 @@ def known_of(
     held: list[str],
     grid: Floats | None,
     held_change: Floats | None,
+    measured: Mapping[str, float | None],
 ) -> Known:
     """What is known of all parameters after an estimation of some.
 
@@ -61,6 +63,7 @@ def known_of(
         held: Paths of those that were held.
         grid: (n_clusters, m) by how much finer cells change the prediction, in noise deviations.
         held_change: (K, n_clusters, m) change of the residual per deviation of each held parameter.
+        measured: Standard errors, by path, of what was fitted without the gas; None where unknown.
     """
     count = len(parameters)
     index = [
@@ -82,11 +85,15 @@ def known_of(
         errors[k] = float(np.sqrt(variance[a])) * value
         at_bound[k], seen[k] = estimate.at_bound[a], estimate.visible[a]
         correlation[k, index] = estimate.correlation[a]
+    for k, p in enumerate(parameters):
+        if p.path in measured:
+            errors[k] = measured[p.path] or np.inf
+    is_measured = np.array([p.path in measured for p in parameters])
     is_held = np.array([p.path in held for p in parameters])
     return Known(
         errors,
         at_bound & seen,
-        seen & np.isfinite(errors),
+        (seen & np.isfinite(errors)) | is_measured,
         is_held,
         pairs_above(correlation, CORRELATED),
         correlation,

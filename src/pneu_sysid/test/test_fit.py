@@ -109,6 +109,28 @@ def test_what_is_held_counts_in_the_errors_of_the_others() -> None:
     assert exact[EXHAUST] < 0.1 * held[EXHAUST]
 
 
+def test_a_calibrated_rig_is_fitted_again_with_the_patterns_of_its_file() -> None:
+    """Its list lacks what a pattern dropped; the pattern still means something."""
+    rng = np.random.default_rng(8)
+    rig = coarse("line", rng)
+    rig.fit.drop = ["pipes.*", "reservoirs.*", "valves.*.spool.*", "*.opening.*"]
+    rig.fit.hold = ["*.laminar_*", "*.jet_loss", "*.inlet_head", "*.leakage", "*.critical_ratio"]
+    recording = record(rig, rng, 125.0, 2.0, moving=False)
+    once = fit_rig(rig, recording, approach=False, iterations=1)
+    again = fit_rig(once.rig, recording, approach=False, iterations=1)
+    assert {p.path for p in again.parameters} == {p.path for p in once.parameters}
+    assert {p.path for p in again.parameters if p.std_error is not None} == {SUPPLY, EXHAUST}
+    assert {p.path for p in again.rig.fit.parameters} == {p.path for p in once.rig.fit.parameters}
+
+
+def test_what_is_held_and_dropped_leaves_something_to_fit() -> None:
+    rng = np.random.default_rng(8)
+    rig = coarse("line", rng)
+    rig.fit.hold = ["*"]
+    with pytest.raises(InputError, match=r"nothing is to be fitted"):
+        fit_rig(rig, record(rig, rng, 125.0, 1.0, moving=False))
+
+
 @pytest.fixture(scope="module")
 def calibrated() -> tuple[Rig, Recording, FitOutcome]:
     """A rig with a slow spool and curves that differ, known from a datasheet, calibrated."""
@@ -183,7 +205,8 @@ def test_a_spool_whose_position_was_recorded_is_fitted_to_it() -> None:
     assert by_path[SUPPLY][0].std_error is not None
 
 
-def test_where_it_stops_short_it_says_where_and_what_would_help() -> None:
+@pytest.mark.parametrize("hold_out", [False, True])
+def test_where_it_stops_short_it_says_where_and_what_would_help(hold_out: bool) -> None:
     """A lag of one sensor, which no calibration fits: the tap is named, and the effect."""
     rng = np.random.default_rng(5)
     truth = coarse("line", rng)
@@ -191,7 +214,7 @@ def test_where_it_stops_short_it_says_where_and_what_would_help() -> None:
     plant = truth.model_copy(update={"effects": [lag]})
     recording = record(plant, rng, 250.0, 3.0, moving=False)
     parameters = few(truth, SUPPLY, EXHAUST, BANDWIDTH)
-    short = fit_rig(truth, recording, parameters, approach=False, iterations=2).shortfall
+    short = fit_rig(truth, recording, parameters, hold_out, approach=False, iterations=2).shortfall
     assert short is not None
     assert max(short.by_tap, key=short.by_tap.__getitem__) == "end"
     assert "stops short" in short.sentence and "end" in short.sentence

@@ -181,6 +181,7 @@ def fit_result() -> dict:
             "upper": upper,
             "at_bound": marks.get("at_bound", False),
             "identified": marks.get("identified", True),
+            "held": marks.get("held", False),
         }
 
     supply = "valves.valve.ports.supply"
@@ -197,7 +198,25 @@ def fit_result() -> dict:
             parameter("pipes.tube.friction_gain", 3.0, 1.0, 0.4, None, 0.0, 3.0, at_bound=True),
             parameter("pipes.exhaust_tube.heat_gain", 0.9, 1.0, 2.3, None, 0, 5, identified=False),
             parameter("valves.valve.spool.bandwidth_hz", 57.4, 60.0, 1.2, "Hz", 10.0, 200.0),
+            parameter(
+                "chambers.bottle.volume_m3",
+                2e-4,
+                2e-4,
+                None,
+                "m^3",
+                5e-5,
+                8e-4,
+                identified=False,
+                held=True,
+            ),
         ],
+        "shortfall": {
+            "by_tap": {"end": 2.4},
+            "sentence": "The calibration stops short: where it has not been fitted it is to be"
+            " expected to leave more than 2 times the noise at end 2.4 (times).",
+            "where": ["end: most with valve above 50 % open (4.7 times, 53 % of it)"],
+            "help": ["sensor_lag@end would explain 61 % of it (about 8.1 ms): see `pneu diagnose`"],
+        },
         "correlations": [
             {"a": "pipes.tube.area_m2", "b": f"{supply}.conductance_m3_s_pa", "value": 0.953},
             {
@@ -487,6 +506,21 @@ def test_bad_input_is_one_sentence_and_leaves_no_file(tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         write_report(tmp_path / "no_folder" / "r.html", learn=learn_result())
     assert not list(tmp_path.iterdir())
+
+
+def test_the_fit_says_where_it_stops_short_and_what_was_held(tmp_path):
+    fit = fit_result()
+    page = write_report(tmp_path / "r.html", fit=fit).read_text()
+    short = fit["shortfall"]
+    # (the pages write minus signs and quotes as people do)
+    for line in (short["sentence"], *short["where"]):
+        assert line in page
+    assert "sensor_lag@end would explain 61 %" in page
+    row = page[page.index("chambers.bottle.volume_m3") :]
+    row = row[: row.index("</tr>")]
+    assert "held" in row and "not identified" not in row
+    fit["shortfall"] = None
+    assert "stops short" not in write_report(tmp_path / "r.html", fit=fit).read_text()
 
 
 def test_a_failed_write_keeps_the_report_there_was(tmp_path):

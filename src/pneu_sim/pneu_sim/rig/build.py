@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pneu_sim import layout as L
 from pneu_sim.errors import InputError
 from pneu_sim.gas import AIR, Gas
-from pneu_sim.monotone import monotone_cubic
+from pneu_sim.rig.opening import opening_at
 from pneu_sim.rig.schema import CLOSED, Pipe, Port, Rig, Spool, Valve
 
 Floats = NDArray[np.float64]
@@ -320,34 +320,16 @@ def _curve(port: Port, valve: Valve) -> tuple[Floats, Floats]:
     source = (
         port.opening if port.opening.mirror is None else valve.ports[port.opening.mirror].opening
     )
-    x, y = np.array(source.voltage_v), np.array(source.fraction)
+    ends = [source.voltage_v[0], source.voltage_v[-1]]
     if source.interpolation == "power":
-        sign = 1.0 if x[-1] > null else -1.0
-        table_v = np.linspace(min(null, x[0]), max(null, x[-1]), CURVE_POINTS)
-        order = np.argsort(np.abs(x - null))
-        table = _power_law(
-            np.abs(x - null)[order], y[order], np.maximum(sign * (table_v - null), 0.0)
-        )
-    else:
-        table_v = np.linspace(x[0], x[-1], CURVE_POINTS)
-        table = monotone_cubic(x, y, table_v)
+        ends = [min(null, ends[0]), max(null, ends[1])]
+    table_v = np.linspace(ends[0], ends[1], CURVE_POINTS)
+    table = opening_at(source, null, table_v)
     if port.opening.mirror is not None:
         table_v, table = 2.0 * null - table_v[::-1], table[::-1]
     lift = port.leakage
     table = lift + (1.0 - min(lift, 1.0)) * np.maximum(table, 0.0)
     return table, np.array([table_v[0], table_v[-1]])
-
-
-def _power_law(s: Floats, f: Floats, at: Floats) -> Floats:
-    """Opening at distances ``at`` from null: monotone cubic in logarithms, a power law below."""
-    out = np.zeros_like(at)
-    ls, lf = np.log(s), np.log(f)
-    inside = at >= s[0]
-    out[inside] = np.exp(monotone_cubic(ls, lf, np.minimum(np.log(at[inside]), ls[-1])))
-    exponent = max((lf[1] - lf[0]) / (ls[1] - ls[0]), 0.2)
-    below = ~inside & (at > 0.0)
-    out[below] = f[0] * (at[below] / s[0]) ** exponent
-    return out
 
 
 def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:

@@ -26,6 +26,7 @@ from pneu_sysid.commands import fit_result, read_findings
 from pneu_sysid.compare import compare
 from pneu_sysid.diagnose import diagnose_apart, result_of_diagnosis
 from pneu_sysid.fit import fit_rig
+from pneu_sysid.gross import refuse_gross_errors
 from pneu_sysid.learn import learn, result_of_learning
 from pneu_sysid.problem import make_problem, record_for
 from pneu_sysid.report import write_report
@@ -127,13 +128,15 @@ def perform(request: Request, tell: Tell) -> Outcome:
         verdict = ""
         written, result = aside / output.name, aside / result_file.name
         if request.task == "fit":
+            tell("looking for gross errors", math.nan)
+            refuse_gross_errors(rig, recordings, workers)
             fitted = fit_rig(
                 rig,
                 recordings,
                 iterations=FIT_ITERATIONS,
                 workers=workers,
-                progress=lambda stage, done, note: tell(
-                    f"{stage} ({note})", math.nan if done is None else done
+                progress=lambda stage, fraction=None, note="": tell(
+                    f"{stage} ({note})", math.nan if fraction is None else fraction
                 ),
             )
             save_rig(fitted.rig, written)

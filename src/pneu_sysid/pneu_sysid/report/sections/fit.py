@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fitted parameters: values, errors, what the recording cannot tell, and correlations."""
+"""Fitted parameters: where they stop short, values, errors, what cannot be told, correlations."""
 
 from pneu_sysid.report import quantities as q
 from pneu_sysid.report.contents import Contents, Result, ratio, unique
@@ -13,7 +13,7 @@ _LARGEST_MATRIX = 24
 
 
 def render(contents: Contents) -> Markup:
-    """Return the parameters, the warnings, the correlations and the error of the fit.
+    """Return where the fit stops short, parameters, warnings, correlations and its error.
 
     Args:
         contents: The results to report.
@@ -22,6 +22,8 @@ def render(contents: Contents) -> Markup:
     if not fit:
         return Markup()
     warnings = [str(line) for line in fit.get("warnings") or []]
+    short = fit.get("shortfall") or {}
+    lines = [str(line) for line in [*(short.get("where") or []), *(short.get("help") or [])]]
     notes = []
     if fit.get("condition") is not None:
         notes.append(f"Condition number {q.number(fit['condition'])}.")
@@ -32,6 +34,8 @@ def render(contents: Contents) -> Markup:
             f"in {len(history) - 1} iterations."
         )
     return join(
+        tag("p", tag("strong", str(short["sentence"]))) if short else None,
+        tag("ul", [tag("li", line) for line in lines], class_="warnings") if lines else None,
         tag("ul", [tag("li", line) for line in warnings], class_="warnings") if warnings else None,
         _parameters(fit.get("parameters") or []),
         tag("p", " ".join(notes), class_="note") if notes else None,
@@ -50,7 +54,11 @@ def _parameters(parameters: list[Result]) -> Markup | None:
             tag("span", text, class_="badge")
             for show, text in (
                 (parameter.get("at_bound"), "at its bound"),
-                (parameter.get("identified") is False, "not identified"),
+                (parameter.get("held"), "held"),
+                (
+                    parameter.get("identified") is False and not parameter.get("held"),
+                    "not identified",
+                ),
             )
             if show
         ]

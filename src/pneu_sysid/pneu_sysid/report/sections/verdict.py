@@ -64,10 +64,18 @@ def _own_sentence(contents: Contents) -> str:
         others = [f"{m.get('name')} by {q.times(m['times_noise'])}" for m in ranked[1:]]
         return sentence + (f", {', '.join(others)}." if others else ".")
     if contents.fit:
-        parameters = contents.fit.get("parameters") or []
+        if short := contents.fit.get("shortfall"):
+            taps = ", ".join(f"{q.times(v)} at {tap}" for tap, v in short["by_tap"].items())
+            return f"The calibration stops short: it leaves more than the noise, {taps}."
+        parameters = _not_held(contents.fit)
         good = sum(bool(p.get("identified")) for p in parameters)
         return f"{good} of {len(parameters)} fitted parameters are identified by this recording."
     return "The results carry no verdict."
+
+
+def _not_held(fit: Result) -> list[Result]:
+    """What a fit was allowed to change."""
+    return [p for p in fit.get("parameters") or [] if not p.get("held")]
 
 
 def _tile(value: str | Markup, label: str, note: str = "") -> Markup:
@@ -156,9 +164,8 @@ def _compared(contents: Contents) -> list[Markup]:
 def _fitted(fit: Result | None) -> list[Markup]:
     if not fit:
         return []
-    parameters = fit.get("parameters") or []
     return [
-        _tile(str(len(parameters)), "fitted parameters"),
+        _tile(str(len(_not_held(fit))), "fitted parameters"),
         _tile(q.number(fit.get("condition")), "condition number"),
     ]
 

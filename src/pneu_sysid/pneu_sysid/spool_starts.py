@@ -73,6 +73,7 @@ def try_spools(
 def try_limits(
     rig: Rig,
     problem: Problem,
+    used: NDArray[np.bool_],
     estimate: Estimate,
     known: Container[str] = (),
     told: Told | None = None,
@@ -84,6 +85,7 @@ def try_limits(
     Args:
         rig: The rig, as it was estimated.
         problem: The problem that it was estimated on.
+        used: (n_stretches,) stretches that it was estimated on.
         estimate: The estimation.
         known: Valves whose spools are known already.
         told: Given the size of a batch, what is called with the fraction of it that is done.
@@ -100,7 +102,7 @@ def try_limits(
             continue
         trials = [_Trial(b, speed=s) for b in FASTER for s in SPEEDS]
         trials += [_Trial(b, acceleration=a) for b in FASTER for a in ACCELERATIONS]
-        costs = _costs(rig, _tried(rig, name, trials, step_v), problem, estimate, told)
+        costs = _costs(rig, _tried(rig, name, trials, step_v), problem, used, estimate, told)
         k = int(np.argmin(costs[1:]))
         if costs[1 + k] > (1.0 - WORTH) * costs[0]:
             continue
@@ -109,7 +111,7 @@ def try_limits(
             replace(best, speed=best.speed or s, acceleration=best.acceleration or a)
             for s, a in zip(SPEEDS, ACCELERATIONS, strict=True)
         ]
-        again = _costs(rig, _tried(rig, name, more, step_v), problem, estimate, told)
+        again = _costs(rig, _tried(rig, name, more, step_v), problem, used, estimate, told)
         if again[1:].min() < (1.0 - WORTH) * costs[1 + k]:
             best = more[int(np.argmin(again[1:]))]
         rig, changed = _tried(rig, name, [best], step_v)[0], True
@@ -160,13 +162,18 @@ def _with(rig: Rig, valve: str, spool: Spool) -> Rig:
 
 
 def _costs(
-    rig: Rig, trials: list[Rig], problem: Problem, estimate: Estimate, told: Told | None
+    rig: Rig,
+    trials: list[Rig],
+    problem: Problem,
+    used: NDArray[np.bool_],
+    estimate: Estimate,
+    told: Told | None,
 ) -> Floats:
     """(1 + n,) cost of the rig and of each trial after what the parameters can make good."""
     rigs = [rig, *trials]
     tell = None if told is None else told(len(rigs))
     out = problem.simulate(rigs, progress=tell, strict=False).readings
     r = np.nan_to_num(problem.residual(out), nan=1e4, posinf=1e4, neginf=-1e4)
-    r = r.reshape(len(rigs), problem.stretches, -1)
+    r = r.reshape(len(rigs), problem.stretches, -1)[:, used]
     left = r - np.einsum("smp,kp->ksm", estimate.jacobian, estimate.amounts(r))
     return np.array([0.5 * float(np.sum(one**2)) for one in left])
