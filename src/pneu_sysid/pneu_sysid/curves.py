@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Opening curves as they are fitted: points of their own for each port, and ties between them."""
 
+from collections.abc import Collection
 from itertools import pairwise
 
 import numpy as np
@@ -13,15 +14,20 @@ SLOPE_CHANGE = 0.2
 
 EXPONENT_CHANGE = 0.1
 """Expected change of a power-law curve's local exponent between neighbouring intervals."""
+EXPONENT_APART = 0.15
+"""Expected difference of the local exponents of two curves that the file calls mirrors."""
 WIDEST = 2.0
 """Points of a power-law curve are no further apart than this factor of the distance from null."""
+WIDEST_UNSEEN = 1.5
+"""... and than this where the recordings never open a port wide: a curve bends between its points
+by where the next one is, and by a far one what was seen would decide of what was not."""
 NEAREST = 0.02
 """... down to this part of the stroke; nearer to null the power law goes on."""
 LEAST_OPENING = 1e-4
 """A port that is shut counts as open by so much, where the logarithm is taken."""
 
 
-def with_own_curves(rig: Rig) -> Rig:
+def with_own_curves(rig: Rig, unseen: Collection[str] = ()) -> Rig:
     """The rig with an opening curve of its own for each port, with points close enough to fit.
 
     A mirrored curve becomes one of its own, so that filling and exhausting may differ; a curve on
@@ -29,9 +35,10 @@ def with_own_curves(rig: Rig) -> Rig:
 
     Args:
         rig: The rig; left as it is.
+        unseen: Ports, as ``valve.port``, that the recordings never open wide.
     """
     copy = rig.model_copy(deep=True)
-    for valve in copy.valves.values():
+    for v, valve in copy.valves.items():
         curves = {}
         for name, port in valve.ports.items():
             opening, null = port.opening, valve.spool.null_v
@@ -42,14 +49,15 @@ def with_own_curves(rig: Rig) -> Rig:
                     fraction=list(reversed(source.fraction)),
                     interpolation=source.interpolation,
                 )
-            curves[name] = _finer(opening, valve.spool)
+            widest = WIDEST_UNSEEN if f"{v}.{name}" in unseen else WIDEST
+            curves[name] = _finer(opening, valve.spool, widest)
         for name, opening in curves.items():
             valve.ports[name].opening = opening
     return copy
 
 
-def _finer(opening: Opening, spool: Spool) -> Opening:
-    """A curve as a power law with points no further apart than ``WIDEST``; others as they are."""
+def _finer(opening: Opening, spool: Spool, widest: float) -> Opening:
+    """A curve as a power law with points no further apart than a factor; others as they are."""
     s = np.array(opening.voltage_v) - spool.null_v
     if np.any(s > 0.0) and np.any(s < 0.0):
         return opening
@@ -61,7 +69,7 @@ def _finer(opening: Opening, spool: Spool) -> Opening:
     wanted: list[float] = []
     points = [low, *(float(x) for x in given if x > low * 1.001)]
     for a, b in pairwise(points):
-        count = int(np.ceil(np.log(b / a) / np.log(WIDEST) - 1e-9))
+        count = int(np.ceil(np.log(b / a) / np.log(widest) - 1e-9))
         wanted += [a * (b / a) ** (k / count) for k in range(count)]
     at = np.array([*wanted, points[-1]])
     volts = spool.null_v + side * at
@@ -75,22 +83,58 @@ def _finer(opening: Opening, spool: Spool) -> Opening:
     )
 
 
-def curve_ties(rig: Rig, parameters: list[FitParameter]) -> tuple[np.ndarray, np.ndarray]:
+Mirrors = dict[tuple[str, str], str]
+"""Ports, by valve and name, whose file says that they open as the mirror of another."""
+
+
+def mirrors_of(rig: Rig) -> Mirrors:
+    """Which ports of a rig open as the mirrors of which.
+
+    Args:
+        rig: The rig as its file says, before its ports get curves of their own.
+    """
+    return {
+        (v, p): port.opening.mirror
+        for v, valve in rig.valves.items()
+        for p, port in valve.ports.items()
+        if port.opening.mirror is not None
+    }
+
+
+def curve_ties(
+    rig: Rig, parameters: list[FitParameter], mirrors: Mirrors | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Smoothness of the opening curves as prior relations between their points.
 
     The slope of a curve may change from one interval to the next by about ``SLOPE_CHANGE`` of its
-    mean slope, so that a voltage the recording never dwelt on follows its neighbours.
+    mean slope, so that a voltage the recording never dwelt on follows its neighbours. A curve that
+    the file calls the mirror of another follows that one where the recording does not show it.
 
     Args:
         rig: The rig.
         parameters: What is estimated.
+        mirrors: Which curves are about the mirrors of which.
 
     Returns:
         (K, P) matrix and (K,) right side for ``gauss_newton.minimise``.
     """
     index = {p.path: k for k, p in enumerate(parameters)}
     rows, sides = [], []
+
+    def tie(weights: list[tuple[str, float, float]]) -> None:
+        """A sum of points, each by its path, its weight and its value where it is not estimated."""
+        row, side = np.zeros(len(parameters)), 0.0
+        for path, weight, value in weights:
+            if path in index:
+                row[index[path]] += weight
+            else:
+                side -= weight * value
+        if row.any():
+            rows.append(row)
+            sides.append(side)
+
     for v, valve in rig.valves.items():
+        null = valve.spool.null_v
         for p, port in valve.ports.items():
             curve = port.opening
             if curve.mirror is not None:
@@ -98,23 +142,44 @@ def curve_ties(rig: Rig, parameters: list[FitParameter]) -> tuple[np.ndarray, np
             x, y = np.array(curve.voltage_v), np.array(curve.fraction)
             if curve.interpolation == "power":
                 # in the logarithms a slope is the exponent of the local power law
-                x, y = np.log(np.abs(x - valve.spool.null_v)), np.log(y)
+                x, y = np.log(np.abs(x - null)), np.log(y)
                 change = EXPONENT_CHANGE
             else:
-                change = SLOPE_CHANGE / abs(x[np.argmax(y)] - valve.spool.null_v)
+                change = SLOPE_CHANGE / abs(x[np.argmax(y)] - null)
             base = f"valves.{v}.ports.{p}.opening.fraction"
             for k in range(1, x.size - 1):
                 left, right = 1.0 / (x[k] - x[k - 1]), 1.0 / (x[k + 1] - x[k])
-                weights = {k - 1: left, k: -left - right, k + 1: right}
-                row, side = np.zeros(len(parameters)), 0.0
-                for i, weight in weights.items():
-                    at = index.get(f"{base}.{i}")
-                    scaled = weight / change
-                    if at is None:
-                        side -= scaled * y[i]
-                    else:
-                        row[at] = scaled
-                if row.any():
-                    rows.append(row)
-                    sides.append(side)
+                weights = (left / change, (-left - right) / change, right / change)
+                tie(
+                    [
+                        (f"{base}.{k + d}", w, y[k + d])
+                        for d, w in zip((-1, 0, 1), weights, strict=True)
+                    ]
+                )
+            source = (mirrors or {}).get((v, p))
+            if source is None or curve.interpolation != "power":
+                continue
+            other = valve.ports[source].opening
+            if other.interpolation != "power":
+                continue
+            z, w = np.log(np.abs(np.array(other.voltage_v) - null)), np.log(other.fraction)
+            twin = f"valves.{v}.ports.{source}.opening.fraction"
+            for k in range(x.size - 1):
+                middle = 0.5 * (x[k] + x[k + 1])
+                j = next(
+                    (j for j in range(z.size - 1) if (z[j] - middle) * (z[j + 1] - middle) <= 0.0),
+                    None,
+                )
+                if j is None:
+                    continue  # the other curve does not reach so far
+                own = 1.0 / (EXPONENT_APART * (x[k + 1] - x[k]))
+                its = 1.0 / (EXPONENT_APART * (z[j + 1] - z[j]))
+                tie(
+                    [
+                        (f"{base}.{k + 1}", own, y[k + 1]),
+                        (f"{base}.{k}", -own, y[k]),
+                        (f"{twin}.{j + 1}", -its, w[j + 1]),
+                        (f"{twin}.{j}", its, w[j]),
+                    ]
+                )
     return np.array(rows).reshape(-1, len(parameters)), np.array(sides)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pneu_sim.errors import InputError
 from pneu_sim.progress import Tell
 from pneu_sim.rig.schema import Calibration, FitParameter, Rig
-from pneu_sysid.curves import with_own_curves
+from pneu_sysid.curves import Mirrors, mirrors_of, with_own_curves
 from pneu_sysid.gauss_newton import Estimate, jacobian
 from pneu_sysid.parameters import (
     calibrated_parameters,
@@ -40,6 +40,7 @@ from pneu_sysid.stages import (
     weight_of,
 )
 from pneu_sysid.uncertainty import Known, known_of, warnings_of
+from pneu_sysid.visited import not_wide, not_wide_open
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -68,7 +69,8 @@ class FitOutcome:
         values: Value of each after.
         known: What is known of each.
         estimate: The last estimation in its own variables, of those that the recordings show.
-        warnings: What the recordings cannot tell, and recordings that differ, in plain words.
+        warnings: What the recordings cannot tell or never visit, and recordings that differ, in
+            plain words.
         shortfall: Where the fitted rig stops short of the noise; None where it does not.
         rmse_pa: Residual per tap on the part used.
         held_out_rmse_pa: Residual per tap on the part kept aside.
@@ -145,7 +147,7 @@ def fit_rig(
     given = parameters or rig.fit.parameters
     drawn, measured = _with_measured_spools(rig, recordings)
     if rig.model == "pde" and approach and not given:
-        drawn = with_own_curves(drawn)
+        drawn = with_own_curves(drawn, not_wide(drawn, recordings))
     every, held = _list_of(drawn, given, recordings)
     if all(p.path in held or p.path in measured for p in every):
         raise InputError(
@@ -163,6 +165,7 @@ def fit_rig(
         _work(drawn, steps, recordings, len(every), progress),
         dict(zip(map(_key, every), _inner(every, start_of(drawn, every)), strict=True)),
         measured,
+        mirrors_of(rig),
     )
     last: _Taken | None = None
     now = drawn
@@ -221,6 +224,7 @@ class _Job:
         work: How much is done.
         centres: Centre of the prior of each parameter; those that come up on the way are added.
         measured: Standard errors of the numbers of spools that were fitted to their positions.
+        mirrors: Opening curves that the file calls mirrors of others.
     """
 
     recordings: list[Recording]
@@ -231,6 +235,7 @@ class _Job:
     work: Work
     centres: dict[Key, float]
     measured: dict[str, float | None]
+    mirrors: Mirrors
 
     def used(self, problem: Problem) -> Mask:
         """(n_stretches,) stretches that are fitted."""
@@ -343,6 +348,7 @@ def _taken(
         job.robust,
         told,
         slope,
+        job.mirrors,
     )
     return _Taken(step, now, fitted, problem, estimate, fresh=slope is None)
 
@@ -408,6 +414,8 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
         effects = effects_that_help(now, last.problem, job.used(last.problem), last.estimate)
     bound = [p for p, at in zip(every, known.at_bound, strict=True) if at]
     shortfall = shortfall_of(now, problem, out, times, bound, effects)
+    shut = not_wide_open(now, job.recordings)
+    warnings = warnings_of(listed, known) + ([] if shut is None else [shut])
     noise = {tap: float(n) for tap, n in zip(problem.taps, problem.noise_pa, strict=True)}
     now = now.model_copy(
         update={
@@ -430,7 +438,7 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
         values=start_of(now, listed),
         known=known,
         estimate=last.estimate,
-        warnings=warnings_of(listed, known) + _strangers(problem, out.readings[0]),
+        warnings=warnings + _strangers(problem, out.readings[0]),
         shortfall=shortfall,
         rmse_pa=rmse,
         held_out_rmse_pa=held_rmse,

@@ -17,7 +17,7 @@ from pneu_sim.progress import Tell
 from pneu_sim.rig.build import plan_grid
 from pneu_sim.rig.parameters import value_of
 from pneu_sim.rig.schema import FitParameter, Rig
-from pneu_sysid.curves import curve_ties
+from pneu_sysid.curves import Mirrors, curve_ties
 from pneu_sysid.gauss_newton import DAMPINGS, Estimate, Variable, minimise
 from pneu_sysid.parameters import rig_at, variables_of
 from pneu_sysid.problem import Problem, make_problem, pull_of
@@ -322,6 +322,7 @@ def take(
     robust: bool,
     told: Callable[[int], Callable[[float], None]] | None = None,
     slope: Floats | None = None,
+    mirrors: Mirrors | None = None,
 ) -> tuple[Rig, Estimate]:
     """Takes one step: the rig after it, and the estimate.
 
@@ -335,13 +336,14 @@ def take(
         robust: Whether outliers weigh less.
         told: See `residual_function`.
         slope: Jacobian to begin with, where it is known.
+        mirrors: Opening curves that are about the mirrors of others.
     """
     estimate = minimise(
         residual_function(problem, used, partial(rig_at, rig, parameters), told),
         centred(rig, parameters, centres),
         iterations=iterations,
         robust=robust,
-        ties=curve_ties(rig, parameters),
+        ties=curve_ties(rig, parameters, mirrors),
         secants=SECANTS,
         slope=slope,
     )

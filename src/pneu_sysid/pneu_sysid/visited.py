@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far recordings open the ports of a rig: beyond that a calibration rests on the rig file."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pneu_sim.rig import rig_in_recording
+from pneu_sim.rig.build import build, plan_grid
+from pneu_sim.rig.schema import Rig
+from pneu_sim.simulate import TICK_S
+from pneu_sim.valve import openings_along
+from pneu_sysid.records import Recording
+
+WIDE = 0.75
+"""A port that was never so far open, of its full opening, is told."""
+SOON_S = 0.05
+"""What lasts less, all recordings together, tells nothing of an opening."""
+
+
+def opened_to(rig: Rig, recordings: Sequence[Recording]) -> dict[str, float]:
+    """How far each port was opened, as a part of its full opening, for ``SOON_S`` at least.
+
+    Args:
+        rig: The rig.
+        recordings: The recordings.
+
+    Returns:
+        By the names of valve and port, `valve.port`.
+    """
+    plan = plan_grid(rig)
+    seen: list[np.ndarray] = []
+    for recording in recordings:
+        model = build(rig_in_recording(rig, recording.name), plan)
+        begin = min(float(s.time_s[0]) for s in recording.commands.values())
+        count = max(int((recording.end_s - begin) / TICK_S), 1)
+        memory = np.full((len(plan.valves), 4), np.nan)
+        opened = openings_along(model, recording.commands, begin, TICK_S, count, memory)
+        seen.append(opened / model.curve.max(axis=1))
+    parts = -np.sort(-np.concatenate(seen), axis=0)
+    rank = min(round(SOON_S / TICK_S), len(parts) - 1)
+    return {name: float(part) for name, part in zip(plan.port_names, parts[rank], strict=True)}
+
+
+def not_wide(rig: Rig, recordings: Sequence[Recording]) -> dict[str, float]:
+    """Ports that recordings never open wide, and how far they open them.
+
+    Args:
+        rig: The rig.
+        recordings: The recordings.
+    """
+    return {name: part for name, part in opened_to(rig, recordings).items() if part < WIDE}
+
+
+def not_wide_open(rig: Rig, recordings: Sequence[Recording]) -> str | None:
+    """One sentence on the ports that recordings never open wide; None where they open all.
+
+    Args:
+        rig: The rig.
+        recordings: The recordings.
+    """
+    short = not_wide(rig, recordings)
+    if not short:
+        return None
+    named = ", ".join(f"{name} by more than {100.0 * part:.0f} %" for name, part in short.items())
+    return (
+        f"never open: {named}; beyond that the calibration follows the rig file, and a recording"
+        " that opens them wide would tell"
+    )
