@@ -17,16 +17,8 @@ Ints = NDArray[np.int64]
 
 KNOTS_PER_SAMPLE = 4
 """Openings are computed this many times per sample interval, and linear between."""
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _zoh_integral(command: Floats, cumulative: Floats, dt: float, t: float) -> float:
-    """Integral of the held command from 0 to t; the first value also holds before it."""
-    if t <= 0.0:
-        return float(command[0] * t)
-    last = command.size - 1
-    i = min(int(t / dt), last)
-    return cumulative[i] + command[i] * (t - i * dt)
+FINEST = 0.05
+"""A spool that is not solved exactly takes steps of this, in units of 1/(2 pi bandwidth)."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -194,14 +186,53 @@ def _response(w: float, zeta: float, h: float) -> tuple[float, float, float, flo
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _follow(
-    mean: Floats, first: float, rest: float, h: float, row: Floats, memory: Floats, out: Floats
+def _at_once(
+    mean: Floats, first: float, rest: float, row: Floats, memory: Floats, out: Floats
 ) -> None:
-    """Spool position at every knot from the mean command between knots.
+    """Positions of a spool that follows at once, at every knot: the mean command about it.
 
     Args:
-        mean: (K,) volts; of a spool that follows at once (no bandwidth) each mean is about a knot.
+        mean: (K,) volts about all knots but the first.
         first: Command at the first knot, volts.
+        rest: Where a spool without a past stands, volts.
+        row: Valve parameters.
+        memory: (4,) see `spool_positions`.
+        out: (K + 1,) positions.
+    """
+    half = 0.5 * row[5]
+    target = rest if math.isnan(memory[0]) else memory[0]
+    target = min(max(target, first - half), first + half)
+    out[0] = target
+    for k in range(1, out.size):
+        target = min(max(target, mean[k - 1] - half), mean[k - 1] + half)
+        out[k] = target
+    memory[0] = target
+    memory[1] = target
+    memory[2] = 0.0
+    memory[3] = 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _lagging(
+    time: Floats,
+    command: Floats,
+    begin: float,
+    rest: float,
+    h: float,
+    row: Floats,
+    memory: Floats,
+    out: Floats,
+) -> None:
+    """Positions at the knots of a spool with a bandwidth (thesis eq. 5.4, corrected).
+
+    Every command begins at its own time: while the acceleration is at its limit a command counts by
+    how long it lasts and not by its size, so its mean over an interval would act for all of it.
+    Without limits and integral the steps are exact.
+
+    Args:
+        time: Times at which commands act but for the delay, s.
+        command: Volts from then on.
+        begin: Time of the first knot less the delay, s.
         rest: Where a spool without a past stands, volts.
         h: Interval of the knots, s.
         row: Valve parameters.
@@ -210,37 +241,40 @@ def _follow(
     """
     w = row[0]
     zeta = row[1]
-    ki = row[2]
     limit = row[3]
     speed = row[9]
     half = 0.5 * row[5]
+    linear = row[2] == 0.0 and limit == math.inf and speed == math.inf
     target, x, v, acc = memory
+    i = _in_force(time, begin + SAME_S)
     if math.isnan(target):
         target = x = rest
         v = acc = 0.0
-    if w <= 0.0:
-        target = x = min(max(target, first - half), first + half)
+    target = min(max(target, command[i] - half), command[i] + half)
+    usual = h if linear else h / max(1, math.ceil(h * w / FINEST))
+    u11, u12, u21, u22 = _response(w, zeta, usual)
     out[0] = x
-    limited = limit < math.inf or speed < math.inf
-    linear = ki == 0.0 and not limited
-    sub = max(1, math.ceil(h * max(w, 1.0) / 0.05))
-    hs = h / sub
-    a11 = a12 = a21 = a22 = 0.0
-    if w > 0.0 and (linear or limited):
-        a11, a12, a21, a22 = _response(w, zeta, h if linear else hs)
     for k in range(1, out.size):
-        target = min(max(target, mean[k - 1] - half), mean[k - 1] + half)
-        if w <= 0.0:
-            x = target
-        elif linear:
-            d = x - target
-            x = target + a11 * d + a12 * v
-            v = a21 * d + a22 * v
-        elif limited:
+        t = begin + (k - 1) * h
+        end = begin + k * h
+        while True:
+            event = i + 1 < time.size and time[i + 1] < end - SAME_S
+            span = (max(time[i + 1], t) if event else end) - t
+            sub = math.ceil(span / usual - 1e-9)
+            hs = usual
+            a11, a12, a21, a22 = u11, u12, u21, u22
+            if sub > 0 and abs(span - sub * usual) > 1e-9 * usual:
+                hs = span / sub
+                a11, a12, a21, a22 = _response(w, zeta, hs)
+            gain = 0.5 * row[2] * w * w * hs
             for _ in range(sub):
+                if linear:
+                    d = x - target
+                    x = target + a11 * d + a12 * v
+                    v = a21 * d + a22 * v
+                    continue
                 # The exact step without limits, of which these let a share happen: all of it
                 # where none is reached, so that the step is continuous in them.
-                gain = 0.5 * ki * w * w * hs
                 half_acc = gain * (target - x)
                 goal = target + (acc + half_acc) / (w * w)
                 moved = goal + a11 * (x - goal) + a12 * v - x
@@ -253,12 +287,11 @@ def _follow(
                 v += allowed
                 # What the spool cannot follow must not wind up.
                 acc += share * (half_acc + gain * (target - x))
-        else:
-            for _ in range(sub):
-                acc += ki * w * w * (target - x) * hs
-                f = w * w * (target - x) - 2.0 * zeta * w * v + acc
-                v += hs * f
-                x += hs * v
+            if not event:
+                break
+            t += span
+            i += 1
+            target = min(max(target, command[i] - half), command[i] + half)
         out[k] = x
     memory[0] = target
     memory[1] = x
@@ -272,8 +305,9 @@ def spool_positions(
 ) -> None:
     """Spool position in volts at every knot, for one valve.
 
-    The command is averaged over each knot interval, so that a delay need not be a whole number of
-    samples and small changes of it change the result smoothly. Backlash is a play operator on the
+    Commands act at their own times, so that a delay need not be a whole number of samples and small
+    changes of it change the result smoothly: a spool with a bandwidth takes them piece by piece,
+    one that follows at once their mean about each knot. Backlash is a play operator on the
     command. The spool obeys thesis eq. 5.4, corrected: an acceleration that opposes the error, with
     an optional integral term, limited in size as its speed is. A spool that follows at once but for
     its speed is solved exactly.
@@ -292,36 +326,23 @@ def spool_positions(
     """
     h = dt / knots
     origin = past * dt - row[4]
-    at_once = row[0] <= 0.0
-    slews = at_once and row[9] < math.inf
-    # What follows at once is given the mean about its knot, what lags the one since the last.
-    shift = 0.5 * h if at_once else 0.0
-    mean = np.empty(0 if slews else out.size - 1)
-    if slews or row[10] != 0.0:
-        told = np.empty(command.size)
-        for i in range(command.size):
-            told[i] = i * dt
-        time = np.empty(command.size)
-        acting = np.empty(command.size)
-        n = _acting(told, command, row[8], row[10], time, acting)
-        if slews:
-            rest = command[past]
-            _rate_limited(time[:n], acting[:n], origin, rest, h, row, memory, out)
-            return
-        first = acting[_in_force(time[:n], origin + SAME_S)]
-        _means(time[:n], acting[:n], origin + shift, h, mean)
+    told = np.empty(command.size)
+    for i in range(command.size):
+        told[i] = i * dt
+    room = np.empty(command.size)
+    acting = np.empty(command.size)
+    n = _acting(told, command, row[8], row[10], room, acting)
+    time = room[:n]
+    rest = command[past]
+    if row[0] > 0.0:
+        _lagging(time, acting[:n], origin, rest, h, row, memory, out)
+    elif row[9] < math.inf:
+        _rate_limited(time, acting[:n], origin, rest, h, row, memory, out)
     else:
-        cumulative = np.zeros(command.size)
-        for i in range(1, command.size):
-            cumulative[i] = cumulative[i - 1] + command[i - 1] * dt
-        first = command[min(max(int(origin / dt + 1e-6), 0), command.size - 1)]
-        origin += shift
-        before = _zoh_integral(command, cumulative, dt, origin)
-        for k in range(mean.size):
-            now = _zoh_integral(command, cumulative, dt, origin + (k + 1) * h)
-            mean[k] = (now - before) / h
-            before = now
-    _follow(mean, first, command[past], h, row, memory, out)
+        mean = np.empty(out.size - 1)
+        _means(time, acting[:n], origin + 0.5 * h, h, mean)
+        first = acting[_in_force(time, origin + SAME_S)]
+        _at_once(mean, first, rest, row, memory, out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -560,8 +581,9 @@ def positions_along(
                 command.time_s, command.values, at[0], rest, step_s, row, memory, positions
             )
             return positions
-        at = at + 0.5 * step_s
-    _follow(command.mean_between(at), first, rest, step_s, row, memory, positions)
+        _at_once(command.mean_between(at + 0.5 * step_s), first, rest, row, memory, positions)
+        return positions
+    _lagging(command.time_s, command.values, at[0], rest, step_s, row, memory, positions)
     return positions
 
 

@@ -191,6 +191,41 @@ def test_a_limited_spool_changes_smoothly_with_its_limits() -> None:
             assert np.sqrt(np.mean((slope - slopes[0]) ** 2)) < 0.05 * size
 
 
+def test_a_command_acts_from_its_own_time_on_however_hard_the_spool_is_pushed() -> None:
+    """At its limit a spool gains x = a t^2 / 2 from the step on, wherever between knots it falls.
+
+    The mean command over an interval is at the limit as well, and would push for all of it.
+    """
+    most = 4e4
+    for late in np.linspace(0.0, STEP_S, 7):
+        t, x = along(
+            [0.0, 0.01 + late], [2.0, 9.0], 0.03, bandwidth_hz=200.0, max_acceleration_v_s2=most
+        )
+        s = np.clip(t - 0.01 - late, 0.0, 4e-3)
+        early = t < 0.01 + late + 4e-3
+        np.testing.assert_allclose(x[early], 2.0 + 0.5 * most * s[early] ** 2, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    "limits", [{}, {"max_acceleration_v_s2": 1e5}, {"max_speed_v_s": 200.0}, {"integral": 8.0}]
+)
+def test_a_lagging_spool_moves_with_its_delay(limits: dict[str, float]) -> None:
+    """By the delay's change in time, as exactly for a small one as for a large one."""
+    rng = np.random.default_rng(9)
+    time, volts = np.cumsum(rng.uniform(2e-3, 9e-3, 30)), rng.uniform(0.0, 10.0, 30)
+
+    def at(delay_s: float) -> Floats:
+        return along(time, volts, 0.2, bandwidth_hz=50.0, delay_s=delay_s, **limits)[1]
+
+    base = at(0.003)
+    whole = at(0.003 + STEP_S)
+    np.testing.assert_allclose(whole[1:], base[:-1], atol=0.02)
+    speed = np.sqrt(np.mean((whole - base) ** 2)) / STEP_S
+    for part in (0.1, 0.01, 0.001):
+        moved = np.sqrt(np.mean((at(0.003 + part * STEP_S) - base) ** 2)) / (part * STEP_S)
+        assert moved == pytest.approx(speed, rel=0.1)
+
+
 def test_a_slewing_sine_becomes_a_triangle() -> None:
     """Far too slow for the sine: the spool turns where it meets the command, never at the crest."""
     rate_hz, amplitude, speed = 10.0, 4.0, 40.0

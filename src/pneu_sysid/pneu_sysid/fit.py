@@ -172,10 +172,14 @@ def fit_rig(
     unseen: set[Key] = set()
     for step in steps:
         if step.again and last is not None and settled(last.estimate):
-            if last.fresh or at_noise(last.estimate, last.problem, job.used(last.problem)):
+            done = at_noise(last.estimate, last.problem, job.used(last.problem))
+            if done or (last.fresh and not step.limits):
                 continue
             last = replace(last, stale=True)
-        now, every = _tried(job, now, step, every, last)
+        tried, every = _tried(job, now, step, every, last)
+        if step.again and step.limits and tried is now:
+            continue
+        now = tried
         fitted = [
             p
             for p in every

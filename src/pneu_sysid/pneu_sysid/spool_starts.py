@@ -7,7 +7,7 @@ than the one assumed is a valley of its own; so what a spool may be is tried bef
 
 import math
 from collections.abc import Callable, Container
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,8 @@ ACCELERATIONS = (0.6, 0.35, 0.2, 0.1)
 """Limits of the acceleration, likewise."""
 FASTER = (1.0, 1.35, 1.8)
 """A spool with a limit is as much faster where it is not reached."""
+WIDER = (1.0, 2.0, 4.0)
+"""Factors on the limit that a spool has, where the other one is tried."""
 WORTH = 0.03
 """A limit has to take away so much of the cost to be assumed."""
 
@@ -41,6 +43,7 @@ class _Trial:
     delay_s: float = 0.0
     speed: float | None = None
     acceleration: float | None = None
+    wider: float = 1.0
 
 
 def try_spools(
@@ -94,28 +97,53 @@ def try_limits(
         The rig, and whether a spool got a limit.
     """
     changed = False
-    for name, valve in rig.valves.items():
-        spool = valve.spool
-        limited = spool.max_speed_v_s is not None or spool.max_acceleration_v_s2 is not None
-        step_v = largest_step_v(problem, valve.command)
-        if spool.bandwidth_hz is None or limited or step_v <= 0.0 or name in known:
-            continue
+    while True:
+        # the one that takes away most first: beside it another's share may be too small to see
+        found = [
+            _best_limit(rig, name, problem, used, estimate, told)
+            for name, valve in rig.valves.items()
+            if name not in known and _may_be_limited(valve.spool)
+        ]
+        worth = [one for one in found if one is not None]
+        if not worth:
+            return rig, changed
+        rig, changed = max(worth, key=lambda one: one[0])[1], True
+
+
+def _may_be_limited(spool: Spool) -> bool:
+    """Whether a spool has a bandwidth, and not yet both of its limits."""
+    both = spool.max_speed_v_s is not None and spool.max_acceleration_v_s2 is not None
+    return spool.bandwidth_hz is not None and not both
+
+
+def _best_limit(
+    rig: Rig,
+    name: str,
+    problem: Problem,
+    used: NDArray[np.bool_],
+    estimate: Estimate,
+    told: Told | None,
+) -> tuple[float, Rig] | None:
+    """The best further limit of one spool: the share of the cost that it takes away, and the rig.
+
+    A limit that stands has taken over some of what the other one does, so it is tried wider too.
+    """
+    spool = rig.valves[name].spool
+    step_v = largest_step_v(problem, rig.valves[name].command)
+    if step_v <= 0.0:
+        return None
+    if spool.max_speed_v_s is not None:
+        trials = [_Trial(acceleration=a, wider=w) for w in WIDER for a in ACCELERATIONS]
+    elif spool.max_acceleration_v_s2 is not None:
+        trials = [_Trial(speed=s, wider=w) for w in WIDER for s in SPEEDS]
+    else:
         trials = [_Trial(b, speed=s) for b in FASTER for s in SPEEDS]
         trials += [_Trial(b, acceleration=a) for b in FASTER for a in ACCELERATIONS]
-        costs = _costs(rig, _tried(rig, name, trials, step_v), problem, used, estimate, told)
-        k = int(np.argmin(costs[1:]))
-        if costs[1 + k] > (1.0 - WORTH) * costs[0]:
-            continue
-        best = trials[k]
-        more = [
-            replace(best, speed=best.speed or s, acceleration=best.acceleration or a)
-            for s, a in zip(SPEEDS, ACCELERATIONS, strict=True)
-        ]
-        again = _costs(rig, _tried(rig, name, more, step_v), problem, used, estimate, told)
-        if again[1:].min() < (1.0 - WORTH) * costs[1 + k]:
-            best = more[int(np.argmin(again[1:]))]
-        rig, changed = _tried(rig, name, [best], step_v)[0], True
-    return rig, changed
+    costs = _costs(rig, _tried(rig, name, trials, step_v), problem, used, estimate, told)
+    k = int(np.argmin(costs[1:]))
+    if costs[1 + k] > (1.0 - WORTH) * costs[0]:
+        return None
+    return 1.0 - costs[1 + k] / costs[0], _tried(rig, name, [trials[k]], step_v)[0]
 
 
 def largest_step_v(problem: Problem, command: str) -> float:
@@ -145,6 +173,10 @@ def _spool(given: Spool, trial: _Trial, step_v: float) -> Spool:
     values = {"bandwidth_hz": bandwidth, "delay_s": given.delay_s + trial.delay_s}
     if given.closing_delay_s is not None:
         values["closing_delay_s"] = given.closing_delay_s + trial.delay_s
+    if given.max_speed_v_s is not None:
+        values["max_speed_v_s"] = trial.wider * given.max_speed_v_s
+    if given.max_acceleration_v_s2 is not None:
+        values["max_acceleration_v_s2"] = trial.wider * given.max_acceleration_v_s2
     # of the unlimited spool after a step: x'' at once, x' at its first peak
     omega, zeta = 2.0 * math.pi * given.bandwidth_hz, min(given.damping, 0.999)
     root = math.sqrt(1.0 - zeta * zeta)

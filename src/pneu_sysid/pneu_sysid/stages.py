@@ -74,7 +74,7 @@ class Step:
         part: Whether long recordings are cut.
         tries: Whether what spools may be is tried first.
         limits: Whether limits of spools are tried first, which the step before makes possible.
-        again: Whether it is left out once nothing more is gained.
+        again: Whether it is left out once nothing more is gained, or no limit is found.
     """
 
     words: str
@@ -111,6 +111,8 @@ def steps_of(rig: Rig, approach: bool, iterations: int) -> list[Step]:
     out.append(Step("fast: spools and waves", coarse, None, few, part=True, tries=True))
     out.append(Step("fast: limits of spools", coarse, None, few, limits=True))
     out.append(Step("all", coarse, None, few, corrected=True))
+    late = "limits of spools that were not seen before"
+    out.append(Step(late, coarse, None, 1, corrected=True, limits=True, again=True))
     out += [
         Step(f"all, {time} time", coarse, None, 1, corrected=True, again=True)
         for time in ("second", "third", "fourth", "fifth", "sixth", "seventh")
@@ -199,7 +201,7 @@ def runs_of(step: Step, count: int, valves: int) -> int:
     """
     once = 30 if step.corrected else 0
     fitted = count // 2 if step.slow else count
-    tried = TRIED * valves if step.tries else 0
+    tried = TRIED * valves if step.tries or step.limits else 0
     return round(step.iterations * (fitted + 1 + len(DAMPINGS)) + 3 + once + tried)
 
 

@@ -163,7 +163,7 @@ def calibrated() -> tuple[Rig, Recording, FitOutcome]:
     truth = with_own_curves(coarse("line", rng))
     valve = truth.valves["valve"]
     valve.spool.bandwidth_hz, valve.spool.damping, valve.spool.delay_s = 70.0, 0.8, 1e-3
-    valve.spool.max_acceleration_v_s2 = 0.3 * 5.0 * (2.0 * np.pi * 70.0) ** 2
+    valve.spool.max_acceleration_v_s2 = 0.2 * 5.0 * (2.0 * np.pi * 70.0) ** 2
     supply, exhaust = valve.ports["supply"], valve.ports["exhaust"]
     exhaust.opening.fraction = [f**1.2 for f in exhaust.opening.fraction]
     datasheet = truth.model_copy(deep=True)
