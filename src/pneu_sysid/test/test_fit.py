@@ -187,13 +187,16 @@ def calibrated() -> tuple[Rig, Recording, FitOutcome]:
 def test_a_datasheet_becomes_a_calibration(
     calibrated: tuple[Rig, Recording, FitOutcome],
 ) -> None:
-    """It leaves the noise on a recording kept aside; the datasheet lacked the spool's limit."""
+    """It is as good as the truth on a recording kept aside, though its file knew of no limit."""
     truth, aside, outcome = calibrated
-    problem = make_problem(outcome.rig, aside)
-    r = problem.residual(problem.predict([outcome.rig])[0])
-    count = np.isfinite(problem.measured).sum(axis=(0, 1))
-    assert (np.sqrt(np.sum(r**2, axis=(0, 1)) / count) < 2.0).all()
-    assert outcome.shortfall is None
+
+    def times_noise(rig: Rig) -> np.ndarray:
+        problem = make_problem(rig, aside)
+        r = problem.residual(problem.predict([rig])[0])
+        return np.sqrt(np.sum(r**2, axis=(0, 1)) / np.isfinite(problem.measured).sum(axis=(0, 1)))
+
+    # (cells so long leave twice the noise themselves)
+    assert (times_noise(outcome.rig) < 1.35 * times_noise(truth)).all()
     spool = outcome.rig.valves["valve"].spool
     assert spool.max_acceleration_v_s2 is not None or spool.max_speed_v_s is not None
     for path in (SUPPLY, EXHAUST):
