@@ -173,7 +173,7 @@ def fit_rig(
     for step in steps:
         if step.again and last is not None and settled(last.estimate):
             done = at_noise(last.estimate, last.problem, job.used(last.problem))
-            if done or (last.fresh and not step.limits):
+            if (done or last.fresh) and not step.limits:
                 continue
             last = replace(last, stale=True)
         tried, every = _tried(job, now, step, every, last)

@@ -32,7 +32,9 @@ FASTER = (1.0, 1.35, 1.8)
 WIDER = (1.0, 2.0, 4.0)
 """Factors on the limit that a spool has, where the other one is tried."""
 WORTH = 0.03
-"""A limit has to take away so much of the cost to be assumed."""
+"""A limit has to take away so much of what the cost is more than the noise's to be assumed."""
+CHANCE = 15.0
+"""... and so much more than that: of a score of limits that are none one takes away 5 by chance."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +143,8 @@ def _best_limit(
         trials += [_Trial(b, acceleration=a) for b in FASTER for a in ACCELERATIONS]
     costs = _costs(rig, _tried(rig, name, trials, step_v), problem, used, estimate, told)
     k = int(np.argmin(costs[1:]))
-    if costs[1 + k] > (1.0 - WORTH) * costs[0]:
+    noise = 0.5 * float(np.isfinite(problem.measured[used]).sum())
+    if costs[0] - costs[1 + k] < WORTH * max(costs[0] - noise, 0.0) + CHANCE:
         return None
     return 1.0 - costs[1 + k] / costs[0], _tried(rig, name, [trials[k]], step_v)[0]
 
