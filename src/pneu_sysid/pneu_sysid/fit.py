@@ -416,7 +416,7 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
     effects: list[str] = []
     if now.model == "pde" and max(times.values(), default=0.0) > ENOUGH:
         effects = effects_that_help(now, last.problem, job.used(last.problem), last.estimate)
-    bound = [p for p, at in zip(every, known.at_bound, strict=True) if at]
+    bound = [p for p, beyond in zip(every, known.beyond, strict=True) if beyond]
     shortfall = shortfall_of(now, problem, out, times, bound, effects)
     shut = not_wide_open(now, job.recordings)
     warnings = warnings_of(listed, known) + ([] if shut is None else [shut])

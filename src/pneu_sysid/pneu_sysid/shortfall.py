@@ -63,7 +63,7 @@ def shortfall_of(
         problem: The problem, on its own cells.
         out: Its predictions, flows included.
         times: Times the noise per tap that is to be expected.
-        at_bound: Parameters that ended at a bound.
+        at_bound: Parameters that ended at a bound beyond which they may lie.
         effects: What the catalogue's effects would explain, as `effects_that_help` tells.
     """
     r = problem.residual(out.readings[0])

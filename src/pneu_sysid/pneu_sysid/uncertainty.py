@@ -29,6 +29,7 @@ class Known:
         std_errors: (P,) standard error in the parameter's own unit; inf where the recordings do
             not show it.
         at_bound: (P,) whether the estimate sits on a bound.
+        beyond: (P,) whether the truth may lie beyond it: nothing leaks less than not at all.
         seen: (P,) whether the recordings show it.
         held: (P,) whether it was held.
         pairs: Pairs that can only be told in combination: two indices and their correlation.
@@ -38,6 +39,7 @@ class Known:
 
     std_errors: Floats
     at_bound: Bools
+    beyond: Bools
     seen: Bools
     held: Bools
     pairs: list[tuple[int, int, float]]
@@ -79,12 +81,15 @@ def known_of(
         variance = variance + moved**2
     errors = np.full(count, np.inf)
     at_bound, seen = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+    none = np.zeros(count, dtype=bool)
     correlation = np.eye(count)
     for a, k in enumerate(index):
         value = float(np.exp(estimate.values[a])) if parameters[k].log else 1.0
         errors[k] = float(np.sqrt(variance[a])) * value
         at_bound[k], seen[k] = estimate.at_bound[a], estimate.visible[a]
         correlation[k, index] = estimate.correlation[a]
+        p = parameters[k]
+        none[k] = p.lower == 0.0 and not p.log and estimate.values[a] < 0.5 * p.upper
     for k, p in enumerate(parameters):
         if p.path in measured:
             errors[k] = measured[p.path] or np.inf
@@ -93,6 +98,7 @@ def known_of(
     return Known(
         errors,
         at_bound & seen,
+        at_bound & seen & ~none,
         (seen & np.isfinite(errors)) | is_measured,
         is_held,
         pairs_above(correlation, CORRELATED),
@@ -129,7 +135,7 @@ def warnings_of(parameters: list[FitParameter], known: Known) -> list[str]:
         for p, seen, held in zip(parameters, known.seen, known.held, strict=True)
         if not seen and not held
     ]
-    bound = [p.path for p, at in zip(parameters, known.at_bound, strict=True) if at]
+    bound = [p.path for p, beyond in zip(parameters, known.beyond, strict=True) if beyond]
     if blind:
         out.append(
             f"{len(blind)} of {len(parameters)} parameters kept their values, since the recordings"

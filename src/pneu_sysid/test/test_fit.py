@@ -156,6 +156,22 @@ def test_what_is_held_and_dropped_leaves_something_to_fit() -> None:
         fit_rig(rig, record(rig, rng, 125.0, 1.0, moving=False))
 
 
+def test_a_bound_is_told_unless_nothing_lies_beyond_it() -> None:
+    """A bandwidth held too low may be higher; a port that does not leak leaks no less."""
+    rng = np.random.default_rng(9)
+    rig = coarse("line", rng)
+    leakage = "valves.valve.ports.supply.leakage"
+    most = 0.8 * rig.valves["valve"].spool.bandwidth_hz
+    parameters = [
+        FitParameter(path=leakage, lower=0.0, upper=0.02),
+        FitParameter(path=BANDWIDTH, lower=0.5 * most, upper=most, log=True),
+    ]
+    recording = record(rig, rng, 125.0, 2.0, moving=False)
+    rig.valves["valve"].ports["supply"].leakage = 1e-3
+    told = " ".join(fit_rig(rig, recording, parameters, approach=False, iterations=3).warnings)
+    assert BANDWIDTH in told and leakage not in told
+
+
 @pytest.fixture(scope="module")
 def calibrated() -> tuple[Rig, Recording, FitOutcome]:
     """A rig with a slow spool and curves that differ, known from a datasheet, calibrated."""
