@@ -29,6 +29,8 @@ def opened_to(rig: Rig, recordings: Sequence[Recording]) -> dict[str, float]:
         By the names of valve and port, `valve.port`.
     """
     plan = plan_grid(rig)
+    if not plan.valves:
+        return {}
     seen: list[np.ndarray] = []
     for recording in recordings:
         model = build(rig_in_recording(rig, recording.name), plan)

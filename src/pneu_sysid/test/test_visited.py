@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from studies.exact_rigs import draw_rig
 
+from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
 from pneu_sysid.records import Recording
@@ -47,3 +50,10 @@ def test_recordings_count_together_and_a_blink_does_not() -> None:
     blink = recording("three", 10.0, 0.0, 5.0, 5.0, each_s=0.03)
     said = not_wide_open(valve(), [blink])
     assert said is not None and "supply" in said and "exhaust" in said
+
+
+def test_a_rig_without_valves_has_nothing_to_open() -> None:
+    rig = load_rig(Path(__file__).parents[3] / "rigs" / "closed_chamber.yaml")
+    assert not rig.valves
+    assert opened_to(rig, [Recording("one", {}, {})]) == {}
+    assert not_wide_open(rig, [Recording("one", {}, {})]) is None
