@@ -196,7 +196,7 @@ def calibrated() -> tuple[Rig, Recording, FitOutcome]:
     guess.ports["exhaust"].opening = Opening(mirror="supply")
     # what the recordings hardly show costs time here
     datasheet.fit.drop = ["pipes.*", "*.laminar_*", "*.jet_loss", "*.inlet_head", "reservoirs.*"]
-    recordings = [record(truth, rng, 250.0, 8.0, moving=False, name=f"run_{k}") for k in (1, 2)]
+    recordings = [record(truth, rng, 250.0, 6.0, moving=False, name=f"run_{k}") for k in (1, 2)]
     return truth, recordings[1], fit_rig(datasheet, recordings[0])
 
 
