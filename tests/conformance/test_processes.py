@@ -25,6 +25,13 @@ PONG = """
             return response
 
         node.create_service(SetBool, "negate", negate)
+
+        def look():
+            if publisher.get_subscription_count():
+                print("matched", flush=True)
+                timer.cancel()
+
+        timer = node.create_timer(0.02, look)
         try:
             print("ready", flush=True)
             rclpy.spin(node)
@@ -55,6 +62,8 @@ def test_messages_there_and_back(pong, node, executor, spin_until):
     subscription = node.create_subscription(FluidPressure, "pong", received.append, 10)
     assert spin_until(lambda: publisher.get_subscription_count() == 1)
     assert spin_until(lambda: subscription.get_publisher_count() == 1)
+    # each end finds the other by itself; a publisher that has not, sends to nobody
+    pong.wait_for_line("matched")
     sent = [FluidPressure(fluid_pressure=101325.0 + number) for number in range(10)]
     for number, message in enumerate(sent):
         publisher.publish(message)

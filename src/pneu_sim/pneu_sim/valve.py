@@ -79,6 +79,12 @@ def _means(time: Floats, command: Floats, begin: float, h: float, out: Floats) -
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _played(target: float, command: float, half: float) -> float:
+    """What a spool is told after backlash: it lags the command by half the play at most."""
+    return min(max(target, command - half), command + half)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _slew(
     time: Floats,
     command: Floats,
@@ -115,7 +121,7 @@ def _slew(
             return i, target, x, start + area / (end - begin)
         t += span
         i += 1
-        target = min(max(target, command[i] - half), command[i] + half)
+        target = _played(target, command[i], half)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -153,7 +159,7 @@ def _rate_limited(
         target = x = rest
         differs = 0.0
     before = x + differs
-    target = min(max(target, command[i] - half), command[i] + half)
+    target = _played(target, command[i], half)
     for k in range(out.size):
         at = begin + k * h
         middle = begin + (k + 0.5) * h
@@ -201,10 +207,10 @@ def _at_once(
     """
     half = 0.5 * row[5]
     target = rest if math.isnan(memory[0]) else memory[0]
-    target = min(max(target, first - half), first + half)
+    target = _played(target, first, half)
     out[0] = target
     for k in range(1, out.size):
-        target = min(max(target, mean[k - 1] - half), mean[k - 1] + half)
+        target = _played(target, mean[k - 1], half)
         out[k] = target
     memory[0] = target
     memory[1] = target
@@ -250,7 +256,7 @@ def _lagging(
     if math.isnan(target):
         target = x = rest
         v = acc = 0.0
-    target = min(max(target, command[i] - half), command[i] + half)
+    target = _played(target, command[i], half)
     usual = h if linear else h / max(1, math.ceil(h * w / FINEST))
     u11, u12, u21, u22 = _response(w, zeta, usual)
     out[0] = x
@@ -291,7 +297,7 @@ def _lagging(
                 break
             t += span
             i += 1
-            target = min(max(target, command[i] - half), command[i] + half)
+            target = _played(target, command[i], half)
         out[k] = x
     memory[0] = target
     memory[1] = x

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Opening curves as they are fitted: points of their own for each port, and ties between them."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from itertools import pairwise
 
 import numpy as np
 
 from pneu_sim.rig.opening import opening_at
-from pneu_sim.rig.schema import FitParameter, Opening, Rig, Spool
+from pneu_sim.rig.schema import FitParameter, Opening, Port, Rig, Spool, Valve
 
 SLOPE_CHANGE = 0.2
 """Expected change of an opening curve's slope between neighbouring intervals, of its mean slope."""
@@ -27,7 +27,7 @@ LEAST_OPENING = 1e-4
 """A port that is shut counts as open by so much, where the logarithm is taken."""
 
 
-def with_own_curves(rig: Rig, unseen: Collection[str] = ()) -> Rig:
+def with_own_curves(rig: Rig, never_wide: Collection[str] = ()) -> Rig:
     """The rig with an opening curve of its own for each port, with points close enough to fit.
 
     A mirrored curve becomes one of its own, so that filling and exhausting may differ; a curve on
@@ -35,7 +35,7 @@ def with_own_curves(rig: Rig, unseen: Collection[str] = ()) -> Rig:
 
     Args:
         rig: The rig; left as it is.
-        unseen: Ports, as ``valve.port``, that the recordings never open wide.
+        never_wide: Ports, as ``valve.port``, that the recordings never open wide.
     """
     copy = rig.model_copy(deep=True)
     for v, valve in copy.valves.items():
@@ -49,7 +49,7 @@ def with_own_curves(rig: Rig, unseen: Collection[str] = ()) -> Rig:
                     fraction=list(reversed(source.fraction)),
                     interpolation=source.interpolation,
                 )
-            widest = WIDEST_UNSEEN if f"{v}.{name}" in unseen else WIDEST
+            widest = WIDEST_UNSEEN if f"{v}.{name}" in never_wide else WIDEST
             curves[name] = _finer(opening, valve.spool, widest)
         for name, opening in curves.items():
             valve.ports[name].opening = opening
@@ -119,12 +119,19 @@ def curve_ties(
         (K, P) matrix and (K,) right side for ``gauss_newton.minimise``.
     """
     index = {p.path: k for k, p in enumerate(parameters)}
+    ties = [
+        tie
+        for v, valve in rig.valves.items()
+        for p, port in valve.ports.items()
+        if port.opening.mirror is None
+        for tie in _smooth(valve, f"valves.{v}.ports.{p}", port)
+    ]
+    for (v, p), source in (mirrors or {}).items():
+        ties += _alike(rig.valves[v], f"valves.{v}.ports", p, source)
     rows, sides = [], []
-
-    def tie(weights: list[tuple[str, float, float]]) -> None:
-        """A sum of points, each by its path, its weight and its value where it is not estimated."""
+    for tie in ties:
         row, side = np.zeros(len(parameters)), 0.0
-        for path, weight, value in weights:
+        for path, weight, value in tie:
             if path in index:
                 row[index[path]] += weight
             else:
@@ -132,54 +139,51 @@ def curve_ties(
         if row.any():
             rows.append(row)
             sides.append(side)
-
-    for v, valve in rig.valves.items():
-        null = valve.spool.null_v
-        for p, port in valve.ports.items():
-            curve = port.opening
-            if curve.mirror is not None:
-                continue
-            x, y = np.array(curve.voltage_v), np.array(curve.fraction)
-            if curve.interpolation == "power":
-                # in the logarithms a slope is the exponent of the local power law
-                x, y = np.log(np.abs(x - null)), np.log(y)
-                change = EXPONENT_CHANGE
-            else:
-                change = SLOPE_CHANGE / abs(x[np.argmax(y)] - null)
-            base = f"valves.{v}.ports.{p}.opening.fraction"
-            for k in range(1, x.size - 1):
-                left, right = 1.0 / (x[k] - x[k - 1]), 1.0 / (x[k + 1] - x[k])
-                weights = (left / change, (-left - right) / change, right / change)
-                tie(
-                    [
-                        (f"{base}.{k + d}", w, y[k + d])
-                        for d, w in zip((-1, 0, 1), weights, strict=True)
-                    ]
-                )
-            source = (mirrors or {}).get((v, p))
-            if source is None or curve.interpolation != "power":
-                continue
-            other = valve.ports[source].opening
-            if other.interpolation != "power":
-                continue
-            z, w = np.log(np.abs(np.array(other.voltage_v) - null)), np.log(other.fraction)
-            twin = f"valves.{v}.ports.{source}.opening.fraction"
-            for k in range(x.size - 1):
-                middle = 0.5 * (x[k] + x[k + 1])
-                j = next(
-                    (j for j in range(z.size - 1) if (z[j] - middle) * (z[j + 1] - middle) <= 0.0),
-                    None,
-                )
-                if j is None:
-                    continue  # the other curve does not reach so far
-                own = 1.0 / (EXPONENT_APART * (x[k + 1] - x[k]))
-                its = 1.0 / (EXPONENT_APART * (z[j + 1] - z[j]))
-                tie(
-                    [
-                        (f"{base}.{k + 1}", own, y[k + 1]),
-                        (f"{base}.{k}", -own, y[k]),
-                        (f"{twin}.{j + 1}", -its, w[j + 1]),
-                        (f"{twin}.{j}", its, w[j]),
-                    ]
-                )
     return np.array(rows).reshape(-1, len(parameters)), np.array(sides)
+
+
+Tie = list[tuple[str, float, float]]
+"""A sum that should vanish: of each point its path, its weight, and its value where it is known."""
+
+
+def _smooth(valve: Valve, base: str, port: Port) -> Iterator[Tie]:
+    """Changes of a curve's slope from one interval to the next."""
+    curve, null = port.opening, valve.spool.null_v
+    x, y = np.array(curve.voltage_v), np.array(curve.fraction)
+    if curve.interpolation == "power":
+        # in the logarithms a slope is the exponent of the local power law
+        x, y = np.log(np.abs(x - null)), np.log(y)
+        change = EXPONENT_CHANGE
+    else:
+        change = SLOPE_CHANGE / abs(x[np.argmax(y)] - null)
+    for k in range(1, x.size - 1):
+        left, right = 1.0 / (x[k] - x[k - 1]), 1.0 / (x[k + 1] - x[k])
+        weights = (left / change, (-left - right) / change, right / change)
+        points = range(k - 1, k + 2)
+        yield [
+            (f"{base}.opening.fraction.{i}", w, y[i]) for i, w in zip(points, weights, strict=True)
+        ]
+
+
+def _alike(valve: Valve, base: str, port: str, source: str) -> Iterator[Tie]:
+    """Differences of a curve's exponents from those of its twin at the same distance from null."""
+    null = valve.spool.null_v
+    curve, twin = valve.ports[port].opening, valve.ports[source].opening
+    if curve.interpolation != "power" or twin.interpolation != "power":
+        return
+    x, y = np.log(np.abs(np.array(curve.voltage_v) - null)), np.log(curve.fraction)
+    z, w = np.log(np.abs(np.array(twin.voltage_v) - null)), np.log(twin.fraction)
+    for k in range(x.size - 1):
+        middle = 0.5 * (x[k] + x[k + 1])
+        holds = np.flatnonzero((z[:-1] - middle) * (z[1:] - middle) <= 0.0)
+        if holds.size == 0:
+            continue  # the twin does not reach so far
+        j = int(holds[0])
+        own = 1.0 / (EXPONENT_APART * (x[k + 1] - x[k]))
+        its = 1.0 / (EXPONENT_APART * (z[j + 1] - z[j]))
+        yield [
+            (f"{base}.{port}.opening.fraction.{k + 1}", own, y[k + 1]),
+            (f"{base}.{port}.opening.fraction.{k}", -own, y[k]),
+            (f"{base}.{source}.opening.fraction.{j + 1}", -its, w[j + 1]),
+            (f"{base}.{source}.opening.fraction.{j}", its, w[j]),
+        ]

@@ -40,7 +40,7 @@ from pneu_sysid.stages import (
     weight_of,
 )
 from pneu_sysid.uncertainty import Known, known_of, warnings_of
-from pneu_sysid.visited import not_wide, not_wide_open
+from pneu_sysid.visited import never_wide, words_on_openings
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -147,7 +147,7 @@ def fit_rig(
     given = parameters or rig.fit.parameters
     drawn, measured = _with_measured_spools(rig, recordings)
     if rig.model == "pde" and approach and not given:
-        drawn = with_own_curves(drawn, not_wide(drawn, recordings))
+        drawn = with_own_curves(drawn, never_wide(drawn, recordings))
     every, held = _list_of(drawn, given, recordings)
     if all(p.path in held or p.path in measured for p in every):
         raise InputError(
@@ -157,28 +157,29 @@ def fit_rig(
         )
     steps = steps_of(drawn, approach, iterations)
     job = _Job(
-        recordings,
-        bool(given),
-        hold_out,
-        robust,
-        workers,
-        _work(drawn, steps, recordings, len(every), progress),
-        dict(zip(map(_key, every), _inner(every, start_of(drawn, every)), strict=True)),
-        measured,
-        mirrors_of(rig),
+        recordings=recordings,
+        given=bool(given),
+        hold_out=hold_out,
+        robust=robust,
+        workers=workers,
+        work=_work(drawn, steps, recordings, len(every), progress),
+        centres=dict(zip(map(_key, every), _inner(every, start_of(drawn, every)), strict=True)),
+        measured=measured,
+        mirrors=mirrors_of(rig),
     )
     last: _Taken | None = None
     now = drawn
     unseen: set[Key] = set()
     for step in steps:
         if step.again and last is not None and settled(last.estimate):
+            # what was computed anew and gained little is done; a limit may be found all the same
             done = at_noise(last.estimate, last.problem, job.used(last.problem))
             if (done or last.fresh) and not step.limits:
                 continue
             last = replace(last, stale=True)
         tried, every = _tried(job, now, step, every, last)
         if step.again and step.limits and tried is now:
-            continue
+            continue  # there is none, and nothing else to be done in this step
         now = tried
         fitted = [
             p
@@ -418,8 +419,8 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
         effects = effects_that_help(now, last.problem, job.used(last.problem), last.estimate)
     bound = [p for p, beyond in zip(every, known.beyond, strict=True) if beyond]
     shortfall = shortfall_of(now, problem, out, times, bound, effects)
-    shut = not_wide_open(now, job.recordings)
-    warnings = warnings_of(listed, known) + ([] if shut is None else [shut])
+    openings = words_on_openings(now, job.recordings)
+    warnings = warnings_of(listed, known) + ([openings] if openings else [])
     noise = {tap: float(n) for tap, n in zip(problem.taps, problem.noise_pa, strict=True)}
     now = now.model_copy(
         update={

@@ -252,10 +252,10 @@ def learn(
         What was learned.
     """
     tell = progress or (lambda stage, done: None)
-    if rig.calibration is None and (rig.fit.parameters or default_parameters(rig)):
+    # no more than a datasheet leaves open: delays and limits may be what is missing
+    listed = rig.fit.parameters or default_parameters(rig)
+    if rig.calibration is None and listed:
         tell("fit", 0.0)
-        # no more than a datasheet leaves open: delays and limits may be what is missing
-        listed = rig.fit.parameters or default_parameters(rig)
         rig = fit_rig(rig, recording, listed, hold_out=True, workers=workers).rig
         tell("fit", 1.0)
     recordings = [recording] if isinstance(recording, Recording) else list(recording)

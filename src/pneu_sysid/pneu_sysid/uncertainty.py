@@ -81,7 +81,7 @@ def known_of(
         variance = variance + moved**2
     errors = np.full(count, np.inf)
     at_bound, seen = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
-    none = np.zeros(count, dtype=bool)
+    least = np.zeros(count, dtype=bool)  # there is nothing below the zero that bounds it
     correlation = np.eye(count)
     for a, k in enumerate(index):
         value = float(np.exp(estimate.values[a])) if parameters[k].log else 1.0
@@ -89,7 +89,7 @@ def known_of(
         at_bound[k], seen[k] = estimate.at_bound[a], estimate.visible[a]
         correlation[k, index] = estimate.correlation[a]
         p = parameters[k]
-        none[k] = p.lower == 0.0 and not p.log and estimate.values[a] < 0.5 * p.upper
+        least[k] = p.lower == 0.0 and not p.log and estimate.values[a] < 0.5 * p.upper
     for k, p in enumerate(parameters):
         if p.path in measured:
             errors[k] = measured[p.path] or np.inf
@@ -98,7 +98,7 @@ def known_of(
     return Known(
         errors,
         at_bound & seen,
-        at_bound & seen & ~none,
+        at_bound & seen & ~least,
         (seen & np.isfinite(errors)) | is_measured,
         is_held,
         pairs_above(correlation, CORRELATED),

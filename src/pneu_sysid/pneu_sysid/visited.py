@@ -44,7 +44,7 @@ def opened_to(rig: Rig, recordings: Sequence[Recording]) -> dict[str, float]:
     return {name: float(part) for name, part in zip(plan.port_names, parts[rank], strict=True)}
 
 
-def not_wide(rig: Rig, recordings: Sequence[Recording]) -> dict[str, float]:
+def never_wide(rig: Rig, recordings: Sequence[Recording]) -> dict[str, float]:
     """Ports that recordings never open wide, and how far they open them.
 
     Args:
@@ -54,14 +54,14 @@ def not_wide(rig: Rig, recordings: Sequence[Recording]) -> dict[str, float]:
     return {name: part for name, part in opened_to(rig, recordings).items() if part < WIDE}
 
 
-def not_wide_open(rig: Rig, recordings: Sequence[Recording]) -> str | None:
+def words_on_openings(rig: Rig, recordings: Sequence[Recording]) -> str | None:
     """One sentence on the ports that recordings never open wide; None where they open all.
 
     Args:
         rig: The rig.
         recordings: The recordings.
     """
-    short = not_wide(rig, recordings)
+    short = never_wide(rig, recordings)
     if not short:
         return None
     named = ", ".join(f"{name} by more than {100.0 * part:.0f} %" for name, part in short.items())

@@ -13,7 +13,7 @@ from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
 from pneu_sysid.records import Recording
-from pneu_sysid.visited import not_wide_open, opened_to
+from pneu_sysid.visited import opened_to, words_on_openings
 
 
 def valve() -> Rig:
@@ -43,12 +43,12 @@ def test_each_port_is_open_as_far_as_its_command_goes() -> None:
 
 def test_recordings_count_together_and_a_blink_does_not() -> None:
     first, second = recording("one", 10.0, 4.0), recording("two", 4.5, 1.0)
-    assert not_wide_open(valve(), [first, second]) is None
-    said = not_wide_open(valve(), [first])
+    assert words_on_openings(valve(), [first, second]) is None
+    said = words_on_openings(valve(), [first])
     assert said is not None
     assert "valve.exhaust by more than 20 %" in said and "supply" not in said
     blink = recording("three", 10.0, 0.0, 5.0, 5.0, each_s=0.03)
-    said = not_wide_open(valve(), [blink])
+    said = words_on_openings(valve(), [blink])
     assert said is not None and "supply" in said and "exhaust" in said
 
 
@@ -56,4 +56,4 @@ def test_a_rig_without_valves_has_nothing_to_open() -> None:
     rig = load_rig(Path(__file__).parents[3] / "rigs" / "closed_chamber.yaml")
     assert not rig.valves
     assert opened_to(rig, [Recording("one", {}, {})]) == {}
-    assert not_wide_open(rig, [Recording("one", {}, {})]) is None
+    assert words_on_openings(rig, [Recording("one", {}, {})]) is None
