@@ -14,7 +14,7 @@ import numpy as np
 
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
-from pneu_sim.simulator import Simulator
+from pneu_sim.simulator import Readings, Simulator
 from pneu_sysid.records import Recording
 from studies.exact_rigs import COMMAND_HZ, draw_rig
 
@@ -64,7 +64,7 @@ def draw_case(shape: str, seed: int, seconds: float = 14.0) -> Case:
         update={"dx_m": PLANT_DX_M, "limiter": "minmod", "wave_speed_m_s": 800.0}
     )
     recordings = [
-        _record(plant, rng, rate, noise, seconds, f"{shape}_{seed}_{k + 1}") for k in range(2)
+        record(plant, rng, rate, noise, seconds, f"{shape}_{seed}_{k + 1}") for k in range(2)
     ]
     return Case(f"{shape}_{seed}", plant, datasheet, recordings)
 
@@ -169,8 +169,13 @@ def _datasheet(truth: Rig, rng: np.random.Generator) -> Rig:
     return Rig.model_validate(data)
 
 
-def _command(samples: int, rng: np.random.Generator) -> np.ndarray:
-    """Volts: steps held for 20 to 400 ms, full openings, rests, and sines about null."""
+def draw_volts(samples: int, rng: np.random.Generator) -> np.ndarray:
+    """Volts: steps held for 20 to 400 ms, full openings, rests, and sines about null.
+
+    Args:
+        samples: How many, at ``COMMAND_HZ``.
+        rng: Source of all that is drawn.
+    """
     volts = np.full(samples, 5.0)
     at = int(rng.integers(100, 200))  # a rest, as every recording begins with
     kind = 0
@@ -197,20 +202,60 @@ def _command(samples: int, rng: np.random.Generator) -> np.ndarray:
     return volts
 
 
-def _record(
+def record(
     plant: Rig, rng: np.random.Generator, rate: float, noise: float, seconds: float, name: str
 ) -> Recording:
-    samples = round(seconds * COMMAND_HZ)
-    volts = {command: _command(samples, rng) for command in plant.commands}
+    """A recording of a plant along a random command.
+
+    Args:
+        plant: The plant.
+        rng: Source of the command, of the noise and of when the taps are read.
+        rate: Readings of each tap per second, Hz.
+        noise: Standard deviation of the noise, Pa.
+        seconds: Length, s.
+        name: Name of the recording.
+    """
+    volts = {command: draw_volts(round(seconds * COMMAND_HZ), rng) for command in plant.commands}
+    return sampled(volts, run_plant(plant, volts), rng, rate, noise, name)
+
+
+def run_plant(plant: Rig, volts: dict[str, np.ndarray]) -> Readings:
+    """What the taps of a plant would read without noise, every ``PLANT_S``.
+
+    Args:
+        plant: The plant.
+        volts: Commands at ``COMMAND_HZ``, V.
+    """
     fine = round(1.0 / (COMMAND_HZ * PLANT_S))
-    out = Simulator(plant).run(
-        seconds, {command: np.repeat(v, fine) for command, v in volts.items()}, PLANT_S
-    )
+    samples = len(next(iter(volts.values())))
+    along = {command: np.repeat(v, fine) for command, v in volts.items()}
+    return Simulator(plant).run(samples / COMMAND_HZ, along, PLANT_S)
+
+
+def sampled(
+    volts: dict[str, np.ndarray],
+    out: Readings,
+    rng: np.random.Generator,
+    rate: float,
+    noise: float,
+    name: str,
+) -> Recording:
+    """The recording of a run, with noise and quantisation.
+
+    Args:
+        volts: Commands at ``COMMAND_HZ``, V.
+        out: The run.
+        rng: Source of the noise and of when the taps are read.
+        rate: Readings of each tap per second, Hz.
+        noise: Standard deviation of the noise, Pa.
+        name: Name of the recording.
+    """
+    times = np.arange(len(next(iter(volts.values())))) / COMMAND_HZ
+    seconds = times.size / COMMAND_HZ
     pressures = {}
     phase = float(rng.uniform(0.0, 1.0 / rate))
     for tap, series in out.taps.items():
         at = phase + np.arange(round(seconds * rate) - 1) / rate
         values = np.interp(at, out.time_s, series) + noise * rng.normal(size=at.size)
         pressures[tap] = Signal(at, np.round(values / 30.0) * 30.0)
-    times = np.arange(samples) / COMMAND_HZ
     return Recording(name, {c: Signal(times, v) for c, v in volts.items()}, pressures)

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is missing in a model: candidates ranked, and one honest verdict."""
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,22 +10,14 @@ from numpy.typing import NDArray
 from pneu_sim.effects.base import POSITION
 from pneu_sim.rig.schema import Rig
 from pneu_sim.tally import Tally
-from pneu_sysid.candidates import (
-    Refit,
-    Score,
-    all_sites,
-    best_per_place,
-    cosine,
-    refit,
-    residual_matrix,
-    score,
-)
-from pneu_sysid.compare import grid_check
+from pneu_sysid.bench import Bench, bench_of
+from pneu_sysid.candidates import Score, best_per_place, residual_matrix, scores_of, to_refit
 from pneu_sysid.dependence import dependences
+from pneu_sysid.evidence import lead
 from pneu_sysid.fit import tap_rmse
-from pneu_sysid.nuisance import nuisance_of
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
+from pneu_sysid.refits import Refit, refit
 from pneu_sysid.results import (
     Candidate,
     Dependence,
@@ -35,37 +26,12 @@ from pneu_sysid.results import (
     Verdict,
     pneu_version,
 )
-from pneu_sysid.standing import (
-    WITHIN_FLOOR,
-    Standing,
-    against_noise,
-    since_calibration,
-    standing_of,
-)
+from pneu_sysid.standing import Standing, against_noise, since_calibration, standing_of
+from pneu_sysid.thresholds import Thresholds
 from pneu_sysid.together import each_of
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
-
-FINALISTS = 8
-"""Candidates that are refitted."""
-WORTH = 0.10
-"""A held-out gain below this fraction of the squared residual is not worth a parameter."""
-BEYOND_CALIBRATION = 0.25
-"""... nor is one below this fraction of what the calibration itself left over."""
-SIGNIFICANT = 3.0
-"""Jackknife t below which a candidate is not believed."""
-ALIKE = 0.95
-"""Cosine above which two effects change the prediction alike."""
-EQUALLY_GOOD = 1.25
-"""A rival is as good if it leaves at most this multiple of what the best leaves, held out."""
-REFIT_CELLS, SCORE_CELLS = 2.0, 4.0
-"""Candidates are refitted and scored on cells so many times as long: only what they change of the
-prediction counts."""
-CONTENDER = 0.35
-"""Only candidates with this fraction of the best score are refitted, but at least three."""
-MOST = 0.5
-"""An effect must explain this fraction of the excess over the floor to be the answer by itself."""
 
 
 @dataclass
@@ -75,16 +41,16 @@ class Diagnosis:
     Attributes:
         verdict: ``nothing_missing``, ``effect``, ``ambiguous`` or ``unknown``.
         sentence: The verdict in words.
-        finalists: Refitted candidates, best first.
+        finalists: Refitted candidates: those that are believed, best first, then the others.
+        believed: How many are.
+        tied: For each finalist the labels of those that this recording cannot tell from it.
         scores: All candidates by their score, one per effect and place.
         rmse_pa: Error per tap before anything is added.
         depends_on: Variables the residual depends on, for ``unknown``.
         excess: Held-out squared residual over the floor, as a ratio.
         left_over: The same after the best candidate.
         numerics: Whether the grid is to blame.
-        problem: The problem it was made on.
-        readings: What the model predicts on it before anything is added.
-        standing: How the model stood before.
+        bench: What it was found with.
         statements: Of a change since the calibration, and of the noise, a sentence each.
         unchanged: Recordings that the verdict is not about, the model explaining them as it is.
     """
@@ -92,17 +58,27 @@ class Diagnosis:
     verdict: Verdict
     sentence: str
     finalists: list[Refit]
+    believed: int
+    tied: list[list[str]]
     scores: list[Score]
     rmse_pa: dict[str, float]
     depends_on: list[tuple[str, str, float]]
     excess: float
     left_over: float
     numerics: Numerics | None
-    problem: Problem = field(repr=False)
-    readings: Floats = field(repr=False)
-    standing: Standing = field(repr=False)
+    bench: Bench = field(repr=False)
     statements: list[str] = field(default_factory=list)
     unchanged: list[str] = field(default_factory=list)
+
+    @property
+    def problem(self) -> Problem:
+        """The problem it was made on."""
+        return self.bench.problem
+
+    @property
+    def standing(self) -> Standing:
+        """How the model stood before."""
+        return self.bench.standing
 
     def alike(self, k: int) -> list[str]:
         """Labels of finalists that the recording cannot tell from finalist ``k``.
@@ -110,23 +86,18 @@ class Diagnosis:
         Args:
             k: Index into ``finalists``.
         """
-        me = self.finalists[k]
-        return [
-            other.site.label
-            for i, other in enumerate(self.finalists)
-            if i != k
-            and 1.0 - other.held_out <= EQUALLY_GOOD * (1.0 - me.held_out)
-            and cosine(other.change, me.change) >= ALIKE
-        ]
+        return self.tied[k]
 
 
 def diagnose(
     rig: Rig,
     recording: Recording | Sequence[Recording],
-    finalists: int = FINALISTS,
+    finalists: int | None = None,
     refine: bool = True,
     workers: int | None = None,
     progress: Progress | None = None,
+    thresholds: Thresholds | None = None,
+    without: Collection[str] = (),
 ) -> Diagnosis:
     """Ranks every candidate effect and place, and says what is missing.
 
@@ -140,76 +111,40 @@ def diagnose(
         refine: Check the grid.
         workers: Threads of a batch.
         progress: Called with a stage's name and the fraction done.
+        thresholds: What decides.
+        without: Names of effects that are not tried.
 
     Returns:
         The diagnosis.
     """
     tell = progress or (lambda stage, done: None)
-    tell("base", 0.0)
-    own = make_problem(rig, recording, workers=workers)
-    readings = own.predict([rig])[0]
-    rmse = tap_rmse(own, readings, np.ones(own.stretches, dtype=bool))
-    base = residual_matrix(own, readings)
-    # The check of the grid is one long run; it fills what the search leaves of the processor.
-    checking = ThreadPoolExecutor(1)
-    grid = checking.submit(_grid, own, rig, readings, refine)
-    checking.shutdown(wait=False)
-    problem = rough = own
-    if rig.model == "pde":
-        with ThreadPoolExecutor(2) as pool:
-            problem, rough = pool.map(
-                lambda cells: own.coarsened(rig, cells, readings), (REFIT_CELLS, SCORE_CELLS)
-            )
-    nuisance = nuisance_of(rig, rough)
-    project = None if nuisance is None else nuisance.without(~own.held_out)
-    _, scores = score(rough, rig, all_sites(rig), project, lambda f: tell("scores", f))
-    best = best_per_place(scores)
-    chosen = [
-        s
-        for k, s in enumerate(best[:finalists])
-        if s.explained > 0.0 and (k < 3 or s.explained >= CONTENDER * best[0].explained)
-    ]
-    tally = Tally([1.0] * len(chosen), lambda f: tell("refits", f))
-
-    def try_out(shared: Problem, item: tuple[int, Score]) -> Refit:
-        k, candidate = item
-        found = refit(shared, rig, base, candidate, project)
-        tally.reached(k, 1.0)
-        return found
-
-    refits = each_of(list(enumerate(chosen)), problem, try_out)
-    refits.sort(key=lambda r: (-round(r.held_out, 3), r.site.effect.order, r.site.label))
+    limits = thresholds or Thresholds()
+    if finalists is not None:
+        limits = replace(limits, finalists=finalists)
+    bench = bench_of(rig, recording, refine, workers, tell, limits, without)
+    found = look(bench, rig, bench.readings, tell)
     tell("grid", 0.0)
-    numerics = grid.result()
+    found.numerics = bench.numerics.result()
     tell("grid", 1.0)
-    standing = standing_of(rig, own, base)
-    judged = base if project is None else project(base)
-    result = _judge(own, standing, judged, refits, best, rmse, numerics, readings)
-    names = [r.name for r in own.recordings]
-    found = result.verdict in ("effect", "ambiguous", "unknown")
-    result.statements = [since_calibration(standing, names, found), against_noise(standing)]
-    return result
-
-
-def _grid(own: Problem, rig: Rig, readings: Floats, refine: bool) -> Numerics | None:
-    """Whether the grid is fine enough, where that is asked and there is one."""
-    if not refine or rig.model != "pde":
-        return None
-    compared = {
-        tap: readings[:, :, k]
-        for k, tap in enumerate(own.taps)
-        if np.isfinite(own.measured[:, :, k]).any()
-    }
-    return grid_check(own, rig, compared)
+    names = [r.name for r in bench.problem.recordings]
+    something = found.verdict in ("effect", "ambiguous", "unknown")
+    found.statements = [
+        since_calibration(bench.standing, names, something),
+        against_noise(bench.standing, limits),
+        *_experiments(found),
+    ]
+    return found
 
 
 def diagnose_apart(
     rig: Rig,
     recordings: Sequence[Recording],
-    finalists: int = FINALISTS,
+    finalists: int | None = None,
     refine: bool = True,
     workers: int | None = None,
     progress: Progress | None = None,
+    thresholds: Thresholds | None = None,
+    without: Collection[str] = (),
 ) -> Diagnosis:
     """Diagnoses recordings together, or those alone that differ from the rest.
 
@@ -223,17 +158,20 @@ def diagnose_apart(
         refine: Check the grid.
         workers: Threads of a batch.
         progress: Called with a stage's name and the fraction done.
+        thresholds: What decides.
+        without: Names of effects that are not tried.
 
     Returns:
         The diagnosis, its problem on the recordings that it is about.
     """
+    limits = thresholds or Thresholds()
     if len(recordings) > 1:
         problem = make_problem(rig, recordings, workers=workers)
         base = residual_matrix(problem, problem.predict([rig])[0])
-        whole = standing_of(rig, problem, base)
+        whole = standing_of(rig, problem, base, limits)
         if whole.changed and len(whole.changed) < len(recordings):
             differ = [r for r in recordings if r.name in whole.changed]
-            found = diagnose(rig, differ, finalists, refine, workers, progress)
+            found = diagnose(rig, differ, finalists, refine, workers, progress, limits, without)
             names = [r.name for r in recordings]
             found.statements[0] = since_calibration(whole, names, True)
             found.statements.append(
@@ -243,62 +181,125 @@ def diagnose_apart(
             found.unchanged = [n for n in names if n not in whole.changed]
             found.sentence = f"In {', '.join(whole.changed)} alone: {found.sentence}"
             return found
-    return diagnose(rig, recordings, finalists, refine, workers, progress)
+    return diagnose(rig, recordings, finalists, refine, workers, progress, limits, without)
+
+
+def look(bench: Bench, rig: Rig, readings: Floats, tell: Progress, taken: float = 0.0) -> Diagnosis:
+    """Looks for the effect that a rig lacks most.
+
+    Args:
+        bench: What was made ready.
+        rig: The rig of the bench, perhaps with effects added.
+        readings: (n_stretches, horizon, n_taps) what it predicts, Pa.
+        tell: Called with a stage's name and the fraction done.
+        taken: Squared error on what is kept aside that the effects added so far took away.
+
+    Returns:
+        The diagnosis, without what is only said once.
+    """
+    limits = bench.thresholds
+    base = residual_matrix(bench.problem, readings)
+    best = best_per_place(scores_of(base, bench.known, bench.project))
+    first, others = to_refit(best, limits)
+    problem = bench.coarser(rig, readings) if first else bench.problem
+
+    def refitted(chosen: list[Score]) -> list[Refit]:
+        tally = Tally([1.0] * len(chosen), lambda f: tell("refits", f))
+
+        def try_out(shared: Problem, item: tuple[int, Score]) -> Refit:
+            k, candidate = item
+            found = refit(shared, rig, base, candidate, limits, bench.project)
+            tally.reached(k, 1.0)
+            return found
+
+        return each_of(list(enumerate(chosen)), problem, try_out)
+
+    refits = refitted(first)
+    result = _judge(bench, base, refits, best, readings, taken)
+    if others and refits and result.left_over * bench.floor > _allowed(bench, base):
+        # the best is not the answer: one that looks like it may be
+        refits += refitted(others[: limits.finalists])
+        result = _judge(bench, base, refits, best, readings, taken)
+    return result
+
+
+def _allowed(bench: Bench, base: Floats) -> float:
+    """Squared error on what is kept aside that an answer may leave."""
+    limits = bench.thresholds
+    r = base if bench.project is None else bench.project(base)
+    before = float(np.sum(r[bench.held_out] ** 2))
+    return max(limits.explained**2 * bench.floor, limits.relative**2 * before)
+
+
+def _believed(bench: Bench, r: Refit, base: Floats, before: float, taken: float) -> bool:
+    """Whether a candidate is more than chance, the calibration's rest, or another's shadow."""
+    limits = bench.thresholds
+    gain = r.held_out * before
+    discrepancy = max(bench.floor - bench.readings_held, 0.0)
+    return (
+        r.t >= limits.significant
+        and r.held_out >= limits.worth
+        and gain >= limits.share_of_discrepancy * discrepancy + limits.chance * bench.readings_held
+        and gain >= limits.accuracy**2 * taken
+        and lead(r.residual, base, bench.blocks) >= limits.significant
+    )
 
 
 def _judge(
-    problem: Problem,
-    standing: Standing,
+    bench: Bench,
     base: Floats,
     refits: list[Refit],
     scores: list[Score],
-    rmse: dict[str, float],
-    numerics: Numerics | None,
     readings: Floats,
+    taken: float,
 ) -> Diagnosis:
-    held = problem.held_out if problem.held_out.any() else np.ones(base.shape[0], dtype=bool)
-    weight = np.isfinite(problem.target()[held]).sum(axis=(0, 1))
-    floor_sum = float(np.sum(weight * standing.floor**2))
-    held_sum = float(np.sum(base[held] ** 2))
-    excess = held_sum / max(floor_sum, 1e-300)
-    credible = [
-        r
-        for r in refits
-        if r.t >= SIGNIFICANT
-        and r.held_out >= WORTH
-        and r.held_out * held_sum >= BEYOND_CALIBRATION * floor_sum
+    limits, problem, standing = bench.thresholds, bench.problem, bench.standing
+    r = base if bench.project is None else bench.project(base)
+    held, floor = bench.held_out, bench.floor
+    before = float(np.sum(r[held] ** 2))
+    believed = [c for c in refits if _believed(bench, c, r, before, taken)]
+    believed.sort(key=lambda c: float(np.sum(c.residual**2)))
+    finalists = believed + sorted(
+        (c for c in refits if all(c is not b for b in believed)), key=lambda c: -c.held_out
+    )
+    tied = [
+        [
+            other.site.label
+            for other in believed
+            if other is not one
+            and one.site.part != other.site.part
+            and one in believed
+            and abs(lead(one.residual, other.residual, bench.blocks)) < limits.tied
+        ]
+        for one in finalists
     ]
-    top = credible[0] if credible else None
-    left = excess * (1.0 - top.held_out) if top else excess
-    finalists = credible + [r for r in refits if r not in credible]
+    top = believed[0] if believed else None
+    left = before * (1.0 - top.held_out) if top else before
     result = Diagnosis(
         verdict="unknown",
         sentence="",
         finalists=finalists,
+        believed=len(believed),
+        tied=tied,
         scores=scores,
-        rmse_pa=rmse,
+        rmse_pa=tap_rmse(problem, readings, np.ones(problem.stretches, dtype=bool)),
         depends_on=[],
-        excess=excess,
-        left_over=left,
-        numerics=numerics,
-        problem=problem,
-        readings=readings,
-        standing=standing,
+        excess=before / max(floor, 1e-300),
+        left_over=left / max(floor, 1e-300),
+        numerics=None,
+        bench=bench,
     )
-    over = held_sum - floor_sum
-    rest = left * floor_sum - floor_sum
-    alone = rest <= (1.0 - MOST) * over
-    if top is not None and (alone or _second_helps(problem, base, top, scores)):
-        alike = result.alike(0)
-        result.verdict = "ambiguous" if alike else "effect"
-        result.sentence = _sentence(result, top, alike, alone)
-    elif excess <= WITHIN_FLOOR:
+    if top is not None:
+        explained = left <= _allowed(bench, base)
+        if explained or _second_helps(bench, top, scores):
+            result.verdict = "ambiguous" if tied[0] else "effect"
+            result.sentence = _sentence(top, tied[0], explained)
+    elif before <= limits.unexplained * floor:
         result.verdict = "nothing_missing"
-        left_times = float(np.sqrt(held_sum / max(int(weight.sum()), 1)))
-        result.sentence = _nothing_sentence(standing, left_times)
+        times = float(np.sqrt(before / max(bench.readings_held, 1)))
+        result.sentence = _nothing_sentence(standing, times)
     if result.verdict == "unknown":
-        change = top.change if top is not None else np.zeros_like(base)
-        result.depends_on = dependences(problem, base - change)
+        result.depends_on = dependences(problem, r if top is None else top.residual)
         result.sentence = _unknown_sentence(result, top)
     return result
 
@@ -318,35 +319,44 @@ def _nothing_sentence(standing: Standing, left_times: float) -> str:
     )
 
 
-def _second_helps(problem: Problem, base: Floats, top: Refit, scores: list[Score]) -> bool:
+def _second_helps(bench: Bench, top: Refit, scores: list[Score]) -> bool:
     """Whether a second effect of the catalogue explains much of what the best one leaves."""
-    rest = base - top.change
+    rest = top.residual
     total = float(np.sum(rest**2))
-    noise = float(np.isfinite(problem.measured).sum())
+    noise = float(np.isfinite(bench.problem.measured).sum())
     best = 0.0
     for item in scores:
-        if item.site.effect.name == top.site.effect.name and item.site.place == top.site.place:
+        if item.site.part == top.site.part:
             continue
-        b = float(np.sum(item.sensitivity**2))
+        b = float(np.sum(item.alike**2))
         if b > 0.0:
-            best = max(best, float(np.sum(item.sensitivity * rest)) ** 2 / b)
-    return best >= 0.3 * max(total - noise, 0.0)
+            best = max(best, float(np.sum(item.alike * rest)) ** 2 / b)
+    return best >= bench.thresholds.contender * max(total - noise, 0.0)
 
 
-def _strength(r: Refit) -> str:
-    p = r.site.effect.strength
-    return f"{r.strength:.3g} {p.unit}".strip() + f" (± {r.std_error:.1g})"
+def strength_in_words(strength: float, std_error: float, unit: str) -> str:
+    """A strength with its unit and standard error.
+
+    Args:
+        strength: The strength.
+        std_error: Its standard error.
+        unit: The unit.
+    """
+    return f"{strength:.3g} {unit}".strip() + f" (± {std_error:.1g})"
 
 
 def _where(r: Refit) -> str:
-    if POSITION in r.site.shape:
-        return f"in {r.site.place} at {r.site.shape[POSITION]:.2f} m"
+    if r.position_error_m is not None:
+        at = f"in {r.site.place} at {r.site.shape[POSITION]:.2f}"
+        return f"{at} ± {r.position_error_m:.2f} m" if r.position_error_m < 10.0 else f"{at} m"
     return f"at {r.site.place}"
 
 
-def _sentence(result: Diagnosis, top: Refit, alike: list[str], alone: bool) -> str:
+def _sentence(top: Refit, alike: list[str], alone: bool) -> str:
+    effect = top.site.effect
     text = (
-        f"Missing: {top.site.effect.title} {_where(top)}, {_strength(top)}; it explains"
+        f"Missing: {effect.title} {_where(top)},"
+        f" {strength_in_words(top.strength, top.std_error, effect.strength.unit)}; it explains"
         f" {100.0 * top.held_out:.0f} % of the held-out squared residual"
     )
     if alike:
@@ -354,6 +364,14 @@ def _sentence(result: Diagnosis, top: Refit, alike: list[str], alone: bool) -> s
     if not alone:
         text += "; more is missing besides"
     return text + "."
+
+
+def _experiments(found: Diagnosis) -> list[str]:
+    """What would tell the best candidate from those that are as good."""
+    if found.verdict != "ambiguous":
+        return []
+    top = found.finalists[0]
+    return [f"To tell {top.site.label} from the others: {top.site.effect.next_experiment}"]
 
 
 def _unknown_sentence(result: Diagnosis, top: Refit | None) -> str:
@@ -386,6 +404,7 @@ def result_of_diagnosis(name: str, found: Diagnosis, findings: list[str]) -> Dia
                 title=effect.title,
                 place=r.site.place,
                 position_m=r.site.shape.get(POSITION),
+                position_error_m=r.position_error_m,
                 strength=r.strength,
                 unit=effect.strength.unit,
                 std_error=r.std_error,

@@ -13,6 +13,10 @@ Residuals = Callable[[Sequence[Floats]], Floats]
 """Maps K parameter vectors to (K, n_clusters, m) residuals in one batched call."""
 
 DAMPINGS = (1e-6, 1e-3, 1e-1, 1e1)
+LAST_DAMPINGS = (1e2, 1e3, 1e4)
+FEW = 8
+"""Where none of the steps of so few variables gains, shorter ones are tried: a position along a
+pipe has kinks, past which a slope tells nothing."""
 SECANT_WORTH = 0.05
 """A step that takes away so much of the cost is followed by one with the same Jacobian."""
 MOST_FORECAST = 2.0
@@ -216,21 +220,24 @@ def minimise(
         q, upper_r = np.linalg.qr(a)
         c = q.T @ b
         norms = np.linalg.norm(upper_r, axis=0)
-        trials = []
         # One or two variables need no finely graded damping.
-        for damping in DAMPINGS if x.size > 2 else DAMPINGS[::2]:
-            d = np.sqrt(damping) * np.maximum(norms, 1e-6 * norms.max())
-            step = lsq_linear(
-                np.vstack([upper_r, np.diag(d)]),
-                np.concatenate([-c, np.zeros(x.size)]),
-                bounds=((lower - x) / span - 1e-12, (upper - x) / span + 1e-12),
-                method="bvls",  # of a hundred variables still thirty times as fast as "trf"
-            ).x
-            trials.append(np.clip(x + step * span, lower, upper))
-        found = residuals(trials)
-        costs = [total(found[k], trials[k]) for k in range(len(trials))]
-        best = int(np.nanargmin(costs))
-        gain = (cost - costs[best]) / max(cost, 1e-300)
+        for dampings in (DAMPINGS if x.size > 2 else DAMPINGS[::2], LAST_DAMPINGS):
+            trials = []
+            for damping in dampings:
+                d = np.sqrt(damping) * np.maximum(norms, 1e-6 * norms.max())
+                step = lsq_linear(
+                    np.vstack([upper_r, np.diag(d)]),
+                    np.concatenate([-c, np.zeros(x.size)]),
+                    bounds=((lower - x) / span - 1e-12, (upper - x) / span + 1e-12),
+                    method="bvls",  # of a hundred variables still thirty times as fast as "trf"
+                ).x
+                trials.append(np.clip(x + step * span, lower, upper))
+            found = residuals(trials)
+            costs = [total(found[k], trials[k]) for k in range(len(trials))]
+            best = int(np.nanargmin(costs))
+            gain = (cost - costs[best]) / max(cost, 1e-300)
+            if gain > 0.0 or x.size > FEW:
+                break
         if gain > 0.0:
             j = _secant(j, found[best] - r, (trials[best] - x) / span, span)
             x, r = trials[best], found[best]

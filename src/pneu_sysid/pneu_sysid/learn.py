@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole loop: name what is missing, add it, refit, until nothing more is worth adding."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,40 +11,28 @@ from numpy.typing import NDArray
 from pneu_sim.effects import find_effect
 from pneu_sim.effects.base import POSITION
 from pneu_sim.errors import InputError
-from pneu_sim.rig import save_rig, with_parameters
+from pneu_sim.rig import save_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig
-from pneu_sysid.candidates import all_sites, best_per_place, residual_matrix, score
+from pneu_sysid.bench import REFIT_CELLS, Bench
+from pneu_sysid.candidates import best_per_place, residual_matrix, scores_of, sensitivities
 from pneu_sysid.compare import findings_of
-from pneu_sysid.diagnose import (
-    EQUALLY_GOOD,
-    FINALISTS,
-    REFIT_CELLS,
-    WORTH,
-    Diagnosis,
-    diagnose,
-    diagnose_apart,
-)
+from pneu_sysid.diagnose import Diagnosis, diagnose_apart, look, strength_in_words
+from pneu_sysid.evidence import lead
 from pneu_sysid.fit import fit_rig, tap_rmse
-from pneu_sysid.gauss_newton import Estimate, Variable, huber_cost, minimise
+from pneu_sysid.gauss_newton import Estimate
 from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
+from pneu_sysid.refits import effect_variables, refit_effects
 from pneu_sysid.results import LearnResult, Step, Verdict, pneu_version, write_json
-from pneu_sysid.stages import residual_function
-from pneu_sysid.standing import floor_of
+from pneu_sysid.sites import all_sites
+from pneu_sysid.thresholds import Thresholds
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-MOST_EFFECTS = 4
 MATES = 3
 """Look-alikes of an added effect that are tried again in its place after the next addition."""
-UNEXPLAINED = 0.35
-"""Part of the excess that must remain for the catalogue to be called insufficient."""
-CREDIBLE_UNKNOWN = 0.5
-"""What a candidate must explain of the held-out error while more than the catalogue is missing."""
-AT_FLOOR = 1.1
-"""A squared error within this multiple of the floor needs no further diagnosis."""
 
 
 @dataclass
@@ -66,65 +54,6 @@ class Learned:
     verdict: Verdict
     sentence: str
     rigs: list[Rig] = field(default_factory=list)
-
-
-def effect_variables(rig: Rig, index: int) -> list[Variable]:
-    """Strength and position of an attached effect as variables named by their paths.
-
-    Args:
-        rig: The rig.
-        index: Which of ``rig.effects``.
-    """
-    attached = rig.effects[index]
-    effect = find_effect(attached.effect)
-    bare = rig.model_copy(update={"effects": rig.effects[:index]})
-    out = []
-    for p in (effect.strength, *(q for q in effect.parameters[1:] if q.name == POSITION)):
-        low, high = effect.limits(p, bare, attached.place)
-        step = p.step if p.name != POSITION else min(0.05, 0.05 * (high - low))
-        value = float(np.clip(attached.parameters.get(p.name, p.absent), low, high))
-        out.append(Variable(f"effects.{index}.parameters.{p.name}", value, low, high, step))
-    return out
-
-
-def refit_effects(
-    problem: Problem, rig: Rig, indices: list[int], iterations: int = 4
-) -> tuple[Rig, Estimate]:
-    """Fits strengths and positions of attached effects together.
-
-    Args:
-        problem: The problem; what it holds out is not used.
-        rig: Rig with the effects attached.
-        indices: Which of them to fit.
-        iterations: Gauss-Newton iterations.
-
-    Returns:
-        The fitted rig and the estimate, whose variables are those of `effect_variables` in order.
-    """
-    variables = [v for i in indices for v in effect_variables(rig, i)]
-    # A parameter left at its default is not in the file yet.
-    rig = rig.model_copy(deep=True)
-    for v in variables:
-        _, i, _, name = v.name.split(".")
-        rig.effects[int(i)].parameters.setdefault(name, v.value)
-
-    def rig_of(x: Floats) -> Rig:
-        return with_parameters(
-            rig, {v.name: float(value) for v, value in zip(variables, x, strict=True)}
-        )
-
-    rough = problem
-    if rig.model == "pde":
-        rough = problem.coarsened(rig, REFIT_CELLS)
-    estimate = minimise(
-        residual_function(rough, ~problem.held_out, rig_of),
-        variables,
-        iterations=iterations,
-        tolerance=2e-3,
-        # whatever else is wrong in the recording must not bend the estimate
-        robust=True,
-    )
-    return rig_of(estimate.values), estimate
 
 
 def _errors(
@@ -186,8 +115,8 @@ def add_effect(
         ] or sites
     if not sites:
         raise InputError(f"effect {name!r}: this rig has no place for it")
-    _, scores = score(problem, rig, sites)
-    best = best_per_place(scores)[0]
+    known = sensitivities(problem, rig, sites, Thresholds())
+    best = best_per_place(scores_of(before, known))[0]
     strength = effect.strength
     low, high = effect.limits(strength, rig, best.site.place)
     start = best.strength
@@ -197,7 +126,7 @@ def add_effect(
         problem, best.site.attached(rig, float(np.clip(start, low, high))), [len(rig.effects)]
     )
     after, rmse, held = _errors(problem, better)
-    second = _step(1, problem, after, rmse, held, better.effects[-1], estimate.std_errors[0])
+    second = _step(1, problem, after, rmse, held, better.effects[-1], estimate.std_errors)
     return better, first, second
 
 
@@ -208,7 +137,7 @@ def _step(
     rmse: dict[str, float],
     held: dict[str, float],
     added: AttachedEffect | None = None,
-    std_error: float | None = None,
+    std_errors: Floats | None = None,
 ) -> Step:
     effect = find_effect(added.effect) if added is not None else None
     place = None if added is None else _label(added).split("@", 1)[1]
@@ -222,7 +151,10 @@ def _step(
         place=place,
         strength=strength,
         unit=effect.strength.unit if effect is not None else None,
-        std_error=std_error,
+        std_error=None if std_errors is None else float(std_errors[0]),
+        position_error_m=(
+            None if std_errors is None or len(std_errors) < 2 else float(std_errors[1])
+        ),
         rmse_pa=dict(rmse),
         held_out_rmse_pa=dict(held),
         total_times_noise=_rms(problem, residual, used),
@@ -236,6 +168,8 @@ def learn(
     out: Path | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
+    thresholds: Thresholds | None = None,
+    without: Collection[str] = (),
 ) -> Learned:
     """Adds effect after effect until nothing more is worth adding by held-out error.
 
@@ -247,11 +181,14 @@ def learn(
             interrupted run leaves its last complete step.
         workers: Threads of a batch.
         progress: Called with a stage's name and the fraction done.
+        thresholds: What decides.
+        without: Names of effects that are not tried.
 
     Returns:
         What was learned.
     """
     tell = progress or (lambda stage, done: None)
+    limits = thresholds or Thresholds()
     # no more than a datasheet leaves open: delays and limits may be what is missing
     listed = rig.fit.parameters or default_parameters(rig)
     if rig.calibration is None and listed:
@@ -259,62 +196,78 @@ def learn(
         rig = fit_rig(rig, recording, listed, hold_out=True, workers=workers).rig
         tell("fit", 1.0)
     recordings = [recording] if isinstance(recording, Recording) else list(recording)
-    first = diagnose_apart(rig, recordings, FINALISTS, True, workers, progress)
-    problem = first.problem
-    differ = problem.recordings
-    residual, rmse, held = _errors(problem, rig, first.readings)
-    steps = [_step(0, problem, residual, rmse, held)]
-    state = Learned(rig, steps, [first], "nothing_missing", "", [rig])
+    first = diagnose_apart(rig, recordings, None, True, workers, progress, limits, without)
+    bench = first.bench
+    problem, differ = bench.problem, bench.problem.recordings
+    model = _Model(rig, bench.readings, bench.residual(bench.readings))
+    state = Learned(rig, [_step_of(0, bench, model)], [first], "nothing_missing", "", [rig])
     given = len(rig.effects)
+    start = _held_sum(bench, model.residual)
     mates: list[list[AttachedEffect]] = []
     _save(state, problem, out)
+    found = first
     while True:
-        count = len(state.rig.effects) - given
-        if count and _at_floor(problem, state.rig, residual):
-            break
-        found = first
+        count = len(model.rig.effects) - given
         if count:
-            found = diagnose(
-                state.rig, differ, FINALISTS // 2, refine=False, workers=workers, progress=progress
-            )
+            if _held_sum(bench, model.residual) <= limits.settled * bench.floor:
+                break
+            taken = start - _held_sum(bench, model.residual)
+            found = look(bench, model.rig, model.readings, tell, taken)
             state.diagnoses.append(found)
-        if count >= MOST_EFFECTS or not _worth_adding(found):
+        if count >= limits.most_effects or not _worth_adding(found, bench):
             break
         tell("refit", 0.0)
-        better, estimate = refit_effects(
-            problem, found.finalists[0].rig, list(range(given, given + count + 1)), iterations=3
-        )
-        after, rmse, held = _errors(problem, better)
+        better, estimate = _together(bench, found.finalists[0].rig, given, 3)
         tell("refit", 1.0)
-        if _held_out_gain(problem, residual, after) < WORTH:
+        gone = 1.0 - _held_sum(bench, better.residual) / _held_sum(bench, model.residual)
+        if gone < limits.worth:
             break
         labels = set(found.alike(0))
         alike = [r for r in found.finalists[1:] if r.site.label in labels][:MATES]
         mates.append([r.rig.effects[-1] for r in alike])
         if count:
-            better, estimate, after, mates = _reconsider(
-                problem, better, estimate, after, given, mates
-            )
-            after, rmse, held = _errors(problem, better)
-            state.steps[1:] = _steps_anew(problem, better, given, state.steps[1:])
-        added = better.effects[-1]
-        strength = f"effects.{len(better.effects) - 1}.parameters."
-        strength += find_effect(added.effect).strength.name
-        errors = dict(zip(_names(better, given, count), estimate.std_errors, strict=True))
-        state.steps.append(
-            _step(count + 1, problem, after, rmse, held, added, float(errors[strength]))
-        )
-        state.rig, residual = better, after
-        state.rigs.append(better)
-        _conclude(state, given, [_label(e) for options in mates for e in options])
+            better, estimate, mates = _reconsider(bench, better, estimate, given, mates)
+            better, estimate, mates = _needed(bench, better, estimate, given, mates)
+        model = better
+        state.steps = _steps(bench, state.steps, model, estimate, given)
+        state.rig = model.rig
+        state.rigs = [*state.rigs[: len(state.steps) - 1], model.rig]
+        _conclude(state, bench, given, start, [_label(e) for o in mates for e in o])
         _save(state, problem, out)
-    _conclude(state, given, [_label(e) for options in mates for e in options])
+        if len(model.rig.effects) - given <= count:
+            break  # what was added last made another superfluous: no more is to be had
+    _conclude(state, bench, given, start, [_label(e) for o in mates for e in o])
     if first.unchanged and state.steps[1:]:
         state.sentence = f"In {', '.join(r.name for r in differ)} alone: {state.sentence}"
         state.rig = _without_effects(state.rig, given, first.unchanged)
         state.rigs[-1] = state.rig
     _save(state, problem, out)
     return state
+
+
+@dataclass
+class _Model:
+    """A rig, what it predicts, and what that leaves without what is uncertain anyway."""
+
+    rig: Rig
+    readings: Floats
+    residual: Floats
+
+
+def _held_sum(bench: Bench, residual: Floats) -> float:
+    """Squared error on what is kept aside."""
+    return float(np.sum(residual[bench.held_out] ** 2))
+
+
+def _together(bench: Bench, rig: Rig, given: int, iterations: int = 4) -> tuple[_Model, Estimate]:
+    """Fits all effects that were added, together."""
+    rough = bench.problem
+    if rig.model == "pde":
+        rough = bench.problem.coarsened(rig, REFIT_CELLS)
+    indices = list(range(given, len(rig.effects)))
+    fitted, estimate = refit_effects(rough, rig, indices, iterations, bench.project)
+    readings = bench.problem.predict([fitted])[0]
+    return _Model(fitted, readings, bench.residual(readings)), estimate
 
 
 def _without_effects(rig: Rig, given: int, recordings: list[str]) -> Rig:
@@ -329,44 +282,54 @@ def _without_effects(rig: Rig, given: int, recordings: list[str]) -> Rig:
     return rig.model_copy(update={"recordings": own})
 
 
-def _worth_adding(found: Diagnosis) -> bool:
-    """Whether the best candidate of a diagnosis explains enough of what was held out."""
-    credible = [r for r in found.finalists if r.held_out >= WORTH]
-    if found.verdict == "nothing_missing" or not credible:
-        return False
-    return found.verdict != "unknown" or credible[0].held_out >= CREDIBLE_UNKNOWN
+def _worth_adding(found: Diagnosis, bench: Bench) -> bool:
+    """Whether the best candidate of a diagnosis is to be added.
 
-
-def _held_out_gain(problem: Problem, before: Floats, after: Floats) -> float:
-    """Part of the held-out squared error that an addition takes away."""
-    held = problem.held_out
-    return 1.0 - float(np.sum(after[held] ** 2)) / float(np.sum(before[held] ** 2))
-
-
-def _steps_anew(problem: Problem, rig: Rig, given: int, steps: list[Step]) -> list[Step]:
-    """Steps as they would have been with the effects that stand in their places now.
-
-    From the first that is another than its step says, on, each is fitted without the later ones.
+    While more is missing than the catalogue explains, only one that explains most of it.
     """
-    out: list[Step] = []
+    if found.verdict == "nothing_missing" or not found.believed:
+        return False
+    if found.verdict != "unknown":
+        return True
+    return found.finalists[0].held_out >= bench.thresholds.nearest
+
+
+def _steps(
+    bench: Bench, before: list[Step], model: _Model, estimate: Estimate, given: int
+) -> list[Step]:
+    """The way from the base to a model, effect by effect.
+
+    Steps that still hold are kept; from the first that is another than it was, each is fitted
+    without the later ones.
+    """
+    rig = model.rig
+    out = [before[0]]
+    count = len(rig.effects) - given
     swapped = False
-    for k, step in enumerate(steps):
+    for k in range(count - 1):
         now = rig.effects[given + k]
-        stood = (step.added, str(step.place).split(":", 1)[0])
-        swapped = swapped or (now.effect, now.place) != stood
-        if not swapped:
-            out.append(step)
-            continue
+        if k + 1 < len(before) and not swapped:
+            stood = (before[k + 1].added, str(before[k + 1].place).split(":", 1)[0])
+            if (now.effect, now.place) == stood:
+                out.append(before[k + 1])
+                continue
+        swapped = True
         so_far = rig.model_copy(update={"effects": rig.effects[: given + k + 1]})
-        fitted, estimate = refit_effects(problem, so_far, list(range(given, given + k + 1)))
-        after, rmse, held = _errors(problem, fitted)
-        # strength leads among the variables of an effect
-        last = -len(effect_variables(fitted, given + k))
-        added = fitted.effects[-1]
-        out.append(
-            _step(step.step, problem, after, rmse, held, added, float(estimate.std_errors[last]))
-        )
+        fitted, found = _together(bench, so_far, given)
+        out.append(_step_of(k + 1, bench, fitted, found))
+    out.append(_step_of(count, bench, model, estimate))
     return out
+
+
+def _step_of(number: int, bench: Bench, model: _Model, estimate: Estimate | None = None) -> Step:
+    """A step to a model; its last effect is the one that was added."""
+    problem = bench.problem
+    residual, rmse, held = _errors(problem, model.rig, model.readings)
+    if estimate is None:
+        return _step(number, problem, residual, rmse, held)
+    index = len(model.rig.effects) - 1
+    errors = estimate.std_errors[-len(effect_variables(model.rig, index)) :]
+    return _step(number, problem, residual, rmse, held, model.rig.effects[index], errors)
 
 
 def _label(effect: AttachedEffect) -> str:
@@ -377,64 +340,74 @@ def _label(effect: AttachedEffect) -> str:
 
 
 def _reconsider(
-    problem: Problem,
-    rig: Rig,
+    bench: Bench,
+    model: _Model,
     estimate: Estimate,
-    residual: Floats,
     given: int,
     mates: list[list[AttachedEffect]],
-) -> tuple[Rig, Estimate, Floats, list[list[AttachedEffect]]]:
+) -> tuple[_Model, Estimate, list[list[AttachedEffect]]]:
     """Tries the look-alikes of earlier additions again, now that another effect is in the model.
 
     What could not be told apart while something else was missing often can be afterwards.
     """
-    indices = list(range(given, len(rig.effects)))
     kept = [list(options) for options in mates]
     for k, options in enumerate(mates[:-1]):
         still: list[AttachedEffect] = []
         for option in options:
-            effects = list(rig.effects)
+            effects = list(model.rig.effects)
             replaced, effects[given + k] = effects[given + k], option
-            other, found = refit_effects(
-                problem, rig.model_copy(update={"effects": effects}), indices, iterations=3
+            other, found = _together(
+                bench, model.rig.model_copy(update={"effects": effects}), given, 3
             )
-            r = residual_matrix(problem, problem.predict([other])[0])
-            new, old = huber_cost(r), huber_cost(residual)
-            if new < old:
-                if old <= EQUALLY_GOOD * new:
-                    still.append(replaced)
-                else:
-                    still = []
-                rig, estimate, residual = other, found, r
-            elif new <= EQUALLY_GOOD * old:
+            ahead = lead(other.residual, model.residual, bench.blocks)
+            tied = abs(ahead) < bench.thresholds.tied
+            if ahead > 0.0:
+                still = [*still, replaced] if tied else []
+                model, estimate = other, found
+            elif tied:
                 still.append(option)
         kept[k] = still
-    return rig, estimate, residual, kept
+    return model, estimate, kept
 
 
-def _at_floor(problem: Problem, rig: Rig, residual: Floats) -> bool:
-    """Whether the held-out error is what noise and calibration leave anyway."""
-    held = problem.held_out
-    count = np.isfinite(problem.measured[held]).sum(axis=(0, 1))
-    floor = floor_of(rig, problem)
-    return float(np.sum(residual[held] ** 2)) <= AT_FLOOR * float(np.sum(count * floor**2))
+def _needed(
+    bench: Bench,
+    model: _Model,
+    estimate: Estimate,
+    given: int,
+    mates: list[list[AttachedEffect]],
+) -> tuple[_Model, Estimate, list[list[AttachedEffect]]]:
+    """Drops effects that the later ones have made superfluous."""
+    limits = bench.thresholds
+    k = 0
+    while k < len(model.rig.effects) - given - 1:
+        effects = [e for i, e in enumerate(model.rig.effects) if i != given + k]
+        other, found = _together(bench, model.rig.model_copy(update={"effects": effects}), given)
+        held, alone = _held_sum(bench, model.residual), _held_sum(bench, other.residual)
+        if (
+            alone - held < limits.worth * alone
+            or lead(model.residual, other.residual, bench.blocks) < limits.significant
+        ):
+            model, estimate = other, found
+            mates = [options for i, options in enumerate(mates) if i != k]
+        else:
+            k += 1
+    return model, estimate, mates
 
 
-def _names(rig: Rig, given: int, count: int) -> list[str]:
-    return [v.name for i in range(given, given + count + 1) for v in effect_variables(rig, i)]
-
-
-def _conclude(state: Learned, given: int, ambiguous: list[str]) -> None:
-    last = state.diagnoses[-1] if state.diagnoses else None
-    added = state.rig.effects[given:]
-    if not added:
-        state.verdict = last.verdict if last is not None else "nothing_missing"
-        state.sentence = last.sentence if last is not None else ""
+def _conclude(state: Learned, bench: Bench, given: int, start: float, ambiguous: list[str]) -> None:
+    """Verdict and sentence over all that was added."""
+    last = state.diagnoses[-1]
+    if not state.rig.effects[given:]:
+        state.verdict, state.sentence = last.verdict, last.sentence
         return
     parts = []
     for step in state.steps[1:]:
         effect = find_effect(str(step.added))
-        parts.append(f"{effect.title} at {step.place} ({step.strength:.3g} {step.unit})")
+        strength = strength_in_words(
+            step.strength or 0.0, step.std_error or float("nan"), step.unit or ""
+        )
+        parts.append(f"{effect.title} at {step.place}, {strength}")
     before, after = state.steps[0], state.steps[-1]
     state.verdict = "ambiguous" if ambiguous else "effect"
     state.sentence = (
@@ -443,12 +416,9 @@ def _conclude(state: Learned, given: int, ambiguous: list[str]) -> None:
     )
     if ambiguous:
         state.sentence += f"; not to be told from {', '.join(sorted(set(ambiguous)))}"
-    start = state.diagnoses[0].excess - 1.0 if state.diagnoses else 0.0
-    if (
-        last is not None
-        and last.verdict == "unknown"
-        and last.excess - 1.0 > max(1.0, UNEXPLAINED * start)
-    ):
+    limits = bench.thresholds
+    left = (after.held_out_times_noise or 0.0) ** 2 * bench.readings_held
+    if left > max(limits.explained**2 * bench.floor, limits.relative**2 * start):
         state.verdict = "unknown"
         state.sentence += "; more is missing that the catalogue does not hold"
     state.sentence += "."

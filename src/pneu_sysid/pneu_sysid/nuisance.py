@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Base parameters fitted to the very recording that is diagnosed: what effects they may hide."""
+"""Base parameters that may be otherwise, and what effects they may hide.
+
+All those that were fitted to the very recording that is diagnosed. Of a calibration on another one
+those that it could not see: a port that was never opened wide may be as its datasheet says, or not.
+The others a calibration knows so well that they change the prediction by less than it left.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -52,15 +57,15 @@ class Nuisance:
 def nuisance_of(rig: Rig, problem: Problem) -> Nuisance | None:
     """What base parameters fitted on these very recordings may hide.
 
-    A rig calibrated on other recordings is trusted as it is.
+    A rig calibrated on other recordings is trusted in what these could see.
 
     Args:
         rig: The rig.
         problem: The problem.
     """
-    if rig.calibration is not None and not is_own(rig, problem):
-        return None
     listed = rig.fit.parameters or default_parameters(rig)
+    if rig.calibration is not None and not is_own(rig, problem):
+        listed = [p for p in rig.fit.parameters if p.std_error is None]
     parameters = one_each(listed, [recording.name for recording in problem.recordings])
     if not parameters:
         return None

@@ -289,6 +289,8 @@ class Candidate(Result):
     """Part of the rig."""
     position_m: Perhaps = None
     """Where along a pipe; null where that has no meaning."""
+    position_error_m: Perhaps = None
+    """Standard error of that; null where it was not fitted."""
     strength: Perhaps
     """Estimated strength."""
     unit: str
@@ -302,7 +304,7 @@ class Candidate(Result):
     held_out_gain: Perhaps = None
     """Share by which the squared error falls on the part kept aside."""
     significance: Perhaps = None
-    """Strength over its standard error from leaving out one segment at a time."""
+    """Strength over its standard error."""
     indistinguishable_from: list[str] = []
     """Other candidates (effect@place) that this recording cannot tell it from."""
     next_experiment: str = ""
@@ -367,6 +369,8 @@ class Step(Result):
     """Unit of the strength."""
     std_error: Perhaps = None
     """Standard error of the strength."""
+    position_error_m: Perhaps = None
+    """Standard error of its position along a pipe; null where it has none."""
     rmse_pa: dict[str, Perhaps]
     """Per tap the error on the part that was used."""
     held_out_rmse_pa: dict[str, Perhaps]

@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim.rig.schema import FitParameter, Rig
-from pneu_sysid.candidates import all_sites, best_per_place, score
+from pneu_sysid.candidates import best_per_place, residual_matrix, scores_of, sensitivities
 from pneu_sysid.gauss_newton import Estimate
 from pneu_sysid.nuisance import Nuisance
 from pneu_sysid.problem import Problem, Rollouts
 from pneu_sysid.regimes import Operation, operation
+from pneu_sysid.sites import all_sites
+from pneu_sysid.thresholds import Thresholds
 
 Floats = NDArray[np.float64]
 
@@ -22,8 +24,6 @@ TELLS = 0.15
 """Share of what is left that an effect has to explain to be worth a word."""
 RIDGE = 1e-3
 """What the fitted parameters can make good is taken out with a ridge that hardly holds them."""
-POSITIONS = 3
-"""Intervals between the positions along the longest pipe that are asked."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,8 @@ def effects_that_help(
     def project(r: Floats) -> Floats:
         return np.where(used[:, None], take_out(r), 0.0)
 
-    _, scores = score(problem, rig, all_sites(rig, POSITIONS), project, progress)
+    known = sensitivities(problem, rig, all_sites(rig), Thresholds(), progress)
+    scores = scores_of(residual_matrix(problem, problem.predict([rig])[0]), known, project)
     best = [s for s in best_per_place(scores) if s.explained > TELLS and s.t > 3.0][:2]
     return [
         f"{s.site.label} would explain {100.0 * s.explained:.0f} % of it (about"

@@ -8,16 +8,9 @@ from numpy.typing import NDArray
 
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.problem import Problem
+from pneu_sysid.thresholds import Thresholds
 
 Floats = NDArray[np.float64]
-
-WITHIN_FLOOR = 3.0
-"""Squared error, as a multiple of the floor, that needs no explanation: operating points that the
-calibration never visited cost that much."""
-APART = 3.0
-"""A recording whose squared error over the floor is this many times the smallest of all differs."""
-AT_NOISE = 1.2
-"""Up to this many times the noise a model explains a measurement to the noise."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +26,7 @@ class Standing:
         times_noise: Root mean square error in noise deviations, over all taps and recordings.
         by_tap: The same per tap.
         changed: Recordings that differ from the calibration.
+        explains: Whether the model explains the measurement to the noise.
     """
 
     own: bool
@@ -42,11 +36,7 @@ class Standing:
     times_noise: float
     by_tap: dict[str, float]
     changed: list[str]
-
-    @property
-    def explains(self) -> bool:
-        """Whether the model explains the measurement to the noise."""
-        return self.times_noise <= AT_NOISE
+    explains: bool
 
 
 def floor_of(rig: Rig, problem: Problem) -> Floats:
@@ -81,13 +71,14 @@ def is_own(rig: Rig, problem: Problem) -> bool:
     return any(recording.name in own for recording in problem.recordings)
 
 
-def standing_of(rig: Rig, problem: Problem, residual: Floats) -> Standing:
+def standing_of(rig: Rig, problem: Problem, residual: Floats, thresholds: Thresholds) -> Standing:
     """How a model stands to recordings.
 
     Args:
         rig: The rig.
         problem: The problem.
         residual: (n_stretches, horizon * n_taps) its residual in noise deviations.
+        thresholds: What decides.
     """
     floor = floor_of(rig, problem)
     r = residual.reshape(problem.measured.shape)
@@ -101,19 +92,22 @@ def standing_of(rig: Rig, problem: Problem, residual: Floats) -> Standing:
         ]
     )
     total = np.sqrt(square.sum(axis=0) / np.maximum(count.sum(axis=0), 1))
-    differs = (excess > WITHIN_FLOOR) | (excess > APART * max(float(excess.min()), 1.0))
+    differs = excess > thresholds.unexplained
+    differs |= excess > thresholds.apart * max(float(excess.min()), 1.0)
+    times_noise = float(np.sqrt(square.sum() / max(int(count.sum()), 1)))
     return Standing(
         own=is_own(rig, problem),
         calibrated=rig.calibration is not None,
         floor=floor,
         excess=excess,
-        times_noise=float(np.sqrt(square.sum() / max(int(count.sum()), 1))),
+        times_noise=times_noise,
         by_tap={tap: float(v) for tap, v in zip(problem.taps, total, strict=True)},
         changed=[
             recording.name
             for recording, is_other in zip(problem.recordings, differs, strict=True)
             if is_other
         ],
+        explains=times_noise <= thresholds.at_noise,
     )
 
 
@@ -141,11 +135,12 @@ def since_calibration(standing: Standing, names: list[str], found: bool) -> str:
     return "Nothing changed since the calibration."
 
 
-def against_noise(standing: Standing) -> str:
+def against_noise(standing: Standing, thresholds: Thresholds) -> str:
     """Whether the model explains the measurement to the noise, in one sentence.
 
     Args:
         standing: How the model stands.
+        thresholds: What decides.
     """
     if standing.explains:
         return (
@@ -157,6 +152,6 @@ def against_noise(standing: Standing) -> str:
         f" ({standing.by_tap[worst]:.2f})"
     )
     floor = float(np.sqrt(np.mean(standing.floor**2)))
-    if standing.calibrated and not standing.own and floor > AT_NOISE:
+    if standing.calibrated and not standing.own and floor > thresholds.at_noise:
         text += f"; {floor:.2f} times were left where it was calibrated"
     return text + "."

@@ -61,6 +61,8 @@ class Effect(ABC):
         parameters: Strength first, then shape.
         order: Diagnosis looks at lower orders first when two effects explain equally much
             (sensors, timing, steady flow, holds, small signals, slow).
+        curved: Whether what it changes is far from proportional to its strength: a small one looks
+            unlike a large one, and it is tried at several strengths.
         next_experiment: Recording that shows this effect apart from its look-alikes.
     """
 
@@ -71,6 +73,7 @@ class Effect(ABC):
     source: ClassVar[str]
     parameters: ClassVar[tuple[EffectParameter, ...]]
     order: ClassVar[int] = 5
+    curved: ClassVar[bool] = False
     next_experiment: ClassVar[str]
 
     @property

@@ -25,6 +25,7 @@ class Blockage(Effect):
         EffectParameter("length_m", "m", 0.1, 0.01, 1.0, 0.1, 0.005),
     )
     order: ClassVar[int] = 3
+    curved: ClassVar[bool] = True
     next_experiment: ClassVar[str] = (
         "Send one sharp pulse with a tap on either side: a narrowing reflects part of it, and the"
         " time until the reflection returns to the valve gives its place."

@@ -22,6 +22,7 @@ class DeadBand(Effect):
         EffectParameter("width_v", "V per side", 0.0, 0.0, 2.5, 0.25, 0.01),
     )
     order: ClassVar[int] = 3
+    curved: ClassVar[bool] = True
     next_experiment: ClassVar[str] = (
         "Drive a slow triangle of small amplitude through null at two pressures: an overlap leaves"
         " the same stretch of voltage without flow both ways, hysteresis shifts it with direction."

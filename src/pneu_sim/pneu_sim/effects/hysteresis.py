@@ -22,6 +22,7 @@ class Hysteresis(Effect):
         EffectParameter("width_v", "V, full width", 0.0, 0.0, 2.0, 0.2, 0.008),
     )
     order: ClassVar[int] = 3
+    curved: ClassVar[bool] = True
     next_experiment: ClassVar[str] = (
         "Run a slow triangle with smaller loops inside it, at two rates: hysteresis splits the"
         " rising and falling branches by the same voltage at both rates, a delay by more volts at"

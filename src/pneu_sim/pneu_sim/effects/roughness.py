@@ -19,6 +19,7 @@ class Roughness(Effect):
         EffectParameter("height_m", "m", 0.0, 0.0, 5e-4, 2e-5, 6e-7),
     )
     order: ClassVar[int] = 3
+    curved: ClassVar[bool] = True
     next_experiment: ClassVar[str] = (
         "Blow through at several Reynolds numbers: on a rough wall the friction factor levels off"
         " as the flow grows, a plain friction error keeps its ratio."

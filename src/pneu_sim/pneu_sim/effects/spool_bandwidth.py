@@ -32,6 +32,7 @@ class SpoolBandwidth(Effect):
         EffectParameter("lag_s", "s", 0.0, 0.0, 0.1, 5e-3, 1e-4),
     )
     order: ClassVar[int] = 2
+    curved: ClassVar[bool] = True
     next_experiment: ClassVar[str] = (
         "Sweep a small command sine from 1 to 100 Hz with the tap nearest the valve: a slow spool"
         " loses amplitude as its phase falls, a pure delay keeps it."

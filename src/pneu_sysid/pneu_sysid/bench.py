@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rig and recordings made ready for the search of what is missing: the dear part, done once."""
+
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sim.rig.schema import Rig
+from pneu_sysid.candidates import Project, Sensitivity, residual_matrix, sensitivities
+from pneu_sysid.compare import grid_check
+from pneu_sysid.evidence import blocks_of
+from pneu_sysid.nuisance import nuisance_of
+from pneu_sysid.problem import Problem, make_problem
+from pneu_sysid.records import Recording
+from pneu_sysid.results import Numerics
+from pneu_sysid.sites import all_sites
+from pneu_sysid.standing import Standing, standing_of
+from pneu_sysid.thresholds import Thresholds
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+REFIT_CELLS, SCORE_CELLS = 2.0, 4.0
+"""Candidates are refitted and scored on cells so many times as long: only what they change of the
+prediction counts."""
+
+
+@dataclass
+class Bench:
+    """What stays the same while one effect after another is tried on a rig.
+
+    Attributes:
+        rig: The rig as it was given.
+        problem: The problem, on the rig's own cells.
+        readings: (n_stretches, horizon, n_taps) what the rig predicts, Pa.
+        standing: How it stands to the recordings.
+        known: What each candidate changes of the prediction.
+        project: Takes out of residuals what is uncertain anyway; None where nothing is.
+        blocks: (n_stretches, m) block of time of each reading.
+        thresholds: What decides.
+        numerics: The check of the grid, once it is done.
+    """
+
+    rig: Rig
+    problem: Problem
+    readings: Floats = field(repr=False)
+    standing: Standing
+    known: list[Sensitivity] = field(repr=False)
+    project: Project | None
+    blocks: Ints = field(repr=False)
+    thresholds: Thresholds
+    numerics: "Future[Numerics | None]" = field(repr=False)
+
+    def residual(self, readings: Floats) -> Floats:
+        """(n_stretches, m) residual in noise deviations, without what is uncertain anyway.
+
+        Args:
+            readings: (n_stretches, horizon, n_taps) predictions, Pa.
+        """
+        r = residual_matrix(self.problem, readings)
+        return r if self.project is None else self.project(r)
+
+    def coarser(self, rig: Rig, readings: Floats) -> Problem:
+        """The problem that candidates are refitted on.
+
+        Args:
+            rig: The rig that they are added to.
+            readings: What it predicts on its own cells.
+        """
+        if rig.model != "pde":
+            return self.problem
+        return self.problem.coarsened(rig, REFIT_CELLS, readings)
+
+    @property
+    def held_out(self) -> NDArray[np.bool_]:
+        """(n_stretches,) stretches that verdicts are judged on; all where none is kept aside."""
+        held = self.problem.held_out
+        return held if held.any() else np.ones_like(held)
+
+    @property
+    def readings_held(self) -> int:
+        """Number of readings that verdicts are judged on."""
+        return int(np.isfinite(self.problem.measured[self.held_out]).sum())
+
+    @property
+    def floor(self) -> float:
+        """Squared error that is to be expected on them: what the calibration left, or noise."""
+        count = np.isfinite(self.problem.measured[self.held_out]).sum(axis=(0, 1))
+        return float(np.sum(count * self.standing.floor**2))
+
+
+def bench_of(
+    rig: Rig,
+    recording: Recording | Sequence[Recording],
+    refine: bool,
+    workers: int | None,
+    tell: Callable[[str, float], None],
+    thresholds: Thresholds,
+    without: Collection[str],
+) -> Bench:
+    """Makes a rig and recordings ready for the search.
+
+    Args:
+        rig: The rig.
+        recording: The recording, or several.
+        refine: Check the grid.
+        workers: Threads of a batch.
+        tell: Called with a stage's name and the fraction done.
+        thresholds: What decides.
+        without: Names of effects that are not tried.
+    """
+    tell("base", 0.0)
+    problem = make_problem(rig, recording, workers=workers)
+    readings = problem.predict([rig])[0]
+    # The check of the grid is one long run; it fills what the search leaves of the processor.
+    checking = ThreadPoolExecutor(1)
+    numerics = checking.submit(_grid, problem, rig, readings, refine)
+    checking.shutdown(wait=False)
+    rough = problem
+    if rig.model == "pde":
+        rough = problem.coarsened(rig, SCORE_CELLS, readings)
+    nuisance = nuisance_of(rig, rough)
+    sites = all_sites(rig, without=without)
+    known = sensitivities(rough, rig, sites, thresholds, lambda f: tell("scores", f))
+    return Bench(
+        rig=rig,
+        problem=problem,
+        readings=readings,
+        standing=standing_of(rig, problem, residual_matrix(problem, readings), thresholds),
+        known=known,
+        project=None if nuisance is None else nuisance.without(~problem.held_out),
+        blocks=blocks_of(problem, thresholds.block_s),
+        thresholds=thresholds,
+        numerics=numerics,
+    )
+
+
+def _grid(problem: Problem, rig: Rig, readings: Floats, refine: bool) -> Numerics | None:
+    """Whether the grid is fine enough, where that is asked and there is one."""
+    if not refine or rig.model != "pde":
+        return None
+    compared = {
+        tap: readings[:, :, k]
+        for k, tap in enumerate(problem.taps)
+        if np.isfinite(problem.measured[:, :, k]).any()
+    }
+    return grid_check(problem, rig, compared)

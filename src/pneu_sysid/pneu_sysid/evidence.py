@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much one model explains more than another, and whether that may be chance."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sysid.problem import Problem
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def blocks_of(problem: Problem, block_s: float) -> Ints:
+    """(n_stretches, horizon * n_taps) number of the block of time that each reading is in.
+
+    Errors of a model last; readings of one block are one observation of them.
+
+    Args:
+        problem: The problem.
+        block_s: Length of a block, s.
+    """
+    time = np.nan_to_num(problem.time_s)
+    number = np.floor(time / block_s).astype(np.int64)
+    number += problem.of[:, None, None] * (int(number.max()) + 1)
+    _, index = np.unique(number.reshape(problem.stretches, -1), return_inverse=True)
+    return np.asarray(index.reshape(problem.stretches, -1), dtype=np.int64)
+
+
+def lead(better: Floats, other: Floats, blocks: Ints) -> float:
+    """By how many standard errors one residual is smaller than another.
+
+    The sum of the differences of squares over blocks of time, over the root of the sum of their
+    squares: what such a sum would scatter by if its sign were chance in every block.
+
+    Args:
+        better: (n_stretches, m) residual in noise deviations.
+        other: (n_stretches, m) residual of the other model on the same readings.
+        blocks: (n_stretches, m) block of each reading.
+
+    Returns:
+        The lead; negative where ``other`` is the smaller one, 0 where they agree.
+    """
+    apart = np.bincount(blocks.ravel(), weights=(other**2 - better**2).ravel())
+    scatter = float(np.sqrt(np.sum(apart**2)))
+    return float(apart.sum()) / scatter if scatter > 0.0 else 0.0
+
+
+def share_explained(before: Floats, after: Floats) -> float:
+    """Share of a squared residual that is gone; 0 where there was none.
+
+    Args:
+        before: Residual, any shape.
+        after: Residual of the same shape.
+    """
+    total = float(np.sum(before * before))
+    return 1.0 - float(np.sum(after * after)) / total if total > 0.0 else 0.0
+
+
+def cosine(a: Floats, b: Floats) -> float:
+    """Cosine between two changes of the prediction.
+
+    Args:
+        a: (n_stretches, m).
+        b: (n_stretches, m).
+    """
+    norm = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(np.sum(a * b)) / norm if norm > 0.0 else 0.0

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every number that decides a verdict, with where it comes from.
+
+``make thresholds`` halves and doubles each and shows what becomes of the verdicts.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """What decides a verdict.
+
+    Attributes:
+        significant: A strength below so many of its standard errors is not believed. Three: one in
+            several hundred by chance, and tens of effects and places are tried.
+        share_of_discrepancy: Squared error that an effect must take away, as a share of what the
+            calibration left beyond the noise on its own recording: a part of that another recording
+            shows again, and the best of tens of candidates explains some of it by chance.
+        chance: ... and beside that a share of the noise itself, squared: what is less than that
+            nobody would see in a plot, and no parameter is worth it.
+        worth: ... and at least this share of the squared error there is.
+        explained_alike: A candidate may stand for another in the first look if their changes of the
+            prediction have at least this cosine.
+        contender: Candidates whose score is below this share of the best are not refitted: scores
+            are taken at one strength and on long cells, and are right to some tens of percent.
+        tied: Two candidates are told apart where the better one's lead is more than so many of its
+            standard errors over blocks of time.
+        block_s: Length of those blocks, s: longer than what a model's error lasts.
+        explained: An answer must bring the error down to this multiple of what is left of it
+            anyway (the calibration's rest, or the noise) ...
+        relative: ... or to this share of what it was: effects are known in form, not in every
+            detail of the part that has them.
+        nearest: Where no answer brings it there, the nearest is added only if it explains this
+            share of the squared error.
+        settled: Squared error, as a multiple of what the calibration left, from which on nothing
+            more is looked for.
+        unexplained: Squared error, as a multiple of what the calibration left, from which on it is
+            said that something is missing although nothing in the catalogue explains it: operating
+            points that the calibration never visited cost some of it.
+        apart: A recording whose squared error over what the calibration left is this many times the
+            smallest of all differs from the others.
+        at_noise: Up to this many times the noise a model explains a measurement to the noise.
+        accuracy: An effect in the model is right to this share of what it changes; companions of an
+            effect that explain less than that are not believed.
+        typical: Factor on the strengths at which effects are first tried.
+        most_effects: Effects that are added at most.
+        finalists: Candidates that are refitted at most.
+    """
+
+    significant: float = 3.0
+    share_of_discrepancy: float = 0.3
+    chance: float = 0.03
+    worth: float = 0.08
+    explained_alike: float = 0.95
+    contender: float = 0.35
+    tied: float = 2.0
+    block_s: float = 0.1
+    explained: float = 1.5
+    relative: float = 0.06
+    nearest: float = 0.5
+    settled: float = 1.1
+    unexplained: float = 3.0
+    apart: float = 3.0
+    at_noise: float = 1.2
+    accuracy: float = 0.02
+    typical: float = 1.0
+    most_effects: int = 4
+    finalists: int = 8

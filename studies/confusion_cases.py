@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of rigs drawn at random, each with an effect that the calibrated rig lacks, or none.
+
+The plant has a finer grid, another limiter and another flux than the model, valves with curves,
+delays and limits that no datasheet tells, and each rig is calibrated from its datasheet first. What
+is injected has a place, a position and a strength of its own, none of them the catalogue's typical
+one. An effect that changes no tap by a few times its noise is made stronger until it does.
+"""
+
+import json
+import math
+import pickle
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pneu_sim.effects import registry
+from pneu_sim.effects.base import POSITION, Effect
+from pneu_sim.rig import load_rig, save_rig
+from pneu_sim.rig.schema import AttachedEffect, Rig
+from pneu_sim.simulator import Readings
+from pneu_sysid.fit import fit_rig
+from pneu_sysid.records import Recording
+from studies.calibration_rigs import COMMAND_HZ, Case, draw_case, draw_volts, run_plant, sampled
+
+RIGS = (("line", 11), ("tee", 12), ("two_valves", 13))
+"""Shape and seed of each rig; other seeds than the calibration's study has."""
+SECONDS = 14.0
+HEALTHY = 10
+FELT = 3.0
+"""An injected effect changes its most affected tap by so many times the noise, root mean square."""
+MOST_DOUBLINGS = 5
+COMMANDS = 3
+"""Command sequences that the faulty recordings of a rig share."""
+
+
+@dataclass(frozen=True)
+class Injection:
+    """What is hidden in a recording.
+
+    Attributes:
+        rig: Name of the rig.
+        key: Name of the recording.
+        effect: Name of the effect; empty where there is none.
+        place: Its place.
+        values: Its parameters.
+        felt: By how many times the noise it changes the tap that feels it most.
+    """
+
+    rig: str
+    key: str
+    effect: str = ""
+    place: str = ""
+    values: dict[str, float] = field(default_factory=dict)
+    felt: float = 0.0
+
+    @property
+    def strength(self) -> float:
+        """How strong it is."""
+        return self.values[registry()[self.effect].strength.name]
+
+
+def strengths(effect: Effect, rig: Rig, place: str, rng: np.random.Generator) -> Iterator[float]:
+    """Strengths to try, each twice the one before, within the effect's bounds.
+
+    Args:
+        effect: The effect.
+        rig: The rig.
+        place: Its place.
+        rng: Source of the first, half to twice the typical one, and of its sign.
+    """
+    p = effect.strength
+    low, high = effect.limits(p, rig, place)
+    by = math.exp(rng.uniform(math.log(0.5), math.log(2.0)))
+    if 0.9 < by < 1.1:
+        by = 1.25
+    if low < p.absent - 0.25 * abs(p.typical - p.absent) and rng.random() < 0.5:
+        by = -by
+    last = math.nan
+    for k in range(MOST_DOUBLINGS + 1):
+        # not on the bound itself
+        at = p.absent + by * 2.0**k * (p.typical - p.absent)
+        value = float(np.clip(at, low + 0.02 * (p.absent - low), high - 0.02 * (high - p.absent)))
+        if value != last:
+            yield value
+        last = value
+
+
+def place_of(effect: Effect, rig: Rig, rng: np.random.Generator) -> str | None:
+    """One of the places of an effect; None where it has none.
+
+    Args:
+        effect: The effect.
+        rig: The rig.
+        rng: Source of the choice.
+    """
+    places = effect.places(rig)
+    return str(rng.choice(places)) if places else None
+
+
+def apart(faulty: Readings, healthy: Readings, noise: float) -> float:
+    """How much two runs differ at the tap where they differ most, in noise deviations.
+
+    Args:
+        faulty: One run.
+        healthy: The other.
+        noise: Noise, Pa.
+    """
+    return max(
+        float(np.sqrt(np.mean((faulty.taps[tap] - healthy.taps[tap]) ** 2))) / noise
+        for tap in healthy.taps
+    )
+
+
+def rig_case(shape: str, seed: int, folder: Path) -> tuple[Case, Rig, float, float]:
+    """A rig of the study and its calibration, which is made once.
+
+    Args:
+        shape: Its shape.
+        seed: Its seed.
+        folder: Where calibrations are kept.
+
+    Returns:
+        The case, the calibrated rig, readings per second of its taps, and their noise in Pa.
+    """
+    case = draw_case(shape, seed)
+    file = folder / f"{shape}_{seed}.yaml"
+    if not file.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        save_rig(fit_rig(case.datasheet, case.recordings[0]).rig, file)
+    first = next(iter(case.recordings[0].pressures.values()))
+    noise = float(np.random.default_rng(seed).uniform(150.0, 300.0))
+    return case, load_rig(file), 1.0 / first.period_s, noise
+
+
+def recordings_of(shape: str, seed: int, folder: Path) -> list[tuple[Injection, Path]]:
+    """Makes the recordings of a rig that are not there yet.
+
+    Args:
+        shape: Its shape.
+        seed: Its seed.
+        folder: Where recordings are kept.
+
+    Returns:
+        What each hides, and where it is; `load_recording` reads it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    case = draw_case(shape, seed)
+    plant = case.truth
+    first = next(iter(case.recordings[0].pressures.values()))
+    rate = 1.0 / first.period_s
+    noise = float(np.random.default_rng(seed).uniform(150.0, 300.0))
+    samples = round(SECONDS * COMMAND_HZ)
+    out = []
+    for k in range(HEALTHY):
+        rng = np.random.default_rng([seed, 1, k])
+        key = f"{shape}_{seed}_healthy_{k}"
+        volts = {c: draw_volts(samples, rng) for c in plant.commands}
+        injection = Injection(case.name, key)
+        if not (folder / f"{key}.pkl").exists():
+            recording = sampled(volts, run_plant(plant, volts), rng, rate, noise, key)
+            _keep(folder, injection, recording)
+        out.append((injection, folder / f"{key}.pkl"))
+    shared: dict[int, tuple[dict[str, np.ndarray], Readings]] = {}
+    for number, effect in enumerate(registry().values()):
+        rng = np.random.default_rng([seed, 2, *effect.name.encode()])
+        place = place_of(effect, plant, rng)
+        if place is None:
+            continue
+        key = f"{shape}_{seed}_{effect.name}"
+        told = folder / f"{key}.json"
+        if not told.exists():
+            along = number % COMMANDS
+            if along not in shared:
+                own = np.random.default_rng([seed, 3, along])
+                volts = {c: draw_volts(samples, own) for c in plant.commands}
+                shared[along] = volts, run_plant(plant, volts)
+            volts, healthy = shared[along]
+            values = {q.name: q.typical for q in effect.parameters[1:]}
+            if effect.has_position:
+                values[POSITION] = float(rng.uniform(0.1, 0.9) * plant.pipes[place].length_m)
+            for strength in strengths(effect, plant, place, rng):
+                values[effect.strength.name] = strength
+                attached = AttachedEffect(effect=effect.name, place=place, parameters=values)
+                faulty = run_plant(plant.model_copy(update={"effects": [attached]}), volts)
+                felt = apart(faulty, healthy, noise)
+                if felt >= FELT:
+                    break
+            injection = Injection(case.name, key, effect.name, place, dict(values), felt)
+            _keep(folder, injection, sampled(volts, faulty, rng, rate, noise, key))
+        out.append((Injection(**json.loads(told.read_text())), folder / f"{key}.pkl"))
+    return out
+
+
+def load_recording(path: Path) -> Recording:
+    """A recording that this study has kept.
+
+    Args:
+        path: Its file.
+    """
+    with path.open("rb") as file:
+        recording = pickle.load(file)
+    assert isinstance(recording, Recording)
+    return recording
+
+
+def _keep(folder: Path, injection: Injection, recording: Recording) -> None:
+    part = folder / f"{injection.key}.part"
+    with part.open("wb") as file:
+        pickle.dump(recording, file)
+    part.replace(folder / f"{injection.key}.pkl")
+    (folder / f"{injection.key}.json").write_text(json.dumps(vars(injection), indent=1))
