@@ -103,7 +103,8 @@ def main() -> None:
     for warning in out.fit.warnings:
         console.print(warning)
     console.print("where the fitted model's error is:")
-    for regime in out.compared.models[1].regimes[:4]:
+    regimes = out.compared.models[1].regimes
+    for regime in sorted(regimes, key=lambda r: -(r.times_noise or 0.0))[:4]:
         console.print(f"  {regime.label}: {regime.rmse_pa:.0f} Pa, {100.0 * regime.share:.0f} %")
     console.print(f"grid: {out.compared.numerics.sentence}")
     for recording, found in (

@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from pneu_sim.errors import InputError
 from pneu_sim.files import write_whole
 from pneu_sim.init import init
 from pneu_sim.options import MOST_SEED, Force
 from pneu_sim.outputs import check_output
+from pneu_sim.tables import Column, NamedTable
 
 if TYPE_CHECKING:
     from pneu_sim.rig.schema import Rig
@@ -277,11 +276,9 @@ def _print_table(title: str, columns: tuple[str, ...], rows: Iterable[tuple[str,
     console = Console()
     if not console.is_terminal:
         console = Console(width=PLAIN_WIDTH)
-    table = Table(title=title or None, title_justify="left")
-    for column in columns:
-        table.add_column(escape(column), overflow="fold")
+    table = NamedTable(title, [Column(column) for column in columns])
     for row in rows:
-        table.add_row(*map(escape, row))
+        table.add_row(*row)
     console.print(table)
 
 

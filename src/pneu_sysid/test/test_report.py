@@ -68,7 +68,7 @@ def compare_result(taps: tuple[str, ...] = TAPS, samples: int = 6000) -> dict:
 
     entries = []
     for name, predicted in models.items():
-        residual = {tap: predicted[tap] - true[tap] for tap in taps}
+        residual = {tap: true[tap] - predicted[tap] for tap in taps}
         rmse = {tap: float(np.sqrt(np.nanmean(residual[tap] ** 2))) for tap in taps}
         windows = range(0, samples - samples // 30, samples // 30)
         regimes, per_tap = [], {}
