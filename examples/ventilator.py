@@ -94,7 +94,8 @@ def main() -> None:
     console.print(table)
     fitted = Table(title=f"fitted in {out.fit_s:.1f} s")
     for column in ("parameter", "start", "value", "std. error"):
-        fitted.add_column(column, justify="left" if column == "parameter" else "right")
+        left = column == "parameter"
+        fitted.add_column(column, justify="left" if left else "right", overflow="fold")
     for p, start in zip(out.fit.parameters, out.fit.start, strict=True):
         value = get_parameter(out.fit.rig, p.path)
         error = "-" if p.std_error is None else f"{p.std_error:.2g}"

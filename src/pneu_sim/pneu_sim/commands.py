@@ -9,7 +9,7 @@ import io
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -276,10 +276,17 @@ def _print_table(title: str, columns: tuple[str, ...], rows: Iterable[tuple[str,
     console = Console()
     if not console.is_terminal:
         console = Console(width=PLAIN_WIDTH)
-    table = NamedTable(title, [Column(column) for column in columns])
+    table = NamedTable(title, [Column(column, _kind_of(column)) for column in columns])
     for row in rows:
         table.add_row(*row)
     console.print(table)
+
+
+def _kind_of(column: str) -> Literal["name", "words", "number"]:
+    """What a column of these tables holds; names come before words where there is little room."""
+    if "[" in column or column in ("b", "cells", "typical"):
+        return "number"
+    return "words" if column in ("what", "where", "unit", "kind", "size", "parameters") else "name"
 
 
 def _volumes(rig: "Rig") -> str:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables for the terminal that never cut a name, however narrow the terminal is.
 
-A name that does not fit is folded onto further lines. Where even that leaves too little room the
-columns that matter least are left out, which is said below the table; where there are still too
-many columns of numbers they go into several tables, each with the names again.
+Words are wrapped first, then names are folded onto further lines. Where even that leaves too little
+room the columns that matter least are left out, which is said below the table; where there are
+still too many columns of numbers they go into several tables, each with the names again.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,13 +27,14 @@ class Column:
 
     Attributes:
         heading: Its heading, which may be a name too.
-        kind: Names and words are folded, numbers stay whole and right-aligned.
+        kind: Names are folded where there is too little room, words make room for them, numbers
+            stay whole and right-aligned.
         drop: Columns with the greatest are left out first where there is too little room; one with
             0 never is.
     """
 
     heading: str
-    kind: Literal["name", "number"] = "name"
+    kind: Literal["name", "words", "number"] = "name"
     drop: int = 0
 
 
@@ -71,9 +72,10 @@ class NamedTable:
         """Prints it, as one table or as several."""
         shown, left_out = self._shown(options.max_width)
         parts = self._parts(shown, options.max_width)
-        for k, part in enumerate(parts):
-            title = self.title if k == 0 else ""
-            yield self._table(part, title, options.max_width)
+        if self.title:
+            yield Text(self.title, style="table.title")
+        for part in parts:
+            yield self._table(part, options.max_width)
         if left_out:
             names = ", ".join(self.columns[k].heading for k in left_out)
             yield Text(f"not shown, for want of width: {names}", style="table.caption")
@@ -83,12 +85,22 @@ class NamedTable:
     def _least(self, k: int) -> int:
         """Characters that a column needs."""
         column = self.columns[k]
-        longest = max((cell_len(row[k]) for row in self.rows), default=0)
+        cells = [row[k] for row in self.rows]
+        longest = max((cell_len(cell) for cell in cells), default=0)
+        words = column.heading.split()
+        if column.kind == "words":
+            words += [word for cell in cells for word in cell.split()]
+        # Wrapped between words, or folded where these are long; of names everything is one.
+        word = max((cell_len(word) for word in words), default=0)
         if column.kind == "name":
-            return min(LEAST_NAME, max(longest, cell_len(column.heading)))
-        # A heading is folded between its words, or like any name where these are long.
-        word = max((cell_len(word) for word in column.heading.split()), default=0)
-        return max(longest, min(word, LEAST_NAME), 1)
+            return min(LEAST_NAME, max(longest, word, 1))
+        least = min(LEAST_NAME, max(word, 1))
+        return least if column.kind == "words" else max(longest, least)
+
+    def _whole(self, k: int) -> int:
+        """Characters of the longest that a column holds, its heading included."""
+        cells = [self.columns[k].heading, *(row[k] for row in self.rows)]
+        return max(1, *(cell_len(cell) for cell in cells))
 
     def _needed(self, columns: list[int]) -> int:
         return 1 + sum(self._least(k) + BETWEEN for k in columns)
@@ -105,11 +117,11 @@ class NamedTable:
 
     def _parts(self, shown: list[int], width: int) -> list[list[int]]:
         """The columns of each table: all names in every one, as many numbers as there is room."""
-        names = [k for k in shown if self.columns[k].kind == "name"]
+        names = [k for k in shown if self.columns[k].kind != "number"]
         parts: list[list[int]] = []
         now: list[int] = []
         for k in shown:
-            if self.columns[k].kind == "name":
+            if k in names:
                 continue
             if now and self._needed([*names, *now, k]) > width:
                 parts.append(now)
@@ -120,28 +132,29 @@ class NamedTable:
             return [shown]
         return [[k for k in shown if k in names or k in part] for part in parts]
 
-    def _roomy(self, columns: list[int], width: int) -> bool:
-        """Whether everything fits on lines of its own, headings included."""
-        return 1 + sum(self._whole(k) + BETWEEN for k in columns) <= width
+    def _widths(self, columns: list[int], width: int) -> dict[int, int]:
+        """Characters of each column: the least, and what is left over to names, then to words."""
+        widths = {k: self._least(k) for k in columns}
+        spare = width - self._needed(columns)
+        for kind in ("name", "number", "words"):
+            short = [k for k in columns if self.columns[k].kind == kind]
+            while spare > 0 and (short := [k for k in short if widths[k] < self._whole(k)]):
+                narrowest = min(short, key=lambda k: widths[k])
+                widths[narrowest] += 1
+                spare -= 1
+        return widths
 
-    def _whole(self, k: int) -> int:
-        cells = [self.columns[k].heading, *(row[k] for row in self.rows)]
-        return max(cell_len(cell) for cell in cells)
-
-    def _table(self, columns: list[int], title: str, width: int) -> Table:
-        text = Text(title, style="table.title") if title else None
-        table = Table(title=text, title_justify="left")
-        roomy = self._roomy(columns, width)
+    def _table(self, columns: list[int], width: int) -> Table:
+        table = Table()
+        widths = self._widths(columns, width)
         for k in columns:
             column = self.columns[k]
-            if column.kind == "name":
-                table.add_column(Text(column.heading), overflow="fold")
-            else:
-                # Of a set width, so that rich makes the names narrower instead.
-                fixed = self._whole(k) if roomy else self._least(k)
-                table.add_column(
-                    Text(column.heading), justify="right", overflow="fold", width=fixed
-                )
+            table.add_column(
+                Text(column.heading),
+                justify="right" if column.kind == "number" else "left",
+                overflow="fold",
+                width=widths[k],
+            )
         for i, row in enumerate(self.rows):
             table.add_row(*(Text(row[k]) for k in columns), end_section=i in self._ends)
         return table

@@ -230,7 +230,7 @@ def _fitted_table(title: str, result: "FitResult") -> NamedTable:
             Column("value", "number"),
             Column("std. error", "number"),
             Column("unit"),
-            Column(""),
+            Column("", "words"),
         ],
     )
     points: dict[str, int] = {}
@@ -403,7 +403,7 @@ def diagnosis_table(found: "Diagnosis") -> NamedTable:
         [
             Column("effect"),
             Column("place"),
-            Column("strength"),
+            Column("strength", "words"),
             Column("score", "number", drop=2),
             Column("refit", "number", drop=1),
             Column("held out", "number"),
@@ -496,7 +496,7 @@ def step_table(steps: "list[Step]") -> NamedTable:
     taps = steps[0].held_out_rmse_pa or steps[0].rmse_pa
     numbers = [Column(name, "number") for name in (*taps, "times noise")]
     table = NamedTable(
-        "held-out error per tap, Pa", [Column("added"), Column("strength"), *numbers]
+        "held-out error per tap, Pa", [Column("added"), Column("strength", "words"), *numbers]
     )
     for step in steps:
         errors = step.held_out_rmse_pa or step.rmse_pa

@@ -640,6 +640,7 @@ def compare_table(result: CompareResult) -> RenderableType:
             Column("x noise", "number"),
             Column("share %", "number", drop=1),
         ],
+        "Bias is measured minus model.",
     )
     worst = NamedTable(
         "worst stretches",
@@ -649,7 +650,7 @@ def compare_table(result: CompareResult) -> RenderableType:
             Column("from s", "number"),
             Column("to s", "number"),
             Column("RMSE Pa", "number"),
-            Column("what the valve did"),
+            Column("what the valve did", "words"),
         ],
     )
     for model in result.models:
