@@ -94,7 +94,8 @@ def main() -> None:
     console.print(table)
     fitted = Table(title=f"fitted in {out.fit_s:.1f} s")
     for column in ("parameter", "start", "value", "std. error"):
-        fitted.add_column(column, justify="left" if column == "parameter" else "right")
+        left = column == "parameter"
+        fitted.add_column(column, justify="left" if left else "right", overflow="fold")
     for p, start in zip(out.fit.parameters, out.fit.start, strict=True):
         value = get_parameter(out.fit.rig, p.path)
         error = "-" if p.std_error is None else f"{p.std_error:.2g}"
@@ -103,7 +104,8 @@ def main() -> None:
     for warning in out.fit.warnings:
         console.print(warning)
     console.print("where the fitted model's error is:")
-    for regime in out.compared.models[1].regimes[:4]:
+    regimes = out.compared.models[1].regimes
+    for regime in sorted(regimes, key=lambda r: -(r.times_noise or 0.0))[:4]:
         console.print(f"  {regime.label}: {regime.rmse_pa:.0f} Pa, {100.0 * regime.share:.0f} %")
     console.print(f"grid: {out.compared.numerics.sentence}")
     for recording, found in (

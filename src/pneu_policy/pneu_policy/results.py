@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.markup import escape
-from rich.table import Table
 
 from pneu_policy.metrics import Metrics, Track
 from pneu_sim.documents import read_json
 from pneu_sim.errors import InputError
 from pneu_sim.files import whole, write_whole
+from pneu_sim.tables import Column, NamedTable
 
 VERSION = 1
 LIMIT = "limit"
@@ -222,7 +221,7 @@ def markdown(heads: Sequence[str], body: Iterable[Sequence[str]]) -> str:
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in body)]) + "\n"
 
 
-def rich_table(title: str, heads: Sequence[str], body: Iterable[Sequence[str]]) -> Table:
+def rich_table(title: str, heads: Sequence[str], body: Iterable[Sequence[str]]) -> NamedTable:
     """A table for a terminal.
 
     Args:
@@ -230,11 +229,17 @@ def rich_table(title: str, heads: Sequence[str], body: Iterable[Sequence[str]]) 
         heads: Headings.
         body: Rows.
     """
-    table = Table(title=title, title_justify="left")
-    for head in heads:
-        table.add_column(escape(head))
-    for row in body:
-        table.add_row(*map(escape, row))
+    rows = list(body)
+    worded = [any(c.isalpha() for row in rows for c in row[k]) for k in range(len(heads))]
+    table = NamedTable(
+        title,
+        [
+            Column(head, "name" if words else "number")
+            for head, words in zip(heads, worded, strict=True)
+        ],
+    )
+    for row in rows:
+        table.add_row(*row)
     return table
 
 

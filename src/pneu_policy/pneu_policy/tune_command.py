@@ -192,7 +192,7 @@ def _rows_of(data: Mapping[str, Any], name: str) -> list[tuple[str, str]]:
 
 def _table(title: str, rows: list[tuple[str, str]]) -> Table:
     table = Table(title=title, show_header=False)
-    table.add_column("what")
+    table.add_column("what", overflow="fold")
     table.add_column("value", overflow="fold")
     for what, value in rows:
         table.add_row(escape(what), escape(value))

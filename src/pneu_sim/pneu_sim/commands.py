@@ -9,18 +9,17 @@ import io
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from pneu_sim.errors import InputError
 from pneu_sim.files import write_whole
 from pneu_sim.init import init
 from pneu_sim.options import MOST_SEED, Force
 from pneu_sim.outputs import check_output
+from pneu_sim.tables import Column, NamedTable
 
 if TYPE_CHECKING:
     from pneu_sim.rig.schema import Rig
@@ -277,12 +276,17 @@ def _print_table(title: str, columns: tuple[str, ...], rows: Iterable[tuple[str,
     console = Console()
     if not console.is_terminal:
         console = Console(width=PLAIN_WIDTH)
-    table = Table(title=title or None, title_justify="left")
-    for column in columns:
-        table.add_column(escape(column), overflow="fold")
+    table = NamedTable(title, [Column(column, _kind_of(column)) for column in columns])
     for row in rows:
-        table.add_row(*map(escape, row))
+        table.add_row(*row)
     console.print(table)
+
+
+def _kind_of(column: str) -> Literal["name", "words", "number"]:
+    """What a column of these tables holds; names come before words where there is little room."""
+    if "[" in column or column in ("b", "cells", "typical"):
+        return "number"
+    return "words" if column in ("what", "where", "unit", "kind", "size", "parameters") else "name"
 
 
 def _volumes(rig: "Rig") -> str:

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from pneu_sim.errors import InputError
 from pneu_sim.options import Force
 from pneu_sim.outputs import check_folder, check_output
 from pneu_sim.progress import progress
+from pneu_sim.tables import Column, NamedTable
 
 if TYPE_CHECKING:
     from pneu_sim.rig.schema import FitParameter, Rig
@@ -123,12 +123,10 @@ def _titled(recordings: "Sequence[Recording]") -> str:
     return ", ".join(recording.name for recording in recordings)
 
 
-def _error_table(title: str, columns: dict[str, dict[str, float | None]]) -> Table:
+def _error_table(title: str, columns: dict[str, dict[str, float | None]]) -> NamedTable:
     """Errors per tap side by side, Pa."""
-    table = Table(title=title)
-    table.add_column("tap")
-    for name in columns:
-        table.add_column(f"{name}, Pa", justify="right")
+    numbers = [Column(f"{name}, Pa", "number") for name in columns]
+    table = NamedTable(title, [Column("tap"), *numbers])
     taps = list(next(iter(columns.values())))
     for tap in taps:
         cells = []
@@ -171,7 +169,7 @@ def fit(
         check_output(path, force)
     start = _load(rig, effects)
     if show_list:
-        console.print(_parameter_list(parameters_of(start)))
+        console.print(_parameter_list(start, parameters_of(start)))
         return
     recordings = _read(bag, start, console)
     begun = time.monotonic()
@@ -209,23 +207,32 @@ def fit(
     _finish(result, json_path, report, console, fit=result.as_dict())
 
 
-def _parameter_list(parameters: "list[FitParameter]") -> Table:
+def _parameter_list(rig: "Rig", parameters: "list[FitParameter]") -> NamedTable:
     """What would be fitted, as a table."""
-    table = Table(title=f"{len(parameters)} parameters")
-    table.add_column("path")
-    for column in ("lower", "upper", "uncertain by"):
-        table.add_column(column, justify="right")
+    from pneu_sysid.parameter_units import unit_of_parameter
+
+    numbers = [Column(name, "number") for name in ("lower", "upper", "uncertain by")]
+    table = NamedTable(f"{len(parameters)} parameters", [Column("path"), *numbers, Column("unit")])
     for p in parameters:
         std = "all of it" if p.std is None else f"{p.std:.3g}"
-        table.add_row(p.path, f"{p.lower:.4g}", f"{p.upper:.4g}", std)
+        unit = unit_of_parameter(rig, p.path) or "-"
+        table.add_row(p.path, f"{p.lower:.4g}", f"{p.upper:.4g}", std, unit)
     return table
 
 
-def _fitted_table(title: str, result: "FitResult") -> Table:
+def _fitted_table(title: str, result: "FitResult") -> NamedTable:
     """Fitted parameters that the recordings show; the points of curves are in JSON and report."""
-    table = Table(title=title)
-    for column in ("parameter", "start", "value", "std. error", ""):
-        table.add_column(column, justify="left" if column in ("parameter", "") else "right")
+    table = NamedTable(
+        title,
+        [
+            Column("parameter"),
+            Column("start", "number", drop=1),
+            Column("value", "number"),
+            Column("std. error", "number"),
+            Column("unit"),
+            Column("", "words"),
+        ],
+    )
     points: dict[str, int] = {}
     for p in result.parameters:
         curve, _, point = p.path.rpartition(".fraction.")
@@ -237,9 +244,9 @@ def _fitted_table(title: str, result: "FitResult") -> Table:
         note = "held" if p.held else "at bound" if p.at_bound else ""
         error = "-" if p.std_error is None else f"{p.std_error:.2g}"
         name = p.path if p.recording is None else f"{p.path} in {p.recording}"
-        table.add_row(name, f"{p.start:.5g}", f"{p.value:.5g}", error, note)
+        table.add_row(name, f"{p.start:.5g}", f"{p.value:.5g}", error, p.unit or "-", note)
     for curve, count in points.items():
-        table.add_row(f"{curve}: {count} points", "", "in the file", "", "")
+        table.add_row(f"{curve}: {count} points", "", "in the file", "", "", "")
     return table
 
 
@@ -259,6 +266,7 @@ def fit_result(
         outcome: The outcome.
         seconds: How long it took, s.
     """
+    from pneu_sysid.parameter_units import unit_of_parameter
     from pneu_sysid.results import (
         Correlation,
         FitResult,
@@ -276,6 +284,7 @@ def fit_result(
             value=outcome.values[k],
             start=outcome.start[k],
             std_error=p.std_error,
+            unit=unit_of_parameter(outcome.rig, p.path),
             at_bound=bool(known.at_bound[k]),
             identified=bool(known.seen[k]),
             held=bool(known.held[k]),
@@ -383,18 +392,25 @@ def diagnose(
     _finish(result, json_path, report, console, diagnose=result.as_dict())
 
 
-def diagnosis_table(found: "Diagnosis") -> Table:
+def diagnosis_table(found: "Diagnosis") -> NamedTable:
     """The ranking as a table.
 
     Args:
         found: The diagnosis.
     """
-    table = Table(title="candidates, best first")
-    for column in ("effect", "place"):
-        table.add_column(column)
-    for column in ("strength", "score", "refit", "held out", "t"):
-        table.add_column(column, justify="right")
-    table.add_column("not to be told from")
+    table = NamedTable(
+        "candidates, best first",
+        [
+            Column("effect"),
+            Column("place"),
+            Column("strength", "words"),
+            Column("score", "number", drop=2),
+            Column("refit", "number", drop=1),
+            Column("held out", "number"),
+            Column("t", "number"),
+            Column("not to be told from"),
+        ],
+    )
     for k, r in enumerate(found.finalists):
         strength = f"{r.strength:.3g} ± {r.std_error:.1g} {r.site.effect.strength.unit}"
         table.add_row(
@@ -471,18 +487,17 @@ def add(
         )
 
 
-def step_table(steps: "list[Step]") -> Table:
+def step_table(steps: "list[Step]") -> NamedTable:
     """Errors after every added effect, held-out part, as a table.
 
     Args:
         steps: The steps.
     """
-    table = Table(title="held-out error per tap, Pa")
-    table.add_column("added")
-    table.add_column("strength")
-    for tap in steps[0].held_out_rmse_pa or steps[0].rmse_pa:
-        table.add_column(tap, justify="right")
-    table.add_column("times noise", justify="right")
+    taps = steps[0].held_out_rmse_pa or steps[0].rmse_pa
+    numbers = [Column(name, "number") for name in (*taps, "times noise")]
+    table = NamedTable(
+        "held-out error per tap, Pa", [Column("added"), Column("strength", "words"), *numbers]
+    )
     for step in steps:
         errors = step.held_out_rmse_pa or step.rmse_pa
         name = "nothing yet" if step.added is None else f"{step.added}@{step.place}"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Comparing models with a recording: how large the error is at each tap, and where it arises.
 
-Errors are measured minus predicted, the sign of what the rig has and the model lacks.
+Errors are measured minus model, the sign of what the rig has and the model lacks.
 """
 
 import os
@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Group, RenderableType
-from rich.table import Table
 
 from pneu_sim import sensors
 from pneu_sim.errors import InputError
@@ -20,6 +19,7 @@ from pneu_sim.rig import rig_in_recording
 from pneu_sim.rig.build import build, plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import TICK_S
+from pneu_sim.tables import Column, NamedTable
 from pneu_sim.tally import Tally
 from pneu_sysid.problem import Problem, Rollouts, make_problem
 from pneu_sysid.records import Recording
@@ -33,6 +33,7 @@ from pneu_sysid.results import (
     Stretch,
     TapError,
     pneu_version,
+    regime_order,
 )
 from pneu_sysid.shift import Shift, estimate_shift
 
@@ -239,7 +240,7 @@ def _model_error(
         model=kind,
         file=file,
         taps=taps,
-        regimes=sorted(regimes, key=lambda r: -(r.times_noise or 0.0)),
+        regimes=sorted(regimes, key=lambda r: (regime_order(r.model_dump()), names.index(r.tap))),
         rmse_pa=_rms(np.array([t.rmse_pa for t in taps.values()], dtype=float)),
         times_noise=_rms(np.array([t.times_noise for t in taps.values()], dtype=float)),
         by_recording={
@@ -322,25 +323,31 @@ def _regimes(
             Regime(
                 kind=samples.kind,
                 label=samples.label,
+                of=samples.of,
+                lower=samples.lower,
+                upper=samples.upper,
                 tap=tap,
                 rmse_pa=rmse,
+                bias_pa=float(np.mean(error[mask])),
                 share=part / total,
                 samples=n,
                 times_noise=rmse / noise,
             )
         )
     time = problem.time_s[:, :, problem.taps.index(tap)]
-    for label, share, white in frequency_shares(error, time):
-        rmse = float(np.sqrt(share * total / count))
+    for band in frequency_shares(error, time):
+        rmse = float(np.sqrt(band.share * total / count))
         out.append(
             Regime(
                 kind="frequency",
-                label=label,
+                label=band.label,
+                lower=band.low_hz,
+                upper=band.high_hz,
                 tap=tap,
                 rmse_pa=rmse,
-                share=share,
+                share=band.share,
                 samples=count,
-                times_noise=rmse / (noise * float(np.sqrt(white))),
+                times_noise=rmse / (noise * float(np.sqrt(band.white))),
             )
         )
     return out
@@ -575,6 +582,10 @@ _KINDS = {
 }
 
 
+SIGNS = "Bias is measured minus model; a positive lag: the measurement comes later."
+"""What the signs in the tables mean."""
+
+
 def _figure(value: float | None, form: str = ".0f", factor: float = 1.0) -> str:
     return "-" if value is None else f"{factor * value:{form}}"
 
@@ -588,11 +599,21 @@ def compare_table(result: CompareResult) -> RenderableType:
     Returns:
         Errors per tap and model, where each model fails, the worst stretches, and the grid.
     """
-    errors = Table(title=f"{result.recording}: measured against predicted", title_justify="left")
-    for heading in ("model", "tap"):
-        errors.add_column(heading)
-    for heading in ("RMSE Pa", "atm", "% of std", "x noise", "bias Pa", "lag ms", "gain"):
-        errors.add_column(heading, justify="right")
+    errors = NamedTable(
+        f"{result.recording}: measured minus model",
+        [
+            Column("model"),
+            Column("tap"),
+            Column("RMSE Pa", "number"),
+            Column("atm", "number", drop=3),
+            Column("% of std", "number", drop=2),
+            Column("x noise", "number"),
+            Column("bias Pa", "number"),
+            Column("lag ms", "number"),
+            Column("gain", "number", drop=1),
+        ],
+        SIGNS,
+    )
     for model in result.models:
         for i, (tap, e) in enumerate(model.taps.items()):
             errors.add_row(
@@ -607,27 +628,44 @@ def compare_table(result: CompareResult) -> RenderableType:
                 _figure(e.gain, ".3f"),
                 end_section=i == len(model.taps) - 1,
             )
-    where = Table(title="where it fails: the worst regime of each kind", title_justify="left")
-    for heading in ("model", "by", "regime", "tap"):
-        where.add_column(heading)
-    for heading in ("RMSE Pa", "x noise", "share %"):
-        where.add_column(heading, justify="right")
-    worst = Table(title="worst stretches", title_justify="left")
-    for heading in ("model", "tap"):
-        worst.add_column(heading)
-    for heading in ("from s", "to s", "RMSE Pa"):
-        worst.add_column(heading, justify="right")
-    worst.add_column("what the valve did")
+    where = NamedTable(
+        "where it fails: the worst regime of each kind",
+        [
+            Column("model"),
+            Column("by", drop=2),
+            Column("regime"),
+            Column("tap"),
+            Column("RMSE Pa", "number"),
+            Column("bias Pa", "number"),
+            Column("x noise", "number"),
+            Column("share %", "number", drop=1),
+        ],
+        "Bias is measured minus model.",
+    )
+    worst = NamedTable(
+        "worst stretches",
+        [
+            Column("model"),
+            Column("tap"),
+            Column("from s", "number"),
+            Column("to s", "number"),
+            Column("RMSE Pa", "number"),
+            Column("what the valve did", "words"),
+        ],
+    )
     for model in result.models:
-        kinds = dict.fromkeys(r.kind for r in model.regimes)
+        kinds = [kind for kind in _KINDS if any(r.kind == kind for r in model.regimes)]
         for i, kind in enumerate(kinds):
-            r = next(r for r in model.regimes if r.kind == kind)
+            r = max(
+                (r for r in model.regimes if r.kind == kind), key=lambda r: r.times_noise or 0.0
+            )
             where.add_row(
                 model.name if i == 0 else "",
                 _KINDS[kind],
                 r.label,
                 r.tap,
                 f"{r.rmse_pa:.0f}",
+                _figure(r.bias_pa, "+.0f"),
                 _figure(r.times_noise, ".2f"),
                 f"{100.0 * r.share:.0f}",
                 end_section=i == len(kinds) - 1,
@@ -648,17 +686,16 @@ def compare_table(result: CompareResult) -> RenderableType:
     return Group(*parts, result.numerics.sentence)
 
 
-def recordings_table(result: CompareResult) -> Table:
+def recordings_table(result: CompareResult) -> NamedTable:
     """How every model does on every recording, in multiples of the noise.
 
     Args:
         result: The comparison.
     """
-    title = "every model on every recording, x noise over all taps"
-    table = Table(title=title, title_justify="left", min_width=len(title))
-    table.add_column("recording")
-    for model in result.models:
-        table.add_column(model.name, justify="right")
+    table = NamedTable(
+        "every model on every recording, x noise over all taps",
+        [Column("recording"), *(Column(model.name, "number") for model in result.models)],
+    )
     for name in result.recordings:
         table.add_row(name, *(_figure(m.by_recording.get(name), ".2f") for m in result.models))
     return table

@@ -45,11 +45,17 @@ class SampleSet:
         kind: By what the readings are divided.
         label: Which part this is.
         mask: (n_stretches, horizon) which readings belong to it.
+        of: The valve, port or recording that it is about; empty where it is the tap itself.
+        lower: Where the part begins on its scale (opening, Pa, s); None where it has none.
+        upper: Where it ends.
     """
 
     kind: RegimeKind
     label: str
     mask: Mask
+    of: str = ""
+    lower: float | None = None
+    upper: float | None = None
 
 
 @dataclass(frozen=True)
@@ -60,11 +66,17 @@ class Ticks:
         kind: By what the ticks are divided.
         label: Which part this is.
         masks: Per recording (ticks,) which belong to it.
+        of: The valve, port or recording that it is about; empty where it is the tap itself.
+        lower: Where the part begins on its scale (opening, Pa, s); None where it has none.
+        upper: Where it ends.
     """
 
     kind: RegimeKind
     label: str
     masks: list[Mask]
+    of: str = ""
+    lower: float | None = None
+    upper: float | None = None
 
 
 @dataclass(frozen=True)
@@ -122,7 +134,10 @@ def operation(problem: Problem, rig: Rig, out: Rollouts) -> Operation:
     several = len(problem.recordings) > 1
     by_tap = {}
     for t, tap in enumerate(problem.taps):
-        sets = [SampleSet(s.kind, s.label, at(s.masks, t)) for s in directions[tap] + common]
+        sets = [
+            SampleSet(s.kind, s.label, at(s.masks, t), s.of, s.lower, s.upper)
+            for s in directions[tap] + common
+        ]
         sets += _level_sets(problem, t)
         time = problem.time_s[:, :, t]
         for c, recording in enumerate(problem.recordings):
@@ -131,9 +146,10 @@ def operation(problem: Problem, rig: Rig, out: Rollouts) -> Operation:
             for b in range(int(last // BLOCK_S) + 1):
                 with np.errstate(invalid="ignore"):
                     mask = mine & (time >= b * BLOCK_S) & (time < (b + 1) * BLOCK_S)
-                label = f"{b * BLOCK_S:g}-{(b + 1) * BLOCK_S:g} s"
-                label += f" of {recording.name}" if several else ""
-                sets.append(SampleSet("time", label, mask))
+                begin, end = b * BLOCK_S, (b + 1) * BLOCK_S
+                label = f"{begin:g}-{end:g} s" + (f" of {recording.name}" if several else "")
+                of = recording.name if several else ""
+                sets.append(SampleSet("time", label, mask, of, begin, end))
         by_tap[tap] = [s for s in sets if s.mask.sum() >= FEWEST]
     return Operation(problem.time_s, by_tap)
 
@@ -154,6 +170,7 @@ def _opening_sets(plan: Plan, opened: list[Floats]) -> list[Ticks]:
     """By how far each valve's widest port is open."""
     sets = []
     labels = [label for _, label in OPENING_EDGES] + [WIDE_OPEN]
+    edges = [0.0, *(edge for edge, _ in OPENING_EDGES), None]
     for v, name in enumerate(plan.valves):
         ports = [q for q, of in enumerate(plan.port_valve) if of == v]
         bands = [
@@ -161,7 +178,8 @@ def _opening_sets(plan: Plan, opened: list[Floats]) -> list[Ticks]:
             for o in opened
         ]
         for k, label in enumerate(labels):
-            sets.append(Ticks("opening", f"{name} {label}", [band == k for band in bands]))
+            masks = [band == k for band in bands]
+            sets.append(Ticks("opening", f"{name} {label}", masks, name, edges[k], edges[k + 1]))
     return sets
 
 
@@ -196,8 +214,8 @@ def _choked_sets(
             is_open = opened[c][:, q] > SHUT
             choked.append(is_open & is_choked)
             free.append(is_open & ~is_choked)
-        sets.append(Ticks("choked", f"{name} choked", choked))
-        sets.append(Ticks("choked", f"{name} not choked", free))
+        sets.append(Ticks("choked", f"{name} choked", choked, name))
+        sets.append(Ticks("choked", f"{name} not choked", free, name))
     return sets
 
 
@@ -265,12 +283,33 @@ def _level_sets(problem: Problem, tap: int) -> list[SampleSet]:
             "pressure",
             f"{edges[k] / 1e5:.2f}-{edges[k + 1] / 1e5:.2f} bar",
             good & (band == k),
+            lower=float(edges[k]),
+            upper=float(edges[k + 1]),
         )
         for k in range(LEVELS)
     ]
 
 
-def frequency_shares(error: Floats, time_s: Floats) -> list[tuple[str, float, float]]:
+@dataclass(frozen=True)
+class Band:
+    """The part of an error in one band of frequencies.
+
+    Attributes:
+        label: Which band it is.
+        low_hz: Where it begins.
+        high_hz: Where it ends; None for the last.
+        share: Its share of the squared error.
+        white: The share that white noise would have.
+    """
+
+    label: str
+    low_hz: float
+    high_hz: float | None
+    share: float
+    white: float
+
+
+def frequency_shares(error: Floats, time_s: Floats) -> list[Band]:
     """Shares of a squared error by frequency, from windowed transforms at the readings' own times.
 
     Args:
@@ -278,8 +317,7 @@ def frequency_shares(error: Floats, time_s: Floats) -> list[tuple[str, float, fl
         time_s: (n_stretches, horizon) times, s.
 
     Returns:
-        Label, share of the squared error, and share that white noise would have, for each band up
-        to half the mean sampling rate.
+        The bands up to half the mean sampling rate, lowest first.
     """
     rows = [
         (e[good], t[good])
@@ -314,7 +352,8 @@ def frequency_shares(error: Floats, time_s: Floats) -> list[tuple[str, float, fl
         else:
             label = f"{low:g}-{high:g} Hz" if not last else f"above {low:g} Hz"
         share = float(np.sum((weight * power)[inside])) / total if total > 0.0 else 0.0
-        out.append((label, share, float(weight[inside].sum() / weight.sum())))
+        white = float(weight[inside].sum() / weight.sum())
+        out.append(Band(label, low, None if last else high, share, white))
     return out
 
 

@@ -8,6 +8,8 @@ not finite becomes null on the way in, so no file ever holds NaN.
 import importlib.metadata
 import json
 import math
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -80,7 +82,7 @@ class TapError(Result):
     """Error of one model at one tap, over all stretches."""
 
     rmse_pa: Perhaps
-    """Root mean square of measured minus predicted."""
+    """Root mean square of measured minus model."""
     rmse_atm: Perhaps
     """The same in standard atmospheres."""
     normalised: Perhaps
@@ -88,7 +90,7 @@ class TapError(Result):
     times_noise: Perhaps
     """RMSE over the noise floor; 1 is as good as the sensor can tell."""
     bias_pa: Perhaps
-    """Mean of measured minus predicted: positive where the sensor reads above the model."""
+    """Mean of measured minus model: positive where the sensor reads above the model."""
     lag_s: Perhaps
     """How much later the measurement is than the model, by the time shift that fits best; null
     where the pressure moves too little to tell."""
@@ -103,6 +105,43 @@ class TapError(Result):
 RegimeKind = Literal["flow_direction", "choked", "opening", "pressure", "frequency", "time"]
 
 
+def regime_order(regime: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Where a regime stands among others: by kind, part of the rig, and then by its numbers.
+
+    Args:
+        regime: A `Regime` as plain data. One without bounds, of an older file, stands where the
+            numbers in its label put it.
+    """
+    kinds = get_args(RegimeKind)
+    kind, label = str(regime.get("kind")), str(regime.get("label"))
+    lower, upper = regime.get("lower"), regime.get("upper")
+    if lower is None and upper is None and kind in ("pressure", "frequency", "time"):
+        numbers = [float(n) for n in re.findall(r"(?<![\d.])-?\d+(?:\.\d+)?", label)]
+        if label.startswith("below"):
+            numbers = [-math.inf, *numbers]
+        lower, upper = (*numbers, None, None)[:2]
+    return (
+        kinds.index(kind) if kind in kinds else len(kinds),
+        kind,
+        by_number(str(regime.get("of") or "")),
+        -math.inf if lower is None else lower,
+        math.inf if upper is None else upper,
+        by_number(label),
+    )
+
+
+def by_number(name: str) -> tuple[tuple[str, int], ...]:
+    """Sort key of a name in which numbers count as such: valve_2 before valve_10.
+
+    Args:
+        name: The name.
+    """
+    parts = [*re.split(r"(\d+)", name), ""]
+    return tuple(
+        (text, int(digits or 0)) for text, digits in zip(parts[::2], parts[1::2], strict=True)
+    )
+
+
 class Regime(Result):
     """Error of one model at one tap in one regime of operation."""
 
@@ -110,10 +149,18 @@ class Regime(Result):
     """By what the samples are divided."""
     label: str
     """Which part of them this is."""
+    of: str = ""
+    """The valve, port or recording that it is about; empty where it is the tap itself."""
+    lower: Perhaps = None
+    """Where the part begins on its scale: opening as a fraction, Pa, Hz or s; null without one."""
+    upper: Perhaps = None
+    """Where it ends; null where it is open to that side."""
     tap: str
     """The tap."""
     rmse_pa: Number
     """Error within the regime (for a frequency band, of the error's part in that band)."""
+    bias_pa: Perhaps = None
+    """Mean of measured minus model within it; null for a frequency band."""
     share: Number
     """Share of the tap's squared error."""
     samples: int
@@ -134,7 +181,8 @@ class ModelError(Result):
     taps: dict[str, TapError]
     """Error per tap."""
     regimes: list[Regime]
-    """Where it fails, worst first by ``times_noise``."""
+    """Where it fails: by kind, then by valve, port or recording, then as their numbers rise, and
+    then by tap."""
     rmse_pa: Perhaps
     """Root mean square over the taps."""
     times_noise: Perhaps
@@ -207,7 +255,8 @@ class FittedParameter(Result):
     std_error: Perhaps
     """Standard error; null where the recording does not constrain it."""
     unit: str | None = None
-    """Unit."""
+    """Unit of the value, its start, error and bounds, powers after a caret (``m^3/(s Pa)``); ``1``
+    for a pure number, null where it is not known."""
     at_bound: bool
     """Whether the estimate sits on a bound."""
     identified: bool
@@ -462,8 +511,8 @@ a key's name (`rmse_pa`). There is never NaN or infinity: where a number does no
 stands. `schema` names the command and the version; the version rises when a key changes its meaning
 or goes away, not when one is added.
 
-A sign is that of what the rig has and the model lacks: `bias_pa` is positive where the sensor reads
-above the model, `lag_s` where the measurement is later than the model.
+Residuals are measured minus model everywhere: `bias_pa` is positive where the sensor reads above
+the model. `lag_s` is positive where the measurement is later than the model.
 
 This page is made by `python -m pneu_sysid.results`.
 """

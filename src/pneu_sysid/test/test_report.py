@@ -68,7 +68,7 @@ def compare_result(taps: tuple[str, ...] = TAPS, samples: int = 6000) -> dict:
 
     entries = []
     for name, predicted in models.items():
-        residual = {tap: predicted[tap] - true[tap] for tap in taps}
+        residual = {tap: true[tap] - predicted[tap] for tap in taps}
         rmse = {tap: float(np.sqrt(np.nanmean(residual[tap] ** 2))) for tap in taps}
         windows = range(0, samples - samples // 30, samples // 30)
         regimes, per_tap = [], {}
@@ -465,6 +465,21 @@ def test_nulls_and_non_finite_numbers_make_a_page(tmp_path):
     text = Page(write_report(tmp_path / "nan.html", **results)).text
     assert "nan" not in text.lower().split()
     assert "inf" not in text.lower().split()
+
+
+def test_regimes_stand_in_the_order_of_their_numbers(tmp_path):
+    compare = compare_result(samples=600)
+    wanted = ["below 2 Hz", "2-10 Hz", "10-50 Hz", "above 50 Hz"]
+    for model in compare["models"]:
+        parts = [
+            {"kind": "frequency", "label": label, "tap": tap, "rmse_pa": 300.0, "share": 0.25}
+            for label in (wanted[2], wanted[0], wanted[3], wanted[1])  # worst first, say
+            for tap in TAPS
+        ]
+        model["regimes"] = parts + [r for r in model["regimes"] if r["kind"] != "frequency"]
+    text = Page(write_report(tmp_path / "r.html", compare=compare)).text
+    places = [text.index(label) for label in wanted]
+    assert places == sorted(places)
 
 
 @pytest.mark.parametrize("samples", [600, 60_000])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import random
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,14 @@ import numpy as np
 import pytest
 
 from pneu_sim.errors import InputError
-from pneu_sysid.results import RESULTS, LearnResult, json_markdown, result_of, write_json
+from pneu_sysid.results import (
+    RESULTS,
+    LearnResult,
+    json_markdown,
+    regime_order,
+    result_of,
+    write_json,
+)
 
 HOUSE = Path(__file__).parents[3]
 
@@ -85,3 +93,31 @@ def test_an_unwritable_place_is_named(tmp_path: Path) -> None:
 def test_schemas_are_named_after_their_command() -> None:
     names = [kind.model_fields["schema_"].default for kind in RESULTS]
     assert names == ["pneu.compare/1", "pneu.fit/1", "pneu.diagnose/1", "pneu.learn/1"]
+
+
+def test_regimes_are_sorted_as_numbers() -> None:
+    def regime(kind: str, label: str, **more: Any) -> dict[str, Any]:
+        return {"kind": kind, "label": label, **more}
+
+    wanted = [
+        regime("choked", "v2.supply choked", of="v2.supply"),
+        regime("choked", "v10.supply choked", of="v10.supply"),
+        regime("opening", "v2 closed", of="v2", lower=0.0, upper=0.005),
+        regime("opening", "v2 below 10 % open", of="v2", lower=0.005, upper=0.1),
+        regime("opening", "v2 10-50 % open", of="v2", lower=0.1, upper=0.5),
+        regime("opening", "v2 above 50 % open", of="v2", lower=0.5, upper=None),
+        regime("opening", "v10 closed", of="v10", lower=0.0, upper=0.005),
+        regime("pressure", "1.95-6.10 bar", lower=1.95e5, upper=6.1e5),
+        regime("pressure", "6.10-10.25 bar", lower=6.1e5, upper=1.025e6),
+        regime("pressure", "10.25-14.40 bar", lower=1.025e6, upper=1.44e6),
+        # Without bounds, as in results of older versions.
+        regime("frequency", "below 2 Hz"),
+        regime("frequency", "2 to 10 Hz"),
+        regime("frequency", "10-50 Hz"),
+        regime("frequency", "above 50 Hz"),
+        regime("time", "2-3 s", lower=2.0, upper=3.0),
+        regime("time", "10-11 s", lower=10.0, upper=11.0),
+    ]
+    mixed = random.Random(3).sample(wanted, len(wanted))
+    assert mixed != wanted
+    assert sorted(mixed, key=regime_order) == wanted

@@ -72,6 +72,12 @@ def test_a_leak_shows_and_its_level_grows_with_it():
     assert windows[-1].worst_tap in ("valve_out", "middle", "end")
 
 
+def test_a_model_that_reads_too_low_leaves_a_positive_residual():
+    windows = run(Watch(leaking(3e-8), RATE_HZ), RIG, 3.0)
+    newest = [w.residual_pa[list(RIG.taps).index("end")] for w in windows]
+    assert max(newest) > 1000.0 and min(newest) > -4.0 * NOISE_PA
+
+
 def test_time_set_back_makes_a_new_start():
     watch = Watch(RIG, RATE_HZ)
     assert run(watch, RIG, 1.0, begin_s=100.0)

@@ -8,12 +8,12 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from pneu_sim.errors import InputError
 from pneu_sim.files import write_whole
 from pneu_sim.options import MOST_SEED
 from pneu_sim.progress import progress
+from pneu_sim.tables import Column, NamedTable
 
 
 def register_train(app: typer.Typer) -> None:
@@ -107,7 +107,7 @@ def train(
     for outcome in failed:
         trace = outcome.run.folder.with_name(f"{outcome.run.name}.error.txt")
         write_whole(trace, outcome.trace or "")
-        console.print(f"[red]{escape(outcome.run.name)}: {escape(outcome.fault or '')}[/red]")
+        console.print(f"[red]{outcome.run.name}: {escape(outcome.fault or '')}[/red]")
     if failed:
         raise typer.Exit(1)
 
@@ -159,18 +159,27 @@ def _draw(outcomes: list[Any], out: Path) -> None:
         learning_curves(groups, out / "curves.png")
 
 
-def _table(outcomes: list[Any]) -> Table:
-    table = Table("run", "iterations", "samples", "score", "error, atm", "0.1 atm after", "time")
+def _table(outcomes: list[Any]) -> NamedTable:
+    numbers = {"iterations": 1, "samples": 2, "score": 0, "error, atm": 0}
+    table = NamedTable(
+        "",
+        [
+            Column("run"),
+            *(Column(head, "number", drop) for head, drop in numbers.items()),
+            Column("0.1 atm after"),
+            Column("time", "number"),
+        ],
+    )
     for outcome in outcomes:
         if outcome.history is None:
-            table.add_row(escape(outcome.run.name), "failed", "", "", "", "", "")
+            table.add_row(outcome.run.name, "failed", "", "", "", "", "")
             continue
         last, first = outcome.history.rows[-1], outcome.history.time_to(0.1)
         reached = "-" if first is None else f"{first['wall_s']:.0f} s, {first['samples']} samples"
         # A run that is asked for fewer iterations than it has done may end between evaluations.
         judged = last["eval_score"] is not None
         table.add_row(
-            escape(outcome.run.name),
+            outcome.run.name,
             str(last["iteration"]),
             str(last["samples"]),
             f"{last['eval_score']:.2f}" if judged else "-",

@@ -61,7 +61,7 @@ def render(contents: Contents) -> Markup:
     hint = (
         "Drag across a stretch to zoom in, Shift-drag to move, click and turn the wheel to zoom, "
         "double-click for all. Keys: ← → + − 0. Each stretch of the recording is one band; below "
-        "each tap is model minus measured, with twice the sensor noise shaded."
+        "each tap is measured minus model, with twice the sensor noise shaded."
     )
     thinning = f" Every {stride}th sample is shown." if stride > 1 else ""
     figure = tag(
@@ -72,7 +72,7 @@ def render(contents: Contents) -> Markup:
             _switches("Lines", "model", list(models)),
             tag(
                 "fieldset",
-                tag("legend", "Residuals"),
+                tag("legend", "Residuals, measured minus model"),
                 tag(
                     "label",
                     tag("input", type="checkbox", checked=True, data_kind="logarithmic"),

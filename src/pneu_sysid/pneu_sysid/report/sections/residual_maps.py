@@ -7,6 +7,7 @@ from pneu_sysid.report import quantities as q
 from pneu_sysid.report.contents import Contents, Result, ratio, unique
 from pneu_sysid.report.heat import heat_class, legend
 from pneu_sysid.report.markup import Markup, join, tag
+from pneu_sysid.results import regime_order
 
 ID = "residual-maps"
 TITLE = "Where the models fail"
@@ -66,9 +67,12 @@ def _regime_map(models: list[Result], contents: Contents) -> Markup:
     for kind in kinds:
         title = tag("th", _NAMES.get(kind, kind), colspan=99, scope="rowgroup")
         rows.append(tag("tr", title, class_="kind"))
-        # Regimes come worst first; on the map they stand in the order of their own scale.
-        for label in sorted((label for k, label in cells if k == kind), key=_natural):
-            found = cells[kind, label]
+        found_of = {label: found for (k, label), found in cells.items() if k == kind}
+        # In the order of their own scale, whatever the order in the result.
+        for label in sorted(
+            found_of, key=lambda one: regime_order(next(iter(found_of[one].values())))
+        ):
+            found = found_of[label]
             row = [
                 (
                     [_cell(found.get((index, tap)), floors.get(tap)) for tap in taps],
@@ -105,27 +109,14 @@ def _tap_header(tap: str) -> Markup:
 def _cell(regime: Result | None, floor: float | None) -> Markup:
     regime = regime or {}
     times = ratio(regime.get("rmse_pa"), floor)
+    rmse, bias = regime.get("rmse_pa"), regime.get("bias_pa")
+    mean = "" if bias is None else f"mean {q.kilopascal(bias, signed=True)} kPa, "
     hint = (
-        f"{q.kilopascal(regime.get('rmse_pa'))} kPa RMS, {q.percent(regime.get('share'))} of the "
-        f"tap's squared error, {regime.get('samples') or 'no'} samples"
+        f"measured minus model: {q.kilopascal(rmse)} kPa RMS, {mean}"
+        f"{q.percent(regime.get('share'))} of the tap's squared error, "
+        f"{regime.get('samples') or 'no'} samples"
     )
     return tag("td", q.number(times, 2), class_=f"num cell {heat_class(times)}", title=hint)
-
-
-def _natural(label: str) -> tuple[float, str]:
-    """Sort key: the first number in the label, then the label itself."""
-    digits = ""
-    for character in label:
-        if character.isdigit() or (character in ".-" and (digits or character == "-")):
-            digits += character
-        elif digits.strip(".-"):
-            break
-        else:
-            digits = ""
-    try:
-        return float(digits), label
-    except ValueError:
-        return float("-inf"), label
 
 
 def _time_map(model: Result, contents: Contents) -> Markup:
@@ -147,8 +138,8 @@ def _time_map(model: Result, contents: Contents) -> Markup:
     step = (_MAP_WIDTH - left) / _BINS
     drawn = []
     for row, tap in enumerate(taps):
-        residual = np.asarray(predicted[tap], dtype=np.float64) - np.asarray(
-            measured[tap], dtype=np.float64
+        residual = np.asarray(measured[tap], dtype=np.float64) - np.asarray(
+            predicted[tap], dtype=np.float64
         )
         use = np.isfinite(residual)
         samples = np.bincount(bins[use], minlength=_BINS)

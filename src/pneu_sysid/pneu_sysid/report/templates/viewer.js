@@ -72,7 +72,7 @@ function readSeries(packed) {
     measured,
     models: packed.models.map((model) => {
       const taps = model.taps.map((text) => unpack(text, Float32Array));
-      const residual = taps.map((values, k) => values.map((value, i) => value - measured[k][i]));
+      const residual = taps.map((values, k) => values.map((value, i) => measured[k][i] - value));
       return { name: model.name, taps, residual };
     }),
     commands: packed.commands.map((command) => ({
@@ -254,7 +254,7 @@ function createViewer(figure, packed) {
       }
     }
     const label = panel.kind === "tap" ? `${data.taps[panel.tap]}, kPa`
-      : panel.kind === "residual" ? "model − measured, kPa" : `${panel.command.name}, V`;
+      : panel.kind === "residual" ? "measured − model, kPa" : `${panel.command.name}, V`;
     pen.textAlign = "left";
     pen.font = (panel.kind === "residual" ? "11px " : "600 12px ") + fontFamily;
     pen.fillStyle = panel.kind === "residual" ? colours.soft : colours.ink;

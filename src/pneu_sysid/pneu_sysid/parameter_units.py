@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The unit of a number of a rig, told by its path: the file has it in the key's name."""
+
+from pneu_sim.effects.registry import registry
+from pneu_sim.rig.schema import Rig
+
+PURE = frozenset({
+        "cfl", "critical_ratio", "damping", "discharge", "exponent", "fraction", "gain",
+        "heat_kappa", "heat_turbulent", "heat_unsteady", "inlet_head", "inlet_loss", "integral",
+        "jet_loss", "k", "laminar", "laminar_ratio", "laminar_widening", "leakage", "loss_from",
+        "loss_to", "nusselt", "onset_reynolds", "turbulent", "turbulent_fade", "unsteady",
+    })  # fmt: skip
+"""Numbers without a unit."""
+SUFFIXES = (
+    ("_m3_s_pa", "m^3/(s Pa)"),
+    ("_m3_per_pa", "m^3/Pa"),
+    ("_pa_s_per_kg", "Pa s/kg"),
+    ("_pa_s_m", "Pa s/m"),
+    ("_w_per_k", "W/K"),
+    ("_per_pa", "1/Pa"),
+    ("_v_s2", "V/s^2"),
+    ("_v_s", "V/s"),
+    ("_m_s", "m/s"),
+    ("_m3", "m^3"),
+    ("_m2", "m^2"),
+    ("_hz", "Hz"),
+    ("_pa", "Pa"),
+    ("_k", "K"),
+    ("_m", "m"),
+    ("_s", "s"),
+    ("_v", "V"),
+)
+"""Ends of names and the units they stand for; the longer first, which end in the shorter."""
+
+
+def unit_of_parameter(rig: Rig, path: str) -> str | None:
+    """The unit of a number of a rig.
+
+    Args:
+        rig: The rig.
+        path: Dotted path, in which ``*`` may stand for any part.
+
+    Returns:
+        The unit, powers after a caret; ``1`` for a pure number, None for what is not known.
+    """
+    parts = path.split(".")
+    if len(parts) == 4 and (parts[0], parts[2]) == ("effects", "parameters"):
+        return _of_effect(rig, parts[1], parts[3])
+    named = [part for part in parts if not part.isdigit()]
+    return unit_of_name(named[-1]) if named else None
+
+
+def unit_of_name(name: str) -> str | None:
+    """The unit of what has a name: that of its end.
+
+    Args:
+        name: The last part of a path that is no place in a list.
+    """
+    if name in PURE:
+        return "1"
+    return next((unit for end, unit in SUFFIXES if name.endswith(end)), None)
+
+
+def _of_effect(rig: Rig, place: str, name: str) -> str | None:
+    """The unit that the catalogue has for a parameter of an attached effect."""
+    if not place.isdigit() or int(place) >= len(rig.effects):
+        return unit_of_name(name)
+    effect = registry().get(rig.effects[int(place)].effect)
+    known = () if effect is None else effect.parameters
+    return next((p.unit for p in known if p.name == name), unit_of_name(name))
