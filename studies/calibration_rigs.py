@@ -38,12 +38,16 @@ class Case:
         truth: What it is, as far as a rig file can say it, on the plant's own grid.
         datasheet: What is known of it.
         recordings: Two: to calibrate on, and to be kept aside.
+        rate_hz: Readings of each tap per second.
+        noise_pa: Standard deviation of their noise.
     """
 
     name: str
     truth: Rig
     datasheet: Rig
     recordings: list[Recording]
+    rate_hz: float
+    noise_pa: float
 
 
 def draw_case(shape: str, seed: int, seconds: float = 14.0) -> Case:
@@ -66,7 +70,7 @@ def draw_case(shape: str, seed: int, seconds: float = 14.0) -> Case:
     recordings = [
         record(plant, rng, rate, noise, seconds, f"{shape}_{seed}_{k + 1}") for k in range(2)
     ]
-    return Case(f"{shape}_{seed}", plant, datasheet, recordings)
+    return Case(f"{shape}_{seed}", plant, datasheet, recordings, rate, noise)
 
 
 def _curve(rng: np.random.Generator) -> list[float]:

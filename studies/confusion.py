@@ -1,196 +1,343 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every effect of the catalogue injected into a synthetic recording and diagnosed, as a matrix.
+"""Every effect of the catalogue hidden in recordings of calibrated rigs, and what is learned.
 
-The recordings come from the simulator on a finer grid than the diagnosis uses, with sensor noise
-and quantisation, along seeded random valve commands. Results are appended to ``out/confusion.json``
-as they come, so an interrupted run goes on; ``docs/confusion.md`` shows them.
+Three rigs of different shape are drawn at random and calibrated from their datasheets. Each effect
+is injected once on each, healthy recordings beside them; with ``--without`` each effect is taken out
+of the catalogue before its own recording is looked at. What was found is kept by a digest of code
+and settings, so that an interrupted run goes on, and ``docs/confusion.md`` shows one version only.
 """
 
 import argparse
 import json
 import sys
 import time
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 
-from pneu_sim.effects import registry
 from pneu_sim.effects.base import POSITION
-from pneu_sim.rig import load_rig
-from pneu_sim.rig.schema import AttachedEffect, Rig
-from pneu_sim.run import add_noise, run_rig
-from pneu_sysid.diagnose import diagnose
-from pneu_sysid.records import Recording, even_recording
-from studies.digest import sources_digest
+from pneu_sim.rig.schema import Rig
+from pneu_sysid.learn import Learned, learn
+from pneu_sysid.thresholds import Thresholds
+from studies.confusion_cases import (
+    FELT,
+    RIGS,
+    SECONDS,
+    Injection,
+    calibrated,
+    load_recording,
+    recordings_of,
+)
+from studies.digest import digest_of, sources_digest
 
 ROOT = Path(__file__).resolve().parent.parent
-RATE_HZ = 500.0
-NOISE_PA = 250.0
-STRENGTHS = (1.0, 2.0)
-"""Injected strengths, as multiples of each effect's typical one."""
-HEALTHY = 10
-"""Recordings with nothing injected, per seed."""
+STORE = ROOT / "out" / "confusion"
+STRENGTH_WITHIN = 0.2
+PLACE_WITHIN = 0.1
+"""Of the length of its pipe, or 10 cm if that is more."""
 
 
-def commands(seconds: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Valve volts: held random steps, large ones at first, then small ones around null."""
-    volts = np.empty(round(seconds * RATE_HZ))
-    at = 0
-    while at < volts.size:
-        hold = int(rng.uniform(0.02, 0.2) * RATE_HZ)
-        spread = 5.0 if at < 0.4 * volts.size else 1.2
-        volts[at : at + hold] = np.clip(5.0 + rng.uniform(-spread, spread), 0.0, 10.0)
-        at += hold
-    return volts
+@dataclass
+class Found:
+    """What was learned from one recording.
+
+    Attributes:
+        injection: What is hidden in it.
+        verdict: The verdict.
+        steps: Effect, place, position, strength and its standard error of all that was added.
+        alike: What it was not told apart from.
+        before: Times the noise on what was kept aside, before.
+        after: The same after.
+        seconds: How long it took, s.
+        length_m: Length of the pipe that it is on, m; 0 where that has no meaning.
+    """
+
+    injection: Injection
+    verdict: str
+    steps: list[dict[str, Any]]
+    alike: list[str]
+    before: float
+    after: float
+    seconds: float
+    length_m: float = 0.0
+    note: str = field(default="")
+
+    @property
+    def healthy(self) -> bool:
+        """Whether nothing is hidden in it."""
+        return not self.injection.effect
+
+    @property
+    def felt(self) -> bool:
+        """Whether what is hidden changes the readings enough to be found."""
+        return self.injection.felt >= FELT
+
+    @property
+    def named(self) -> bool:
+        """Whether the hidden effect comes first."""
+        return bool(self.steps) and self.steps[0]["effect"] == self.injection.effect
+
+    @property
+    def tied(self) -> bool:
+        """Whether it comes first, or is said not to be told from what does."""
+        return self.named or (
+            bool(self.steps) and any(a.split("@")[0] == self.injection.effect for a in self.alike)
+        )
+
+    @property
+    def at(self) -> dict[str, Any] | None:
+        """The step that names the hidden effect."""
+        return next((s for s in self.steps if s["effect"] == self.injection.effect), None)
+
+    @property
+    def placed(self) -> bool:
+        """Whether the hidden effect was found where it is."""
+        step = self.at
+        if step is None or step["place"] != self.injection.place:
+            return False
+        true = self.injection.values.get(POSITION)
+        if true is None or step["position_m"] is None:
+            return True
+        return abs(step["position_m"] - true) <= max(0.1, PLACE_WITHIN * self.length_m)
+
+    @property
+    def strength_error(self) -> float | None:
+        """Relative error of its strength."""
+        step = self.at
+        return None if step is None else step["strength"] / self.injection.strength - 1.0
+
+    @property
+    def superfluous(self) -> int:
+        """Effects that were added besides."""
+        return sum(s["effect"] != self.injection.effect for s in self.steps)
 
 
-def synthetic(rig: Rig, seconds: float, seed: int, name: str) -> Recording:
-    """A recording of a rig on a grid of half the cell length, with noise."""
-    rng = np.random.default_rng(seed)
-    finer = rig.model_copy(
-        update={"grid": rig.grid.model_copy(update={"dx_m": 0.5 * rig.grid.dx_m})}
+def found_of(injection: Injection, rig: Rig, learned: Learned, seconds: float) -> Found:
+    """What was learned, in short.
+
+    Args:
+        injection: What is hidden.
+        rig: The calibrated rig.
+        learned: What was learned.
+        seconds: How long it took, s.
+    """
+    steps = []
+    for step, effect in zip(learned.steps[1:], learned.rig.effects, strict=True):
+        steps.append(
+            {
+                "effect": step.added,
+                "place": effect.place,
+                "position_m": effect.parameters.get(POSITION),
+                "strength": step.strength,
+                "std_error": step.std_error,
+            }
+        )
+    pipe = rig.pipes.get(injection.place)
+    return Found(
+        injection,
+        learned.verdict,
+        steps,
+        learned.alike,
+        learned.steps[0].held_out_times_noise or 0.0,
+        learned.steps[-1].held_out_times_noise or 0.0,
+        seconds,
+        pipe.length_m if pipe is not None else 0.0,
     )
-    volts = commands(seconds, rng)
-    taps = add_noise(rig, run_rig(finer, {"voltage": volts}, 1.0 / RATE_HZ), rng, NOISE_PA)
-    size = len(next(iter(taps.values())))
-    return even_recording(name, np.arange(size) / RATE_HZ, {"voltage": volts[:size]}, taps)
 
 
-def cases(rig: Rig, seeds: int) -> list[tuple[str, str, dict[str, float], float, int]]:
-    """(effect, place, values, multiple, seed) of every injection, healthy ones first."""
-    out: list[tuple[str, str, dict[str, float], float, int]] = [
-        ("none", "", {}, 0.0, 100 + s) for s in range(HEALTHY * seeds)
-    ]
-    for effect in registry().values():
-        places = effect.places(rig)
-        if not places:
-            continue
-        # the part on which the effect is felt most: the longest pipe, the tap at its end
-        longest = max(rig.pipes, key=lambda n: rig.pipes[n].length_m)
-        place = longest if longest in places else "end" if "end" in places else places[0]
-        for multiple in STRENGTHS:
-            p = effect.strength
-            low, high = effect.limits(p, rig, place)
-            strength = float(np.clip(p.absent + multiple * (p.typical - p.absent), low, high))
-            values = {q.name: q.typical for q in effect.parameters[1:]}
-            values[p.name] = strength
-            if effect.has_position:
-                values[POSITION] = 0.6 * rig.pipes[place].length_m
-            for s in range(seeds):
-                out.append((effect.name, place, values, multiple, 1000 + s))
-    return out
+class Store:
+    """What was found, one file for one version of code and settings.
+
+    Args:
+        key: What tells versions apart.
+    """
+
+    def __init__(self, key: str) -> None:
+        STORE.mkdir(parents=True, exist_ok=True)
+        self._file = STORE / f"found_{key}.json"
+        self.cases: dict[str, Found] = {}
+        if self._file.exists():
+            for name, data in json.loads(self._file.read_text()).items():
+                injection = Injection(**data.pop("injection"))
+                self.cases[name] = Found(injection, **data)
+
+    def add(self, name: str, found: Found) -> None:
+        """Keeps a case; the file is whole at any time.
+
+        Args:
+            name: Name of the case.
+            found: What was found.
+        """
+        self.cases[name] = found
+        part = self._file.with_suffix(".part")
+        part.write_text(json.dumps({k: asdict(v) for k, v in self.cases.items()}, indent=1))
+        part.replace(self._file)
+
+
+def key_of(thresholds: Thresholds) -> str:
+    """Digest of code and settings.
+
+    Args:
+        thresholds: What decides.
+    """
+    own = digest_of(ROOT / "studies" / f"{n}.py" for n in ("confusion_cases", "calibration_rigs"))
+    settings = "" if thresholds == Thresholds() else f"_{abs(hash(repr(thresholds))):x}"
+    return f"{sources_digest()}_{own}{settings}"
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the study; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--seconds", type=float, default=6.0)
+    parser.add_argument("--only", nargs="*", help="names of effects; 'none' for healthy ones")
+    parser.add_argument("--rigs", nargs="*", help="shapes", default=[shape for shape, _ in RIGS])
+    parser.add_argument("--without", action="store_true", help="each taken out of the catalogue")
     parser.add_argument("--budget-s", type=float, default=float("inf"))
     options = parser.parse_args(arguments)
-    console = Console(width=140)
-    rig = load_rig(ROOT / "rigs" / "rig_a_fitted.yaml")
-    # The recordings below come from this very model: its calibration is exact there.
-    rig = rig.model_copy(
-        update={
-            "calibration": rig.calibration.model_copy(
-                update={"rmse_pa": dict.fromkeys(rig.taps, NOISE_PA)}
-            )
-            if rig.calibration
-            else None
-        }
-    )
-    store = ROOT / "out" / "confusion.json"
-    store.parent.mkdir(exist_ok=True)
-    made_from = sources_digest()
-    kept = json.loads(store.read_text()) if store.exists() else {}
-    # What other sources found does not belong on the same page.
-    done = kept["cases"] if kept.get("sources") == made_from else {}
-    planned = cases(rig, options.seeds)
-    total = len(planned)
-    started = time.monotonic()
-    for name, place, values, multiple, seed in planned:
-        key = f"{name}@{place} x{multiple:g} #{seed}"
-        if key in done:
+    console = Console(width=170)
+    key = key_of(Thresholds())
+    store = Store(key)
+    simulator = digest_of(sorted((ROOT / "src" / "pneu_sim" / "pneu_sim").rglob("*.py")))
+    begun = time.monotonic()
+    total = 0
+    for shape, seed in RIGS:
+        if shape not in options.rigs:
             continue
-        if time.monotonic() - started > options.budget_s:
-            console.print("time is up; run again to go on")
-            break
-        faulty = rig
-        if name != "none":
-            attached = AttachedEffect(effect=name, place=place, parameters=values)
-            faulty = rig.model_copy(update={"effects": [*rig.effects, attached]})
-        found = diagnose(rig, synthetic(faulty, options.seconds, seed, key), refine=False)
-        top = found.finalists[0] if found.finalists else None
-        named = found.verdict in ("effect", "ambiguous") and top is not None
-        done[key] = {
-            "injected": name,
-            "place": place,
-            "multiple": multiple,
-            "verdict": found.verdict,
-            "named": top.site.effect.name if named and top else None,
-            "named_place": top.site.place if named and top else None,
-            "alike": [a.split("@")[0] for a in found.alike(0)] if named else [],
-            "strength": top.strength if named and top else None,
-            "true_strength": values.get(registry()[name].strength.name) if name != "none" else None,
-            "excess": found.excess,
-        }
-        part = store.with_suffix(".part")
-        part.write_text(json.dumps({"sources": made_from, "cases": done}, indent=1))
-        part.replace(store)
-        console.print(key, "->", done[key]["verdict"], done[key]["named"], done[key]["alike"])
-    (ROOT / "docs" / "confusion.md").write_text(page(done, total), encoding="utf-8")
-    console.print(page(done, total))
+        rig = calibrated(shape, seed, STORE / f"rigs_{key}")
+        for injection, path in recordings_of(shape, seed, STORE / f"recordings_{simulator}"):
+            if options.only and (injection.effect or "none") not in options.only:
+                continue
+            for without in (False, True) if options.without and injection.effect else (False,):
+                total += 1
+                name = injection.key + (" without it" if without else "")
+                if name in store.cases:
+                    continue
+                if time.monotonic() - begun > options.budget_s:
+                    continue
+                started = time.monotonic()
+                learned = learn(
+                    rig, load_recording(path), without=[injection.effect] if without else []
+                )
+                found = found_of(injection, rig, learned, time.monotonic() - started)
+                store.add(name, found)
+                console.print(line_of(name, found), soft_wrap=True)
+    text = page(store.cases, total)
+    console.print(text)
+    if len(options.rigs) == len(RIGS) and not options.only:
+        (ROOT / "docs" / "confusion.md").write_text(text, encoding="utf-8")
     return 0
 
 
-def page(done: dict[str, dict], total: int) -> str:  # type: ignore[type-arg]
-    """The results as a page: matrix by effect, recall, precision, false alarms."""
-    healthy = [r for r in done.values() if r["injected"] == "none"]
-    faulty = [r for r in done.values() if r["injected"] != "none"]
-    # An effect too weak to leave a mark in the recording is not one that could be found.
-    felt = [r for r in faulty if r["excess"] > 1.1]
-    exact = [r for r in felt if r["named"] == r["injected"]]
-    tied = [r for r in felt if r["named"] == r["injected"] or r["injected"] in r["alike"]]
-    named = [r for r in faulty if r["named"]]
-    right = [r for r in named if r["named"] == r["injected"] or r["injected"] in r["alike"]]
-    alarms = [r for r in healthy if r["verdict"] != "nothing_missing"]
+def line_of(name: str, found: Found) -> str:
+    """A case as a line of the table.
 
-    def share(a: list, b: list) -> str:  # type: ignore[type-arg]
-        return f"{len(a)} of {len(b)}" + (f" ({100 * len(a) / len(b):.0f} %)" if b else "")
+    Args:
+        name: Its name.
+        found: What was found.
+    """
+    hidden = found.injection
+    true = "" if found.healthy else f"{hidden.strength:.3g}"
+    at = hidden.values.get(POSITION)
+    place = hidden.place + (f":{at:.2f}" if at is not None else "")
+    steps = " + ".join(
+        f"{s['effect']}@{s['place']}"
+        + (f":{s['position_m']:.2f}" if s["position_m"] is not None else "")
+        + f" {s['strength']:.3g}"
+        for s in found.steps
+    )
+    error = found.strength_error
+    return (
+        f"| {name} | {place} {true} | {hidden.felt:.1f} | {found.before:.2f} -> {found.after:.2f} |"
+        f" {found.verdict} | {steps} | {', '.join(found.alike)} |"
+        f" {'' if error is None else f'{100 * error:+.0f} %'} | {mark_of(name, found)} |"
+    )
 
+
+def mark_of(name: str, found: Found) -> str:
+    """What is wrong with what was found; empty where nothing is.
+
+    Args:
+        name: Name of the case.
+        found: What was found.
+    """
+    if name.endswith("without it"):
+        sure = found.verdict == "effect" and bool(found.steps)
+        return "SURE OF ANOTHER" if sure else ""
+    if found.healthy:
+        return "ACCUSED" if found.steps or found.verdict != "nothing_missing" else ""
+    if not found.felt:
+        return "not felt"
+    wrong = []
+    if not found.tied:
+        wrong.append("OTHER" if found.steps else "MISSED")
+    elif found.at is not None:
+        if not found.placed:
+            wrong.append("PLACE")
+        if abs(found.strength_error or 0.0) > STRENGTH_WITHIN:
+            wrong.append("STRENGTH")
+    if found.superfluous and found.named:
+        wrong.append("SUPERFLUOUS")
+    return " ".join(wrong)
+
+
+def share(part: int, whole: int) -> str:
+    """``a of b (c %)``.
+
+    Args:
+        part: How many.
+        whole: Of how many.
+    """
+    return f"{part} of {whole}" + (f" ({100 * part / whole:.0f} %)" if whole else "")
+
+
+def page(cases: dict[str, Found], planned: int) -> str:
+    """The results as a page.
+
+    Args:
+        cases: What was found, by name.
+        planned: How many there are to be.
+    """
+    taken_out = {k: f for k, f in cases.items() if k.endswith("without it")}
+    whole = {k: f for k, f in cases.items() if k not in taken_out}
+    healthy = [f for f in whole.values() if f.healthy]
+    felt = [f for f in whole.values() if not f.healthy and f.felt]
+    tied = [f for f in felt if f.tied]
+    located = [f for f in tied if f.at is not None]
+    right = [f for f in located if abs(f.strength_error or 0.0) <= STRENGTH_WITHIN]
+    marks = {"superfluous": sum(bool(f.superfluous) for f in tied if f.named)}
+    accused = sum(bool(mark_of(k, f)) for k, f in whole.items() if f.healthy)
+    sure = sum(bool(mark_of(k, f)) for k, f in taken_out.items() if f.felt)
     lines = [
         "# Confusion matrix",
         "",
-        "Made by `make confusion`: every effect of the catalogue injected into a synthetic"
-        " recording of rig A, at its typical strength and at twice that, and diagnosed. A recording"
-        " whose residual stays within 10 % of the noise does not show its effect and is not counted"
-        " in the recall.",
+        "Made by `make confusion`: rigs of three shapes, drawn at random and calibrated from their"
+        f" datasheets; every effect of the catalogue hidden in a recording of {SECONDS:g} s of each,"
+        " from a plant of finer cells and other numerics, at a place, a position and a strength of"
+        f" its own. An effect that changes no tap by {FELT:g} times the noise, even at the strongest"
+        " tried, is not counted.",
         f"Made from the sources {sources_digest()}.",
         "",
-        f"* injections and healthy recordings run: {len(done)} of {total}"
-        + ("" if len(done) == total else " (run again to go on)"),
-        f"* recall, first name: {share(exact, felt)}",
-        f"* recall, named or declared inseparable from the name: {share(tied, felt)}",
-        f"* precision of the names given: {share(right, named)}",
-        f"* false alarms on healthy recordings: {share(alarms, healthy)}",
-        "",
-        "| injected | times typical | residual over floor | verdict | named | alike |"
-        " strength error |",
-        "|---|---|---|---|---|---|---|",
+        f"* run: {len(cases)} of {planned}" + ("" if len(cases) == planned else " (not all)"),
+        f"* first, or said not to be told from what is first: {share(len(tied), len(felt))},"
+        f" first {share(sum(f.named for f in felt), len(felt))}",
+        f"* place right, of those: {share(sum(f.placed for f in located), len(located))}",
+        f"* strength within {100 * STRENGTH_WITHIN:.0f} %: {share(len(right), len(located))}",
+        f"* with something superfluous: {share(marks['superfluous'], len(felt))}",
+        f"* healthy recordings accused: {share(accused, len(healthy))}",
     ]
-    for r in done.values():
-        error = ""
-        if r["named"] == r["injected"] and r["true_strength"]:
-            error = f"{100 * (r['strength'] / r['true_strength'] - 1):+.0f} %"
+    if taken_out:
+        counted = sum(f.felt for f in taken_out.values())
         lines.append(
-            f"| {r['injected']} {r['place']} | {r['multiple']:g} | {r['excess']:.2f} |"
-            f" {r['verdict']} | {r['named'] or ''}"
-            f" {('@' + r['named_place']) if r['named_place'] else ''}"
-            f" | {', '.join(r['alike'])} | {error} |"
+            f"* taken out of the catalogue, another named for sure: {share(sure, counted)}"
         )
+    lines += [
+        "",
+        "| recording | hidden | felt, x noise | kept aside, x noise | verdict | found | not told"
+        " from | strength | wrong |",
+        "|---" * 9 + "|",
+        *(line_of(k, f) for k, f in cases.items()),
+    ]
     return "\n".join(lines) + "\n"
 
 

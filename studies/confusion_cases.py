@@ -23,7 +23,7 @@ from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.simulator import Readings
 from pneu_sysid.fit import fit_rig
 from pneu_sysid.records import Recording
-from studies.calibration_rigs import COMMAND_HZ, Case, draw_case, draw_volts, run_plant, sampled
+from studies.calibration_rigs import COMMAND_HZ, draw_case, draw_volts, run_plant, sampled
 
 RIGS = (("line", 11), ("tee", 12), ("two_valves", 13))
 """Shape and seed of each rig; other seeds than the calibration's study has."""
@@ -114,25 +114,20 @@ def apart(faulty: Readings, healthy: Readings, noise: float) -> float:
     )
 
 
-def rig_case(shape: str, seed: int, folder: Path) -> tuple[Case, Rig, float, float]:
-    """A rig of the study and its calibration, which is made once.
+def calibrated(shape: str, seed: int, folder: Path) -> Rig:
+    """The calibration of a rig of the study, which is made once.
 
     Args:
         shape: Its shape.
         seed: Its seed.
         folder: Where calibrations are kept.
-
-    Returns:
-        The case, the calibrated rig, readings per second of its taps, and their noise in Pa.
     """
-    case = draw_case(shape, seed)
     file = folder / f"{shape}_{seed}.yaml"
     if not file.exists():
+        case = draw_case(shape, seed)
         folder.mkdir(parents=True, exist_ok=True)
         save_rig(fit_rig(case.datasheet, case.recordings[0]).rig, file)
-    first = next(iter(case.recordings[0].pressures.values()))
-    noise = float(np.random.default_rng(seed).uniform(150.0, 300.0))
-    return case, load_rig(file), 1.0 / first.period_s, noise
+    return load_rig(file)
 
 
 def recordings_of(shape: str, seed: int, folder: Path) -> list[tuple[Injection, Path]]:
@@ -148,10 +143,7 @@ def recordings_of(shape: str, seed: int, folder: Path) -> list[tuple[Injection, 
     """
     folder.mkdir(parents=True, exist_ok=True)
     case = draw_case(shape, seed)
-    plant = case.truth
-    first = next(iter(case.recordings[0].pressures.values()))
-    rate = 1.0 / first.period_s
-    noise = float(np.random.default_rng(seed).uniform(150.0, 300.0))
+    plant, rate, noise = case.truth, case.rate_hz, case.noise_pa
     samples = round(SECONDS * COMMAND_HZ)
     out = []
     for k in range(HEALTHY):

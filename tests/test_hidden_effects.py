@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studies.confusion import NOISE_PA, synthetic
+from studies.synthetic import NOISE_PA, synthetic
 
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig

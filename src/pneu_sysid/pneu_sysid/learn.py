@@ -46,6 +46,7 @@ class Learned:
         verdict: As `diagnose.Diagnosis`, over the whole loop.
         sentence: In words.
         rigs: Rig after each step, the base first.
+        alike: What this recording cannot tell from what was added.
     """
 
     rig: Rig
@@ -54,6 +55,7 @@ class Learned:
     verdict: Verdict
     sentence: str
     rigs: list[Rig] = field(default_factory=list)
+    alike: list[str] = field(default_factory=list)
 
 
 def _errors(
@@ -410,6 +412,7 @@ def _conclude(state: Learned, bench: Bench, given: int, start: float, ambiguous:
         parts.append(f"{effect.title} at {step.place}, {strength}")
     before, after = state.steps[0], state.steps[-1]
     state.verdict = "ambiguous" if ambiguous else "effect"
+    state.alike = ambiguous
     state.sentence = (
         f"Missing: {' and '.join(parts)}; with that the held-out error falls from"
         f" {before.held_out_times_noise:.2f} to {after.held_out_times_noise:.2f} times the noise"
