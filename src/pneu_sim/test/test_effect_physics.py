@@ -7,6 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pneu_sim import layout as L
+from pneu_sim.effects import registry
+from pneu_sim.errors import InputError
 from pneu_sim.gas import AIR
 from pneu_sim.rig import Rig, load_rig
 from pneu_sim.rig.build import build, plan_grid
@@ -124,6 +127,59 @@ def test_slow_spool_lags_a_ramp_by_the_lag(rig: Rig) -> None:
         plain, lagging = (openings(build(r), {"voltage": ramp}, DT_S)[:, FILL] for r in (rig, slow))
         behind = np.mean((plain - lagging)[-100 * KNOTS_PER_SAMPLE :])
         assert behind / (2.0 / 5.0) == pytest.approx(6e-3, rel=1e-3)
+
+
+def test_limited_spool_takes_time_in_proportion_to_its_step(rig: Rig) -> None:
+    rig.valves["valve"].spool.bandwidth_hz = None
+    rig.valves["valve"].spool.max_speed_v_s = 500.0
+    slow = attach(rig, "spool_speed_limit", "valve", slowness_s_v=6e-3)
+    for volts in (1.0, 4.0):
+        x = openings(build(slow), {"voltage": hold(5.0 + volts, 0.1)}, DT_S)[:, FILL]
+        # On a ramp from 0 to the step the integral of what is missing is half its time.
+        missing = 1.0 - x[10 * KNOTS_PER_SAMPLE :] / x[-1]
+        late = float(np.trapezoid(missing)) * DT_S / KNOTS_PER_SAMPLE
+        assert 2.0 * late == pytest.approx((6e-3 + 1.0 / 500.0) * volts, rel=0.05)
+
+
+def test_limited_acceleration_takes_time_with_the_root_of_the_step(rig: Rig) -> None:
+    spool = rig.valves["valve"].spool
+    spool.bandwidth_hz, spool.max_acceleration_v_s2 = 2000.0, 4e4
+    weak = attach(rig, "spool_acceleration_limit", "valve", inertia_s2_v=7.5e-5)
+    for volts in (1.0, 4.0):
+        # Until the command is met a spool far slower than its bandwidth falls freely: s = a t^2/2.
+        command = np.append(5.0, np.full(20, 5.0 + volts))
+        x = openings(build(weak), {"voltage": command}, DT_S, 64)[:, FILL]
+        half = int(np.argmax(x > 0.5 * volts / 5.0)) / 64 * DT_S - DT_S
+        assert half == pytest.approx(math.sqrt(volts / 1e4), rel=0.02)
+
+
+@pytest.mark.parametrize(("own_s", "extra_s"), [(None, 0.008), (0.006, 0.008), (0.006, -0.004)])
+def test_closing_delay_shifts_what_closes_and_not_what_opens(
+    rig: Rig, own_s: float | None, extra_s: float
+) -> None:
+    spool = rig.valves["valve"].spool
+    spool.bandwidth_hz, spool.delay_s, spool.closing_delay_s = None, 0.002, own_s
+    changed = attach(rig, "closing_delay", "valve", extra_s=extra_s)
+    volts = np.repeat([5.0, 8.0, 5.0], [10, 40, 40])
+    plain, moved = (openings(build(r), {"voltage": volts}, DT_S)[:, FILL] for r in (rig, changed))
+    shift = round(extra_s / DT_S * KNOTS_PER_SAMPLE)
+    middle = 30 * KNOTS_PER_SAMPLE
+    np.testing.assert_allclose(moved[:middle], plain[:middle], atol=1e-12)
+    np.testing.assert_allclose(
+        moved[middle + shift :][: plain.size - middle - abs(shift)],
+        plain[middle:][: plain.size - middle - abs(shift)],
+        atol=1e-9,
+    )
+    assert np.max(np.abs(moved - plain)) == pytest.approx(0.6)
+
+
+def test_no_valve_closes_before_it_is_told(rig: Rig) -> None:
+    rig.valves["valve"].spool.delay_s = 0.003
+    effect = registry()["closing_delay"]
+    assert effect.limits(effect.strength, rig, "valve") == (-0.003, 0.05)
+    early = attach(rig, "closing_delay", "valve", extra_s=-0.004)
+    with pytest.raises(InputError, match=r"extra_s: found -0\.004, allowed is -0\.003 to 0\.05 s"):
+        build(early)
 
 
 def test_nothing_flows_inside_the_dead_band(rig: Rig) -> None:
@@ -278,6 +334,25 @@ def test_losses_at_the_ends_of_pipes_cost_velocity_heads(blow_through: Rig, stub
         lossy, _ = steady_drop(blow_through)
         head = 0.5 * (flow / 20e-6) ** 2 / mean_density(plain)
         assert lossy - plain == pytest.approx(sum(losses) * head, rel=0.05)
+
+
+def test_junction_loss_costs_velocity_heads_in_every_way_through(blow_through: Rig) -> None:
+    tube = blow_through.pipes["tube"]
+    head_tube = tube.model_copy(update={"to_node": "tee", "length_m": 0.5})
+    tail = tube.model_copy(update={"from_node": "tee", "length_m": 0.5})
+    stub = tube.model_copy(update={"from_node": "tee", "to_node": "closed", "length_m": 0.1})
+    blow_through.taps["far"] = blow_through.taps["far"].model_copy(
+        update={"pipe": "tail", "position_m": 0.3}
+    )
+    effect = registry()["junction_loss"]
+    blow_through.pipes = {"tube": head_tube, "tail": tail}
+    assert effect.places(blow_through) == []  # a joint of two pipes is a fitting
+    blow_through.pipes["stub"] = stub
+    assert effect.places(blow_through) == ["tee"]
+    plain, flow = steady_drop(blow_through)
+    lossy, _ = steady_drop(attach(blow_through, "junction_loss", "tee", K=2.5))
+    head = 0.5 * (flow / 20e-6) ** 2 / mean_density(plain)
+    assert lossy - plain == pytest.approx(2.0 * 2.5 * head, rel=0.05)
 
 
 def test_blockage_loses_what_borda_and_carnot_say(blow_through: Rig) -> None:
@@ -461,6 +536,21 @@ def test_chamber_volume_and_compliance_slow_a_choked_fill(bottle: Rig) -> None:
     )
 
 
+def test_stiffer_chamber_fills_as_a_rigid_one(bottle: Rig) -> None:
+    soft = bottle.model_copy(deep=True)
+    soft.chambers["bottle"].compliance_m3_per_pa = 1e-4 * 4e-7
+    effect = registry()["chamber_compliance"]
+    assert effect.limits(effect.strength, bottle, "bottle") == (0.0, 1e-4)
+    lower, _ = effect.limits(effect.strength, soft, "bottle")
+    assert lower == pytest.approx(-4e-7, rel=1e-12)
+    stiff = attach(soft, "chamber_compliance", "bottle", compliance_per_pa=lower)
+    half = attach(soft, "chamber_compliance", "bottle", compliance_per_pa=0.5 * lower)
+    assert build(half).chamber[0, L.C_COMPLIANCE] == pytest.approx(1e-4 * 2e-7, rel=1e-12)
+    (rigid, stiffened, yielding), _ = rig_a([bottle, stiff, soft], hold(6.0, 0.3))
+    np.testing.assert_allclose(stiffened, rigid, rtol=1e-12)
+    assert yielding[-1, END] < 0.95 * rigid[-1, END]
+
+
 def test_chamber_heat_settles_an_emptied_bottle_back_to_the_room(bottle: Rig) -> None:
     warm = attach(bottle, "chamber_heat", "bottle", conductance_w_per_k=0.5)
     command = np.repeat([0.0, 5.0], [60, 340])
@@ -544,3 +634,27 @@ def test_sensor_effects_touch_their_own_tap_only(
         area = float(np.sum(0.5 * (p - r)[1:] + 0.5 * (p - r)[:-1])) * DT_S
         assert 6e-3 * (r[-1] - r[0]) == pytest.approx(area, rel=0.02)
         assert np.max(np.abs(np.diff(r))) < np.max(np.abs(np.diff(p)))
+
+
+@pytest.mark.parametrize("shift", [2, -2])
+def test_common_clock_offset_shifts_every_tap(rig: Rig, shift: int) -> None:
+    odd = attach(rig, "common_clock_offset", "taps", offset_s=shift * DT_S)
+    (p, r), _ = rig_a([rig, odd], step_and_hold(), 3e5)
+    if shift > 0:
+        np.testing.assert_allclose(r[shift:], p[:-shift], rtol=1e-9)
+    else:
+        np.testing.assert_allclose(r[:shift], p[-shift:], rtol=1e-9)
+
+
+def test_late_clocks_look_like_a_late_valve(rig: Rig) -> None:
+    late = attach(rig, "common_clock_offset", "taps", offset_s=2.0 * DT_S)
+    slow = attach(rig, "valve_delay", "valve", delay_s=2.0 * DT_S)
+    (plain, clock, valve), _ = rig_a([rig, late, slow], step_and_hold(), 3e5)
+    np.testing.assert_allclose(clock[2:], valve[2:], rtol=1e-6)
+    assert np.max(np.abs(clock - plain)) > 1e4
+
+
+def test_a_single_tap_has_no_common_clock(rig: Rig) -> None:
+    rig.taps = {"end": rig.taps["end"]}
+    assert registry()["common_clock_offset"].places(rig) == []
+    assert registry()["clock_offset"].places(rig) == ["end"]

@@ -165,18 +165,19 @@ def score(
         s = s.reshape(residual.shape)
         m = project(s)
         a, b = np.sum(m * r, axis=1), np.sum(m * m, axis=1)
-        out.append(_score_of(site, s, a, b, total))
+        lower, _ = site.effect.limits(site.effect.strength, rig, site.place)
+        out.append(_score_of(site, s, a, b, total, lower))
     return residual, out
 
 
-def _score_of(site: Site, s: Floats, a: Floats, b: Floats, total: float) -> Score:
+def _score_of(site: Site, s: Floats, a: Floats, b: Floats, total: float, lower: float) -> Score:
     """One-step strength, explained fraction and jackknife significance."""
     total_b = float(b.sum())
     if total_b <= 1e-12 or total <= 0.0:
         return Score(site, 0.0, 0.0, 0.0, s)
     eta = float(a.sum()) / total_b
     strength = site.effect.strength
-    if not strength.lower <= strength.absent + eta:
+    if not lower <= strength.absent + eta:
         return Score(site, strength.absent, 0.0, 0.0, s)
     n = a.size
     rest = np.maximum(total_b - b, 1e-12)
