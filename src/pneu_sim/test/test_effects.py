@@ -27,6 +27,9 @@ EFFECTS = [kind() for kind in BUILT_IN]
 FAINT = {
     ("leak", "supply_line"): "the regulator makes up for it",
     ("leak", "exhaust_tube"): "open to the room at one end",
+    ("porous_leak", "supply_line"): "the regulator makes up for it",
+    ("porous_leak", "exhaust_tube"): "open to the room at one end",
+    ("relief_valve", "supply_line"): "the regulator makes up for it",
     ("wall_heat", "exhaust_tube"): "short and open to the room",
     ("wall_compliance", "exhaust_tube"): "at the room's pressure a wall has its nominal area",
 }

@@ -58,6 +58,16 @@ def flow_paths(rig: Rig) -> dict[str, list[Port | Orifice]]:
     return paths
 
 
+def open_to_room(rig: Rig) -> list[str]:
+    """Pipes with an end in a reservoir that is the room.
+
+    Args:
+        rig: The rig.
+    """
+    room = {name for name, reservoir in rig.reservoirs.items() if is_room(rig, reservoir)}
+    return [name for name, pipe in rig.pipes.items() if {pipe.from_node, pipe.to_node} & room]
+
+
 def junctions(rig: Rig) -> list[str]:
     """Nodes that join three or more pipe ends and nothing else.
 
