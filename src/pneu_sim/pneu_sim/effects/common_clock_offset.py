@@ -11,8 +11,8 @@ from pneu_sim.rig.schema import Rig
 class CommonClockOffset(Effect):
     """Lateness of the readings of all taps, one for all, added to the rig's.
 
-    A positive one cannot be told from a delay of every valve by pressures alone; a negative one can
-    be no delay. Of a rig with one tap, its clock offset says the same.
+    A positive one cannot be told from a delay of every valve by pressures alone, and diagnosis names
+    the delay first; a negative one can be no delay. Of a rig with one tap, its clock offset says the same.
     """
 
     name: ClassVar[str] = "common_clock_offset"
@@ -25,7 +25,7 @@ class CommonClockOffset(Effect):
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("offset_s", "s", 0.0, -0.05, 0.05, 4e-3, 1e-4),
     )
-    order: ClassVar[int] = 2
+    order: ClassVar[int] = 3  # after a valve delay, which explains as much
     next_experiment: ClassVar[str] = (
         "Record the valve's spool position, or the commands with the clock of the sensors: by"
         " pressures alone, readings that all come late cannot be told from a delay of every valve."
