@@ -11,8 +11,9 @@ from pneu_sim.rig.schema import Rig
 class CommonClockOffset(Effect):
     """Lateness of the readings of all taps, one for all, added to the rig's.
 
-    A positive one cannot be told from a delay of every valve by pressures alone, and diagnosis names
-    the delay first; a negative one can be no delay. Of a rig with one tap, its clock offset says the same.
+    A positive one cannot be told from a delay of every valve by pressures alone, and diagnosis
+    names the delay first; a negative one can be no delay. Of a rig with one tap, its clock offset
+    says the same.
     """
 
     name: ClassVar[str] = "common_clock_offset"
