@@ -6,8 +6,9 @@ docs/figures/closed_chambers.png, which needs matplotlib.
 
 The e-folding time here is ``p / |dp/dt|`` of gauge pressure ``p``, taken at the middle of the
 stretch used (the geometric mean of its first and last pressure), where the chord of an exponential
-has the slope of the curve. The fitted leak gives it by the orifice law; an exponential fitted
-straight to the readings, which knows nothing of the rig, is the check.
+has the slope of the curve. The fitted leak gives it by its law, that of an orifice or of a porous
+wall, whichever the diagnosis puts first; an exponential fitted straight to the readings, which
+knows nothing of the rig, is the check.
 """
 
 import math
@@ -20,6 +21,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import curve_fit
 
+from pneu_sim.effects import find_effect
 from pneu_sim.gas import AIR
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig
@@ -44,6 +46,7 @@ NAMES = (
     "Ultimaker_020",
 )
 STRETCHES = 4
+ORIFICE, POROUS = "chamber_leak", "chamber_porous_leak"
 
 Floats = NDArray[np.float64]
 
@@ -60,7 +63,8 @@ class Chamber:
         found: Diagnosis of the rig without the leak.
         before: Errors without the leak.
         after: Errors with it.
-        area_m2: Effective area of the leak.
+        law: The effect that the leak is added as.
+        size: Its strength: effective area, m^2, or permeability x area / length, m^3.
         tau_s: E-folding time of the fitted leak.
         tau_error_s: Its standard error.
         direct_s: E-folding time of an exponential fitted to the readings.
@@ -75,7 +79,8 @@ class Chamber:
     found: Diagnosis
     before: Step
     after: Step
-    area_m2: float
+    law: str
+    size: float
     tau_s: float
     tau_error_s: float
     direct_s: float
@@ -121,19 +126,21 @@ def inflation(residual: Floats) -> float:
     return math.sqrt(float(np.mean(residual**2)) * (1.0 + 2.0 * float(rho[1:end].sum())))
 
 
-def e_folding_s(rig: Rig, area_m2: float, gauge_pa: float) -> float:
+def e_folding_s(rig: Rig, law: str, size: float, gauge_pa: float) -> float:
     """E-folding time of gauge pressure of a chamber that leaks and stays at room temperature."""
     room, temperature = rig.ambient.pressure_pa, rig.ambient.temperature_k
     volume = rig.chambers["chamber"].volume_m3 + sum(
         p.length_m * p.area_m2 for p in rig.pipes.values()
     )
     p, gamma = room + gauge_pa, AIR.gamma
+    if law == POROUS:
+        return 2.0 * float(AIR.viscosity(temperature)) * volume / (size * (p + room))
     ratio = max(room / p, (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0)))
     psi = math.sqrt(
         2.0 * gamma / (gamma - 1.0) * (ratio ** (2.0 / gamma) - ratio ** ((gamma + 1.0) / gamma))
     )
     rt = AIR.r_specific * temperature
-    return gauge_pa / (area_m2 * p * psi * math.sqrt(rt) / volume)
+    return gauge_pa / (size * p * psi * math.sqrt(rt) / volume)
 
 
 def direct_fit(time_s: Floats, gauge_pa: Floats) -> tuple[float, float]:
@@ -148,8 +155,13 @@ def direct_fit(time_s: Floats, gauge_pa: Floats) -> tuple[float, float]:
     return tau, grow * math.sqrt(covariance[1, 1]) * tau**2
 
 
-def leak_of(rig: Rig, recording: Recording, start_m2: float) -> tuple[float, float, Floats]:
-    """Leak area over the whole recording run freely, its standard error, and the prediction.
+def strength_of(law: str) -> str:
+    """Name of the strength of a leak's law."""
+    return find_effect(law).strength.name
+
+
+def leak_of(rig: Rig, recording: Recording, law: str, start: float) -> tuple[float, float, Floats]:
+    """Size of a leak over the whole recording run freely, its standard error, and the prediction.
 
     The sensor's offset goes along, so that the reading that starts the run is no pivot.
     """
@@ -157,18 +169,16 @@ def leak_of(rig: Rig, recording: Recording, start_m2: float) -> tuple[float, flo
         update={
             "fit": rig.fit.model_copy(update={"horizon_s": None, "warm_up_s": 0.0}),
             "effects": [
-                AttachedEffect(
-                    effect="chamber_leak", place="chamber", parameters={"area_m2": start_m2}
-                ),
+                AttachedEffect(effect=law, place="chamber", parameters={strength_of(law): start}),
                 AttachedEffect(effect="sensor_bias", place="chamber"),
             ],
         }
     )
     problem = make_problem(whole, recording)
     fitted, estimate = refit_effects(problem, whole, [0, 1], iterations=8)
-    area = fitted.effects[0].parameters["area_m2"]
+    size = fitted.effects[0].parameters[strength_of(law)]
     error = math.sqrt(np.linalg.inv(estimate.jacobian[0].T @ estimate.jacobian[0])[0, 0])
-    return area, error * inflation(estimate.residual[0]), problem.predict([fitted])[0, 0, :, 0]
+    return size, error * inflation(estimate.residual[0]), problem.predict([fitted])[0, 0, :, 0]
 
 
 def study(name: str) -> Chamber:
@@ -179,11 +189,13 @@ def study(name: str) -> Chamber:
     pde = rig.model_copy(update={"model": "pde"})
     compared = compare(recording, [("thin_plate", rig, None), ("pde", pde, None)], refine=False)
     found = diagnose(rig, recording, finalists=4, refine=False)
-    better, before, after = add_effect(rig, recording, "chamber_leak", "chamber")
-    area, area_error, predicted = leak_of(rig, recording, better.effects[-1].parameters["area_m2"])
+    law = POROUS if "porous" in found.finalists[0].site.effect.name else ORIFICE
+    better, before, after = add_effect(rig, recording, law, "chamber")
+    start = better.effects[-1].parameters[strength_of(law)]
+    size, size_error, predicted = leak_of(rig, recording, law, start)
     time_s, gauge = gauge_of(rig, recording)
     middle = math.sqrt(float(np.median(gauge[:20]) * np.median(gauge[-20:])))
-    tau = e_folding_s(rig, area, middle)
+    tau = e_folding_s(rig, law, size, middle)
     direct, direct_error = direct_fit(time_s, gauge)
     return Chamber(
         name=name,
@@ -193,9 +205,10 @@ def study(name: str) -> Chamber:
         found=found,
         before=before,
         after=after,
-        area_m2=area,
+        law=law,
+        size=size,
         tau_s=tau,
-        tau_error_s=tau * area_error / area,
+        tau_error_s=tau * size_error / size,
         direct_s=direct,
         direct_error_s=direct_error,
         predicted_pa=predicted,
@@ -232,7 +245,7 @@ def table_of(chambers: list[Chamber]) -> Table:
             *(f"{model.rmse_pa:.0f}" for model in c.compared.models),
             f"{c.after.rmse_pa['chamber']:.0f}",
             c.found.verdict,
-            best.site.effect.name + (f" or {alike[0].partition('@')[0]}" if alike else ""),
+            " or ".join([best.site.effect.name, *(label.partition("@")[0] for label in alike)]),
             f"{100.0 * best.held_out:.0f} %",
             seconds(c.tau_s, c.tau_error_s),
             seconds(c.direct_s, c.direct_error_s),
@@ -272,7 +285,7 @@ def draw(chambers: list[Chamber], path: Path) -> None:
 def main() -> None:
     """Prints the table and draws the figure."""
     chambers = [study(name) for name in NAMES]
-    console = Console(width=180)
+    console = Console(width=220)
     console.print(table_of(chambers))
     for c in chambers:
         console.print(f"{c.name}: {c.found.sentence}")

@@ -310,6 +310,7 @@ class PdePlant(Plant):
                     p[start - 1 : start + n + 1] = tile.reservoir[fed[name], L.R_PRESSURE]
             tile.reservoir_p[:] = tile.reservoir[:, L.R_PRESSURE]
             tile.port_flow[:] = 0.0
+            tile.time_s[:] = 0.0
             tiles.fill_pipes(tile, p, tile.ambient[1])
             chambers = np.repeat(pressure_pa[None, lanes], len(self.plan.chambers), axis=0)
             tiles.fill_chambers(tile, chambers, np.tile(tile.ambient[1], (len(chambers), 1)))
@@ -336,7 +337,7 @@ class PdePlant(Plant):
     def _parts(self) -> list[Floats]:
         if len(self._tiles) == 1 and self._tiles[0].lanes == self.count:
             t = self._tiles[0]
-            return [t.state, t.work, t.port_flow, t.reservoir_p, t.chamber_state]
+            return [getattr(t, name) for name in tiles.CHANGING]
         return [_Spread(self._tiles, self._lanes, self.count, name) for name in tiles.CHANGING]  # type: ignore[misc]
 
     def line(self, points: Sequence[tuple[str, int]]) -> Floats:
@@ -405,7 +406,10 @@ class LumpedPlant(Plant):
         self._area = np.stack([m.area for m in models])
         self._linear = np.stack([m.linear for m in models])
         self._source = np.stack([m.source for m in models])
-        self._volume = np.stack([m.volume for m in models])
+        widest = max(m.volume.shape[1] for m in models)  # one may have more relief valves
+        self._volume = np.stack(
+            [np.pad(m.volume, ((0, 0), (0, widest - m.volume.shape[1]))) for m in models]
+        )
         self._tap_delay = np.stack([m.tap_delay_s for m in models])
         self._side_delay = np.stack([m.side_delay_s for m in models])
         self._drag = np.stack([m.drag for m in models])

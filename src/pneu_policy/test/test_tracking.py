@@ -14,6 +14,7 @@ from pneu_policy.tracking import EnvSettings, PressureTracking, Reward, make_env
 from pneu_sim.errors import InputError  # noqa: E402
 from pneu_sim.rig.load import load_rig  # noqa: E402
 from pneu_sim.rig.parameters import get_parameter, with_parameters  # noqa: E402
+from pneu_sim.rig.schema import Ripple  # noqa: E402
 from pneu_sim.run import run_rig  # noqa: E402
 from pneu_sim.simulator import Simulator  # noqa: E402
 
@@ -94,6 +95,23 @@ def test_a_plant_comes_back_to_a_state_and_puts_it_into_other_lanes():
     again = [many.step(np.full(19, v)) for v in (9.0, 1.0)]
     assert np.array_equal(first, again)
     assert np.allclose(np.stack(first)[:, 18], np.stack(alone)[:, 0], rtol=1e-9)
+
+
+def test_a_plant_keeps_the_time_of_a_ripple(volts):
+    rig = load_rig(SHORT)
+    rig.reservoirs["supply"].ripples = [Ripple(amplitude_pa=2e4, frequency_hz=7.0)]
+    plant = make_plant([rig] * 3, 0.01, 0.125)
+    got = [run(plant, volts) for _ in range(2)]
+    assert np.abs(got[1] - got[0]).max() < 5.0  # a reset begins anew, of the walls nearly so
+    held = np.repeat(volts, 5)
+    taps = Simulator(rig, dx_m=0.125).run(0.01 * volts.size, {"voltage": held}, 0.002).taps
+    want = np.stack([taps[tap][::5] for tap in plant.taps], axis=-1)
+    assert np.abs(got[0][:, 0] - want).max() < 150.0
+    kept = plant.state()
+    first = plant.step(np.full(3, 6.0))
+    plant.step(np.full(3, 4.0))
+    plant.set_state(kept)
+    assert np.array_equal(plant.step(np.full(3, 6.0)), first)
 
 
 def test_lines_of_a_plant_are_told_and_a_lumped_one_has_none():

@@ -580,6 +580,73 @@ def orifice_flow(p_a, t_a, p_b, area, gamma, r_gas):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def leak_flow(kind, size, opens, span, p, t, p_room, t_room, gamma, r_gas):
+    """Mass flow of a leak to the room in kg/s, negative inwards.
+
+    Args:
+        kind: ORIFICE, POROUS or RELIEF.
+        size: Effective area, m2; of a POROUS leak its flow over p^2 - p_room^2, kg/(s Pa^2).
+        opens: Pressure at which a RELIEF begins to open, Pa.
+        span: By how much more it is fully open, Pa.
+        p: Pressure inside, Pa.
+        t: Temperature inside, K.
+        p_room: Pressure of the room, Pa.
+        t_room: Temperature of the room, K.
+        gamma: Ratio of specific heats.
+        r_gas: Specific gas constant, J/(kg K).
+    """
+    if kind == L.POROUS:
+        return size * (p - p_room) * (p + p_room)
+    if kind == L.RELIEF:
+        if p <= opens or p <= p_room:
+            return 0.0
+        size *= min((p - opens) / span, 1.0)
+    if p >= p_room:
+        return orifice_flow(p, t, p_room, size, gamma, r_gas)
+    return -orifice_flow(p_room, t_room, p, size, gamma, r_gas)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _leaks(w, gamma, r_gas, dt, leak_index, leak_par, ambient, P, S, X, ch_p, ch_t, ch_state):
+    """Take from lines and chambers what leaks to the room, or add what enters from there."""
+    cp = gamma * (r_gas / (gamma - 1.0))
+    for q in range(leak_index.shape[0]):
+        slot = leak_index[q, L.K_SLOT]
+        kind = leak_index[q, L.K_KIND]
+        for j in range(w):
+            size = leak_par[q, L.LEAK_SIZE, j]
+            if size <= 0.0:
+                continue
+            opens = leak_par[q, L.LEAK_SET, j]
+            span = leak_par[q, L.LEAK_RANGE, j]
+            pa = ambient[0, j]
+            ta = ambient[1, j]
+            if slot < 0:
+                c = -1 - slot
+                p = ch_p[c, j]
+                t = ch_t[c, j]
+                m = leak_flow(kind, size, opens, span, p, t, pa, ta, gamma, r_gas)
+                h = m * cp * (t if p >= pa else ta)
+                ch_state[c, 0, j] -= dt * m
+                ch_state[c, 1, j] -= dt * h
+            else:
+                i = slot * w + j
+                p = X[L.W_P, i]
+                t = X[L.W_T, i]
+                m = leak_flow(kind, size, opens, span, p, t, pa, ta, gamma, r_gas)
+                if p >= pa:
+                    v = X[L.W_U, i]
+                    h = m * (cp * t + 0.5 * v**2)
+                else:
+                    v = 0.0
+                    h = m * cp * ta
+                g = dt * P[L.INV_VOLUME, i]
+                S[L.RHO, i] -= g * m
+                S[L.MOM, i] -= g * m * v
+                S[L.ENE, i] -= g * h
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
     """State at a pipe end that opens into a large vessel.
 
@@ -1153,6 +1220,7 @@ def _ends(
     ch_t,
     res_par,
     res_p,
+    supplied,
     r_gas,
 ):
     """Overwrite the fluxes of pipe ends that are not simple faces, and update what they feed."""
@@ -1195,7 +1263,7 @@ def _ends(
                 if kind == L.CHAMBER:
                     p0, t0, loss = ch_half[ref, j], ch_t[ref, j], 0.0
                 else:
-                    p0, t0 = res_p[ref, j], res_par[ref, L.R_TEMPERATURE, j]
+                    p0, t0 = supplied[ref, j], res_par[ref, L.R_TEMPERATURE, j]
                     loss = res_par[ref, L.R_LOSS, j]
                 d, v, p = vessel_state(d, v, p, p0, t0, loss, gamma, r_gas)
                 m = d * v
@@ -1383,8 +1451,11 @@ def advance(
     res_p,
     ch_par,
     ch_state,
-    leak_slot,
-    leak_area,
+    ripple_index,
+    ripple_par,
+    begin_s,
+    leak_index,
+    leak_par,
     ambient,
     tap_slot,
     tap_weight,
@@ -1436,8 +1507,11 @@ def advance(
         res_p: (n_reservoirs, lanes) present pressures, changed in place.
         ch_par: (n_chambers, CHAMBER_PARAMS, lanes).
         ch_state: (n_chambers, 2, lanes) mass kg and energy J, changed in place.
-        leak_slot: (n_leaks,) slots, or -1 - chamber, that leak to the room.
-        leak_area: (n_leaks, lanes) effective areas, m^2.
+        ripple_index: (n_ripples,) reservoirs whose pressure ripples.
+        ripple_par: (n_ripples, RIPPLE_PARAMS, lanes).
+        begin_s: (lanes,) time at the first sample, s.
+        leak_index: (n_leaks, LEAK_COLUMNS) what leaks to the room, and how.
+        leak_par: (n_leaks, LEAK_PARAMS, lanes).
         ambient: (2, lanes) room pressure and temperature.
         tap_slot: (n_taps, lanes) slot left of each tap, or -1 - chamber.
         tap_weight: (n_taps, lanes) weight of the next slot.
@@ -1462,7 +1536,6 @@ def advance(
     w = lanes
     n = S.shape[1]
     cv = r_gas / (gamma - 1.0)
-    cp = gamma * cv
     n_ends = ends.shape[0]
     n_ch = ch_state.shape[0]
     n_ports = ports.shape[0]
@@ -1486,6 +1559,9 @@ def advance(
     ch_half = np.zeros((n_ch, w))
     ch_weight = np.zeros((n_ch, w))
     now = np.zeros((n_ports, w))
+    # What a reservoir supplies; where none ripples, that is its pressure itself.
+    rippling = ripple_index.size > 0
+    supplied = np.zeros_like(res_p) if rippling else res_p
     rho, mom, ene = S[L.RHO], S[L.MOM], S[L.ENE]
     soft = np.zeros((5, n if compliant else 0))
     # wall heat of a Nusselt number of 1, pi k / A, over RELAX: k / mu is cp / Pr
@@ -1575,11 +1651,21 @@ def advance(
                 for j in range(w):
                     now[q, j] = (1.0 - fx) * opening[ix, q, j] + fx * opening[ix + 1, q, j]
 
+            if rippling:
+                supplied[:] = res_p
+                for q in range(ripple_index.size):
+                    for j in range(w):
+                        t_s = begin_s[j] + (step + 0.5) * dt
+                        x = ripple_par[q, L.RIPPLE_RATE, j] * t_s + ripple_par[q, L.RIPPLE_PHASE, j]
+                        supplied[ripple_index[q], j] += ripple_par[
+                            q, L.RIPPLE_AMPLITUDE, j
+                        ] * math.sin(x)
+
             if joints:
                 _joints(w, gamma, 1, ends, P, S, X, joint)
             vessels = order == 2 or s == n_sub - 1 or reading
             _fill_ghosts(
-                w, gamma, r_gas, vessels, ends, end_u, joint, S, X, res_par, res_p, ch_p, ch_t
+                w, gamma, r_gas, vessels, ends, end_u, joint, S, X, res_par, supplied, ch_p, ch_t
             )
             if order == 1:
                 rr, ur, pr_, ir = rho, X[L.W_U], X[L.W_P], X[L.W_RI]
@@ -1674,7 +1760,7 @@ def advance(
                     S,
                     X,
                     res_par,
-                    res_p,
+                    supplied,
                     ch_p,
                     ch_t,
                 )
@@ -1700,6 +1786,7 @@ def advance(
                 ch_t,
                 res_par,
                 res_p,
+                supplied,
                 r_gas,
             )
             for c in range(n_ch):
@@ -1709,36 +1796,9 @@ def advance(
                         cap = ch_state[c, 0, j] * cv
                         gain = h / (1.0 + h / cap)
                         ch_state[c, 1, j] += gain * (ch_par[c, L.C_WALL_T, j] - ch_t[c, j])
-            for q in range(leak_slot.shape[0]):
-                for j in range(w):
-                    a = leak_area[q, j]
-                    i = leak_slot[q] * w + j
-                    if a > 0.0 and leak_slot[q] < 0:
-                        c = -1 - leak_slot[q]
-                        pa = ambient[0, j]
-                        if ch_p[c, j] >= pa:
-                            m = orifice_flow(ch_p[c, j], ch_t[c, j], pa, a, gamma, r_gas)
-                            h = m * cp * ch_t[c, j]
-                        else:
-                            m = -orifice_flow(pa, ambient[1, j], ch_p[c, j], a, gamma, r_gas)
-                            h = m * cp * ambient[1, j]
-                        ch_state[c, 0, j] -= dt * m
-                        ch_state[c, 1, j] -= dt * h
-                    elif a > 0.0:
-                        pc = X[L.W_P, i]
-                        pa = ambient[0, j]
-                        if pc >= pa:
-                            m = orifice_flow(pc, X[L.W_T, i], pa, a, gamma, r_gas)
-                            h = m * (cp * X[L.W_T, i] + 0.5 * X[L.W_U, i] ** 2)
-                            v = X[L.W_U, i]
-                        else:
-                            m = -orifice_flow(pa, ambient[1, j], pc, a, gamma, r_gas)
-                            h = m * cp * ambient[1, j]
-                            v = 0.0
-                        g = dt * P[L.INV_VOLUME, i]
-                        rho[i] -= g * m
-                        mom[i] -= g * m * v
-                        ene[i] -= g * h
+            _leaks(
+                w, gamma, r_gas, dt, leak_index, leak_par, ambient, P, S, X, ch_p, ch_t, ch_state
+            )
             face = P[L.FACE]
             if compliant:
                 _give_back(n, rho, mom, ene, soft[1], soft[2], soft[3])

@@ -117,6 +117,28 @@ R_TAU: Final = 3  # time constant of the droop, s
 R_LOSS: Final = 4  # velocity heads lost where gas enters a pipe
 RESERVOIR_PARAMS: Final = 5
 
+# --- ripples of reservoirs ------------------------------------------------------------------------
+RIPPLE_AMPLITUDE: Final = 0  # Pa
+RIPPLE_RATE: Final = 1  # angular frequency, rad/s
+RIPPLE_PHASE: Final = 2  # at time zero, rad
+RIPPLE_PARAMS: Final = 3
+
+# --- leaks to the room ----------------------------------------------------------------------------
+K_SLOT: Final = 0  # slot that leaks, or -1 - chamber
+K_KIND: Final = 1
+LEAK_COLUMNS: Final = 2
+
+ORIFICE: Final = 0  # isentropic orifice
+POROUS: Final = 1  # laminar flow, in proportion to the difference of the pressures' squares
+RELIEF: Final = 2  # orifice that opens above a set pressure, outwards only
+
+LEAK_SIZE: Final = (
+    0  # effective area, m^2; of a POROUS leak its flow over p^2 - p_room^2, kg/(s Pa^2)
+)
+LEAK_SET: Final = 1  # pressure at which a RELIEF begins to open, Pa
+LEAK_RANGE: Final = 2  # by how much more it is fully open, Pa
+LEAK_PARAMS: Final = 3
+
 # --- chamber parameter rows -----------------------------------------------------------------------
 C_VOLUME: Final = 0  # m^3 at the rest pressure
 C_COMPLIANCE: Final = 1  # m^3/Pa

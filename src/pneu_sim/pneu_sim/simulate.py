@@ -458,6 +458,7 @@ def _pass(
             )
         opening = lanes(opened)
         closing = first + samples >= ticks
+        tile.time_s[:] = begin_s
         taps, flows, chambers = advance(
             tile, samples, n_sub, dt, opening, watch, closing, KNOTS, strict=False
         )

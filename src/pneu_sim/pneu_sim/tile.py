@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A batch of rigs on one grid, as the arrays that the kernel works on, and stepping it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -19,7 +19,7 @@ Ints = NDArray[np.int64]
 
 MORE_STEPS = (2, 4, 8)
 """A run that goes wrong is tried again with this many times as many steps, one after the other."""
-CHANGING = ("state", "work", "port_flow", "reservoir_p", "chamber_state")
+CHANGING = ("state", "work", "port_flow", "reservoir_p", "chamber_state", "time_s")
 """Arrays of a tile that its steps change."""
 
 
@@ -40,13 +40,16 @@ class Tile:
         reservoir_p: (n_reservoirs, lanes) present pressures.
         chamber: (n_chambers, CHAMBER_PARAMS, lanes).
         chamber_state: (n_chambers, 2, lanes) mass and energy.
-        leak_slot: (n_leaks,) slots that leak to the room.
-        leak_area: (n_leaks, lanes) effective areas.
+        ripple_index: (n_ripples,) reservoirs whose pressure ripples.
+        ripple: (n_ripples, RIPPLE_PARAMS, lanes).
+        leak_index: (n_leaks, LEAK_COLUMNS) what leaks to the room, and how.
+        leak: (n_leaks, LEAK_PARAMS, lanes).
         ambient: (2, lanes) room pressure and temperature.
         tap_slot: (n_taps, lanes).
         tap_weight: (n_taps, lanes).
         step_index: (n_steps, 5) faces where the area jumps.
         step_area: (n_steps, 2, lanes) areas on both sides of those.
+        time_s: (lanes,) present time, at zero unless it is set.
     """
 
     models: Sequence[Model]
@@ -61,13 +64,16 @@ class Tile:
     reservoir_p: Floats
     chamber: Floats
     chamber_state: Floats
-    leak_slot: Ints
-    leak_area: Floats
+    ripple_index: Ints
+    ripple: Floats
+    leak_index: Ints
+    leak: Floats
     ambient: Floats
     tap_slot: Ints
     tap_weight: Floats
     step_index: Ints
     step_area: Floats
+    time_s: Floats
 
     @property
     def plan(self) -> Plan:
@@ -89,6 +95,46 @@ def lanes(arrays: Sequence[Floats]) -> Floats:
     return np.ascontiguousarray(np.stack(arrays, axis=-1))
 
 
+def _rows(
+    tables: Sequence[Mapping[int, Sequence[tuple[float, ...]]]], columns: int
+) -> tuple[list[int], Floats]:
+    """Lists by number, one table per rig, as rows that all rigs have; missing ones are zero.
+
+    Args:
+        tables: Per rig its entries by number.
+        columns: Length of an entry.
+
+    Returns:
+        The number of each row, and (rows, columns, rigs).
+    """
+    numbers: list[int] = []
+    for number in sorted({n for table in tables for n in table}):
+        numbers += [number] * max(len(table.get(number, ())) for table in tables)
+    rows = np.zeros((len(numbers), columns, len(tables)))
+    for j, table in enumerate(tables):
+        for number, entries in table.items():
+            first = numbers.index(number)
+            for k, entry in enumerate(entries):
+                rows[first + k, :, j] = entry
+    return numbers, rows
+
+
+def _leaks(models: Sequence[Model]) -> tuple[Ints, Floats]:
+    """Leaks to the room as the kernel takes them."""
+    kinds = {
+        L.ORIFICE: [{slot: [(a, 0.0, 1.0)] for slot, a in m.leaks.items()} for m in models],
+        L.POROUS: [{slot: [(g, 0.0, 1.0)] for slot, g in m.porous.items()} for m in models],
+        L.RELIEF: [m.reliefs for m in models],
+    }
+    index: list[tuple[int, int]] = []
+    rows = []
+    for kind, tables in kinds.items():
+        slots, of_kind = _rows(tables, L.LEAK_PARAMS)
+        index += [(slot, kind) for slot in slots]
+        rows.append(of_kind)
+    return np.array(index, dtype=np.int64).reshape(-1, L.LEAK_COLUMNS), np.concatenate(rows)
+
+
 def pack(
     models: Sequence[Model], compliant: bool | None = None, memory: bool | None = None
 ) -> Tile:
@@ -101,8 +147,8 @@ def pack(
     """
     plan, w = models[0].plan, len(models)
     reservoir = lanes([m.reservoir for m in models])
-    leak_slot = np.array(sorted({slot for m in models for slot in m.leaks}), dtype=np.int64)
-    leak_area = np.array([[m.leaks.get(int(s), 0.0) for m in models] for s in leak_slot])
+    ripple_of, ripple = _rows([m.ripples for m in models], L.RIPPLE_PARAMS)
+    leak_index, leak = _leaks(models)
     step_index, step_area = area_steps(models)
     return Tile(
         models=models,
@@ -118,13 +164,16 @@ def pack(
         reservoir_p=reservoir[:, L.R_PRESSURE].copy(),
         chamber=lanes([m.chamber for m in models]),
         chamber_state=np.zeros((len(plan.chambers), 2, w)),
-        leak_slot=leak_slot,
-        leak_area=leak_area.reshape(leak_slot.size, w),
+        ripple_index=np.array(ripple_of, dtype=np.int64),
+        ripple=ripple,
+        leak_index=leak_index,
+        leak=leak,
         ambient=lanes([m.ambient for m in models]),
         tap_slot=np.ascontiguousarray(np.stack([m.tap_slot for m in models], axis=-1)),
         tap_weight=lanes([m.tap_weight for m in models]),
         step_index=step_index,
         step_area=step_area,
+        time_s=np.zeros(w),
     )
 
 
@@ -310,8 +359,11 @@ def advance(
         tile.reservoir_p,
         tile.chamber,
         tile.chamber_state,
-        tile.leak_slot,
-        tile.leak_area,
+        tile.ripple_index,
+        tile.ripple,
+        tile.time_s,
+        tile.leak_index,
+        tile.leak,
         tile.ambient,
         tile.tap_slot,
         tile.tap_weight,
@@ -332,6 +384,7 @@ def advance(
         chamber_out,
     )
     watch.step += (samples - 1) * n_sub
+    tile.time_s += (samples - 1) * n_sub * dt_s
     if strict and not np.isfinite(tap_out).all():
         raise unstable(dt_s, ())
     return tap_out, flow_out, chamber_out
@@ -394,7 +447,7 @@ def some_lanes(tile: Tile, which: Ints) -> Tile:
         tile: The batch.
         which: The lanes.
     """
-    common = ("models", "compliant", "memory", "leak_slot", "step_index")
+    common = ("models", "compliant", "memory", "ripple_index", "leak_index", "step_index")
     arrays: dict[str, Any] = {
         f.name: np.ascontiguousarray(getattr(tile, f.name)[..., which])
         for f in fields(tile)

@@ -2,16 +2,22 @@
 """Every effect against what physics expects of it, worked out by hand."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from pneu_sim import layout as L
+from pneu_sim.effects import registry
+from pneu_sim.errors import InputError
 from pneu_sim.gas import AIR
 from pneu_sim.rig import Rig, load_rig
 from pneu_sim.rig.build import build, plan_grid
 from pneu_sim.rig.schema import AttachedEffect, Chamber, Opening
+from pneu_sim.signals import Signal
 from pneu_sim.simulate import Prediction, even_course, initial_field, predict
+from pneu_sim.simulator import Simulator
 from pneu_sim.valve import KNOTS_PER_SAMPLE, openings
 
 HOUSE = Path(__file__).parents[3]
@@ -126,6 +132,59 @@ def test_slow_spool_lags_a_ramp_by_the_lag(rig: Rig) -> None:
         assert behind / (2.0 / 5.0) == pytest.approx(6e-3, rel=1e-3)
 
 
+def test_limited_spool_takes_time_in_proportion_to_its_step(rig: Rig) -> None:
+    rig.valves["valve"].spool.bandwidth_hz = None
+    rig.valves["valve"].spool.max_speed_v_s = 500.0
+    slow = attach(rig, "spool_speed_limit", "valve", slowness_s_v=6e-3)
+    for volts in (1.0, 4.0):
+        x = openings(build(slow), {"voltage": hold(5.0 + volts, 0.1)}, DT_S)[:, FILL]
+        # On a ramp from 0 to the step the integral of what is missing is half its time.
+        missing = 1.0 - x[10 * KNOTS_PER_SAMPLE :] / x[-1]
+        late = float(np.trapezoid(missing)) * DT_S / KNOTS_PER_SAMPLE
+        assert 2.0 * late == pytest.approx((6e-3 + 1.0 / 500.0) * volts, rel=0.05)
+
+
+def test_limited_acceleration_takes_time_with_the_root_of_the_step(rig: Rig) -> None:
+    spool = rig.valves["valve"].spool
+    spool.bandwidth_hz, spool.max_acceleration_v_s2 = 2000.0, 4e4
+    weak = attach(rig, "spool_acceleration_limit", "valve", inertia_s2_v=7.5e-5)
+    for volts in (1.0, 4.0):
+        # Until the command is met a spool far slower than its bandwidth falls freely: s = a t^2/2.
+        command = np.append(5.0, np.full(20, 5.0 + volts))
+        x = openings(build(weak), {"voltage": command}, DT_S, 64)[:, FILL]
+        half = int(np.argmax(x > 0.5 * volts / 5.0)) / 64 * DT_S - DT_S
+        assert half == pytest.approx(math.sqrt(volts / 1e4), rel=0.02)
+
+
+@pytest.mark.parametrize(("own_s", "extra_s"), [(None, 0.008), (0.006, 0.008), (0.006, -0.004)])
+def test_closing_delay_shifts_what_closes_and_not_what_opens(
+    rig: Rig, own_s: float | None, extra_s: float
+) -> None:
+    spool = rig.valves["valve"].spool
+    spool.bandwidth_hz, spool.delay_s, spool.closing_delay_s = None, 0.002, own_s
+    changed = attach(rig, "closing_delay", "valve", extra_s=extra_s)
+    volts = np.repeat([5.0, 8.0, 5.0], [10, 40, 40])
+    plain, moved = (openings(build(r), {"voltage": volts}, DT_S)[:, FILL] for r in (rig, changed))
+    shift = round(extra_s / DT_S * KNOTS_PER_SAMPLE)
+    middle = 30 * KNOTS_PER_SAMPLE
+    np.testing.assert_allclose(moved[:middle], plain[:middle], atol=1e-12)
+    np.testing.assert_allclose(
+        moved[middle + shift :][: plain.size - middle - abs(shift)],
+        plain[middle:][: plain.size - middle - abs(shift)],
+        atol=1e-9,
+    )
+    assert np.max(np.abs(moved - plain)) == pytest.approx(0.6)
+
+
+def test_no_valve_closes_before_it_is_told(rig: Rig) -> None:
+    rig.valves["valve"].spool.delay_s = 0.003
+    effect = registry()["closing_delay"]
+    assert effect.limits(effect.strength, rig, "valve") == (-0.003, 0.05)
+    early = attach(rig, "closing_delay", "valve", extra_s=-0.004)
+    with pytest.raises(InputError, match=r"extra_s: found -0\.004, allowed is -0\.003 to 0\.05 s"):
+        build(early)
+
+
 def test_nothing_flows_inside_the_dead_band(rig: Rig) -> None:
     dead = attach(rig, "dead_band", "valve", width_v=0.25)
     for volts in (5.24, 4.76):
@@ -217,6 +276,114 @@ def test_leak_empties_a_closed_line_as_an_orifice_does(rig: Rig) -> None:
     assert np.all(holed[-1, [SUPPLY, EXHAUST]] == pytest.approx([SUPPLY_PA, ROOM_PA]))
 
 
+def viscosity(temperature_k: float) -> float:
+    """Sutherland's law for air, U.S. Standard Atmosphere 1976."""
+    return 1.458e-6 * temperature_k**1.5 / (temperature_k + 110.4)
+
+
+def through_a_plug(p_pa: float, rate: float, time_s: np.ndarray) -> np.ndarray:
+    """Pressure of an isothermal volume, p' = -rate (p^2 - p_room^2), rate = G / (2 mu V)."""
+    # (p - r) / (p + r) decays with 2 r rate, for a volume above the room's pressure and below it.
+    x = (p_pa - ROOM_PA) / (p_pa + ROOM_PA) * np.exp(-2.0 * ROOM_PA * rate * time_s)
+    return ROOM_PA * (1.0 + x) / (1.0 - x)
+
+
+@pytest.mark.parametrize("start_pa", [5e5, 1.05e5, 5e4])
+def test_porous_chamber_leak_is_that_of_a_capillary(bottle: Rig, start_pa: float) -> None:
+    bottle.chambers["bottle"].heat_w_per_k = 1e3  # isothermal
+    bottle.pipes["tube"].area_m2 = 1e-7
+    diameter, length = 1.2e-4, 5e-3
+    conductance = math.pi * diameter**4 / (128.0 * length)  # m^3 / s = conductance / mu dp
+    holed = attach(bottle, "chamber_porous_leak", "bottle", porous_m3=conductance)
+    (leaky,), _ = rig_a([holed], hold(5.0, 1.0), start_pa)
+    time = np.arange(leaky.shape[0]) * DT_S
+    rate = conductance / (2.0 * viscosity(ROOM_K) * (1e-4 + 2.5e-7))
+    expected = through_a_plug(start_pa, rate, time)
+    assert abs(expected[-1] - start_pa) > 0.03 * abs(start_pa - ROOM_PA)
+    fallen = leaky[:, END] - start_pa
+    np.testing.assert_allclose(
+        fallen, expected - start_pa, atol=0.006 * abs(expected[-1] - start_pa)
+    )
+
+
+def test_porous_leak_empties_a_line_by_the_square_of_its_pressure(rig: Rig) -> None:
+    conductance = 1e-15
+    holed = attach(rig, "porous_leak", "tube", porous_m3=conductance, position_m=1.0)
+    for start in (5e5, 2.5e5):
+        (leaky,), _ = rig_a([holed], hold(5.0, 0.1), start)
+        # p' = -n G (p^2 - p_room^2) / (2 mu V) with n between 1 (isothermal) and 1.4 (adiabatic)
+        rate = conductance / (2.0 * viscosity(ROOM_K) * 2.5 * 6e-6)
+        fall = (leaky[20, MIDDLE] - leaky[-1, MIDDLE]) / ((leaky.shape[0] - 21) * DT_S)
+        middle = 0.5 * (leaky[20, MIDDLE] + leaky[-1, MIDDLE])
+        assert 1.0 < fall / (rate * (middle**2 - ROOM_PA**2)) < 1.4
+
+
+def filled_through_a_jet(**pipe: object) -> Rig:
+    """A tube with a closed end, fed from 20 bar through a small jet, which is choked."""
+    return Rig.model_validate(
+        {
+            "name": "jet",
+            "grid": {"dx_m": 0.05},
+            "ambient": {"pressure_pa": ROOM_PA, "temperature_k": ROOM_K},
+            "reservoirs": {"source": {"pressure_pa": 2e6}},
+            "pipes": {
+                "tube": {"from": "in", "to": "closed", "length_m": 0.5, "area_m2": 20e-6, **pipe}
+            },
+            "orifices": {"jet": {"from": "source", "to": "in", "conductance_m3_s_pa": 2e-11}},
+            "taps": {"end": {"pipe": "tube", "position_m": 0.45}},
+        }
+    )
+
+
+def test_relief_valve_holds_the_pressure_at_which_it_passes_the_flow() -> None:
+    rig = filled_through_a_jet()
+    flow = 2e-11 * 1.185 * 2e6
+    area, opens, span = 2e-7, 3.5e5, 3e4
+    relieved = attach(
+        rig, "relief_valve", "tube", area_m2=area, set_pa=opens, range_pa=span, position_m=0.4
+    )
+    plain, held = run([rig, relieved], np.zeros(1000), [3.2e5]).readings[:, 0]
+    below = np.flatnonzero(held >= opens - 100.0)[0]
+    assert below > 20
+    np.testing.assert_array_equal(held[:below], plain[:below])
+    # A x p 0.0404 / sqrt(T) = flow with x = (p - set) / range
+    b = flow * math.sqrt(ROOM_K) / (CHOKED * area) * span
+    expected = 0.5 * (opens + math.sqrt(opens**2 + 4.0 * b))
+    assert opens + 0.1 * span < expected < opens + 0.9 * span
+    assert held[-1] - opens == pytest.approx(expected - opens, rel=0.02)
+    assert plain[-1] > 6e5
+
+
+def test_relief_valve_of_a_chamber_is_an_orifice_when_wide_open(bottle: Rig) -> None:
+    area = 2e-7
+    values = {"area_m2": area, "set_pa": 3e5, "range_pa": 1e4}
+    holed = attach(bottle, "chamber_relief_valve", "bottle", **values)
+    bottle.pipes["tube"].area_m2 = holed.pipes["tube"].area_m2 = 1e-7
+    (closed,), _ = rig_a([holed], hold(5.0, 0.2), 2.9e5)
+    (whole,), _ = rig_a([bottle], hold(5.0, 0.2), 2.9e5)
+    np.testing.assert_array_equal(closed, whole)
+    (leaky,), _ = rig_a([holed], hold(5.0, 0.2), 5e5)
+    rate = 1.4 * CHOKED * area * AIR.r_specific * math.sqrt(ROOM_K) / 1e-4
+    fall = -math.log(leaky[100, END] / leaky[10, END]) / (90 * DT_S)
+    assert fall == pytest.approx(rate, rel=0.03)
+    (settled,), _ = rig_a([holed], hold(5.0, 2.0), 3.05e5)
+    assert 3e5 < settled[-1, END] < 3.005e5
+
+
+def test_relief_valves_of_one_place_open_one_after_the_other() -> None:
+    rig = filled_through_a_jet()
+    valve = {"position_m": 0.4, "area_m2": 4e-8, "range_pa": 1e4}
+    two = attach(attach(rig, "relief_valve", "tube", set_pa=4e5, **valve),
+                 "relief_valve", "tube", set_pa=3e5, **valve)  # fmt: skip
+    one = attach(rig, "relief_valve", "tube", set_pa=3e5, **valve)
+    (held, lower) = run([two, one], np.zeros(2000), [2.8e5]).readings[:, 0]
+    # Wide open the lower one passes 0.0404 A p / sqrt(T); what is more opens the upper one.
+    flow, k = 2e-11 * 1.185 * 2e6, CHOKED * 4e-8 / math.sqrt(ROOM_K)
+    assert lower[-1] == pytest.approx(flow / k, rel=0.02)
+    p = held[-1]
+    assert k * p + k * p * (p - 4e5) / 1e4 == pytest.approx(flow, rel=0.02)
+
+
 @pytest.mark.parametrize(
     ("effect", "strength"),
     [("blockage", {"fraction": 0.6}), ("local_loss", {"K": 20.0})],
@@ -278,6 +445,25 @@ def test_losses_at_the_ends_of_pipes_cost_velocity_heads(blow_through: Rig, stub
         lossy, _ = steady_drop(blow_through)
         head = 0.5 * (flow / 20e-6) ** 2 / mean_density(plain)
         assert lossy - plain == pytest.approx(sum(losses) * head, rel=0.05)
+
+
+def test_junction_loss_costs_velocity_heads_in_every_way_through(blow_through: Rig) -> None:
+    tube = blow_through.pipes["tube"]
+    head_tube = tube.model_copy(update={"to_node": "tee", "length_m": 0.5})
+    tail = tube.model_copy(update={"from_node": "tee", "length_m": 0.5})
+    stub = tube.model_copy(update={"from_node": "tee", "to_node": "closed", "length_m": 0.1})
+    blow_through.taps["far"] = blow_through.taps["far"].model_copy(
+        update={"pipe": "tail", "position_m": 0.3}
+    )
+    effect = registry()["junction_loss"]
+    blow_through.pipes = {"tube": head_tube, "tail": tail}
+    assert effect.places(blow_through) == []  # a joint of two pipes is a fitting
+    blow_through.pipes["stub"] = stub
+    assert effect.places(blow_through) == ["tee"]
+    plain, flow = steady_drop(blow_through)
+    lossy, _ = steady_drop(attach(blow_through, "junction_loss", "tee", K=2.5))
+    head = 0.5 * (flow / 20e-6) ** 2 / mean_density(plain)
+    assert lossy - plain == pytest.approx(2.0 * 2.5 * head, rel=0.05)
 
 
 def test_blockage_loses_what_borda_and_carnot_say(blow_through: Rig) -> None:
@@ -461,6 +647,21 @@ def test_chamber_volume_and_compliance_slow_a_choked_fill(bottle: Rig) -> None:
     )
 
 
+def test_stiffer_chamber_fills_as_a_rigid_one(bottle: Rig) -> None:
+    soft = bottle.model_copy(deep=True)
+    soft.chambers["bottle"].compliance_m3_per_pa = 1e-4 * 4e-7
+    effect = registry()["chamber_compliance"]
+    assert effect.limits(effect.strength, bottle, "bottle") == (0.0, 1e-4)
+    lower, _ = effect.limits(effect.strength, soft, "bottle")
+    assert lower == pytest.approx(-4e-7, rel=1e-12)
+    stiff = attach(soft, "chamber_compliance", "bottle", compliance_per_pa=lower)
+    half = attach(soft, "chamber_compliance", "bottle", compliance_per_pa=0.5 * lower)
+    assert build(half).chamber[0, L.C_COMPLIANCE] == pytest.approx(1e-4 * 2e-7, rel=1e-12)
+    (rigid, stiffened, yielding), _ = rig_a([bottle, stiff, soft], hold(6.0, 0.3))
+    np.testing.assert_allclose(stiffened, rigid, rtol=1e-12)
+    assert yielding[-1, END] < 0.95 * rigid[-1, END]
+
+
 def test_chamber_heat_settles_an_emptied_bottle_back_to_the_room(bottle: Rig) -> None:
     warm = attach(bottle, "chamber_heat", "bottle", conductance_w_per_k=0.5)
     command = np.repeat([0.0, 5.0], [60, 340])
@@ -488,6 +689,74 @@ def test_supply_level_shows_wherever_the_supply_reaches(rig: Rig) -> None:
     shift = raised[-1] - plain[-1]
     np.testing.assert_allclose(shift[[SUPPLY, VALVE_OUT, MIDDLE, END]], 1e4, rtol=0.05)
     assert shift[EXHAUST] == pytest.approx(0.0, abs=1.0)
+
+
+def sine_of(y: np.ndarray, time_s: np.ndarray, frequency_hz: float) -> complex:
+    """Amplitude and phase of a sine of known frequency, by least squares."""
+    x = 2.0 * math.pi * frequency_hz * time_s
+    basis = np.stack([np.sin(x), np.cos(x), np.ones_like(x)], axis=1)
+    (a, b, _), *_ = np.linalg.lstsq(basis, y, rcond=None)
+    return complex(a, b)
+
+
+def test_ripple_modulates_a_choked_flow_at_every_instant(blow_through: Rig) -> None:
+    rippled = attach(
+        blow_through, "supply_ripple", "source", amplitude_pa=2e4, frequency_hz=7.0, phase_rad=0.6
+    )
+    twice = attach(
+        rippled, "supply_ripple", "source", amplitude_pa=1e4, frequency_hz=31.0, phase_rad=-1.0
+    )
+    out = run([rippled, twice], np.zeros(400), [ROOM_PA + 1e3, ROOM_PA])
+    step = DT_S / math.ceil(DT_S * 600.0 / (0.9 * 0.05))
+    # A flow is that of the middle of the last step.
+    time = np.arange(1, 400) * DT_S - 0.5 * step
+    first = 2e4 * np.sin(2.0 * math.pi * 7.0 * time + 0.6)
+    second = 1e4 * np.sin(2.0 * math.pi * 31.0 * time - 1.0)
+    expected = 1.5e-9 * 1.185 * (5e5 + np.stack([first, first + second]))
+    np.testing.assert_allclose(out.flows[:, 1:400, 0], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("frequency_hz", [5.0, 30.0])
+def test_ripple_stands_in_the_line_as_a_sound_wave_does(rig: Rig, frequency_hz: float) -> None:
+    rig.grid.dx_m = 0.05
+    rippled = attach(
+        rig, "supply_ripple", "supply", amplitude_pa=2e3, frequency_hz=frequency_hz, phase_rad=0.4
+    )
+    (plain, y), _ = rig_a([rig, rippled], np.full(1000, 5.0), ROOM_PA)
+    np.testing.assert_allclose(y[:, VALVE_OUT:], plain[:, VALVE_OUT:], rtol=1e-12)  # valve closed
+    time = np.arange(1000) * DT_S
+    seen = sine_of(y[500:, SUPPLY], time[500:], frequency_hz)
+    # A line without friction, closed at the far end: cos(k (L - x)) / cos(k L)
+    k = 2.0 * math.pi * frequency_hz / AIR.sound_speed(ROOM_K)
+    expected = 2e3 * math.cos(0.025 * k) / math.cos(k) * complex(math.cos(0.4), math.sin(0.4))
+    assert abs(seen - expected) < 0.04 * abs(expected)
+
+
+def test_ripple_keeps_the_time_of_the_run(rig: Rig) -> None:
+    rippled = attach(rig, "supply_ripple", "supply", amplitude_pa=5e3, frequency_hz=13.0)
+    whole = Simulator(rippled).run(0.1, {"voltage": 6.0})
+    pieces = Simulator(rippled)
+    for _ in range(4):
+        last = pieces.run(0.025, {"voltage": 6.0})
+    assert last.taps["supply"][-1] == pytest.approx(whole.taps["supply"][-1], abs=2.0)
+    # A recording that begins later finds the ripple further on.
+    plan = plan_grid(rippled)
+    field = initial_field(rippled, plan)
+    volts = np.full(60, 6.0)
+    start = np.tile([SUPPLY_PA, 3e5, 3e5, 3e5, ROOM_PA], (60, 1))
+    course = even_course(field, {"voltage": volts}, DT_S, start)
+    later = replace(
+        course,
+        begin_s=0.03,
+        end_s=course.end_s + 0.03,
+        time_s=course.time_s + 0.03,
+        commands={"voltage": Signal(course.commands["voltage"].time_s + 0.03, volts)},
+    )
+    ahead = rippled.model_copy(deep=True)
+    ahead.effects[0].parameters["phase_rad"] = 2.0 * math.pi * 13.0 * 0.03
+    (y,) = predict([[build(rippled, plan)]], [later], field)
+    (z,) = predict([[build(ahead, plan)]], [course], field)
+    np.testing.assert_allclose(y.readings, z.readings, rtol=1e-9)
 
 
 def test_warm_supply_passes_less_mass(blow_through: Rig) -> None:
@@ -544,3 +813,27 @@ def test_sensor_effects_touch_their_own_tap_only(
         area = float(np.sum(0.5 * (p - r)[1:] + 0.5 * (p - r)[:-1])) * DT_S
         assert 6e-3 * (r[-1] - r[0]) == pytest.approx(area, rel=0.02)
         assert np.max(np.abs(np.diff(r))) < np.max(np.abs(np.diff(p)))
+
+
+@pytest.mark.parametrize("shift", [2, -2])
+def test_common_clock_offset_shifts_every_tap(rig: Rig, shift: int) -> None:
+    odd = attach(rig, "common_clock_offset", "taps", offset_s=shift * DT_S)
+    (p, r), _ = rig_a([rig, odd], step_and_hold(), 3e5)
+    if shift > 0:
+        np.testing.assert_allclose(r[shift:], p[:-shift], rtol=1e-9)
+    else:
+        np.testing.assert_allclose(r[:shift], p[-shift:], rtol=1e-9)
+
+
+def test_late_clocks_look_like_a_late_valve(rig: Rig) -> None:
+    late = attach(rig, "common_clock_offset", "taps", offset_s=2.0 * DT_S)
+    slow = attach(rig, "valve_delay", "valve", delay_s=2.0 * DT_S)
+    (plain, clock, valve), _ = rig_a([rig, late, slow], step_and_hold(), 3e5)
+    np.testing.assert_allclose(clock[2:], valve[2:], rtol=1e-6)
+    assert np.max(np.abs(clock - plain)) > 1e4
+
+
+def test_a_single_tap_has_no_common_clock(rig: Rig) -> None:
+    rig.taps = {"end": rig.taps["end"]}
+    assert registry()["common_clock_offset"].places(rig) == []
+    assert registry()["clock_offset"].places(rig) == ["end"]

@@ -15,7 +15,7 @@ from pneu_sim.effects.registry import BUILT_IN
 from pneu_sim.errors import InputError
 from pneu_sim.rig import Rig, load_rig
 from pneu_sim.rig.build import build, plan_grid
-from pneu_sim.rig.schema import AttachedEffect, Chamber
+from pneu_sim.rig.schema import AttachedEffect, Chamber, Pipe
 from pneu_sim.simulate import even_course, initial_field, predict
 
 HOUSE = Path(__file__).parents[3]
@@ -27,6 +27,9 @@ EFFECTS = [kind() for kind in BUILT_IN]
 FAINT = {
     ("leak", "supply_line"): "the regulator makes up for it",
     ("leak", "exhaust_tube"): "open to the room at one end",
+    ("porous_leak", "supply_line"): "the regulator makes up for it",
+    ("porous_leak", "exhaust_tube"): "open to the room at one end",
+    ("relief_valve", "supply_line"): "the regulator makes up for it",
     ("wall_heat", "exhaust_tube"): "short and open to the room",
     ("wall_compliance", "exhaust_tube"): "at the room's pressure a wall has its nominal area",
 }
@@ -74,9 +77,31 @@ def readings(base: Rig, rigs: list[Rig]) -> np.ndarray:
     return np.moveaxis(predict([models], [course], field)[0].readings, 1, 2)
 
 
+def with_junction(rig: Rig) -> Rig:
+    """The rig with a blind branch at the end of its tube, and a stub to its tap there."""
+    copy = rig.model_copy(deep=True)
+    copy.pipes["tube"].to_node = "tee"
+    for name, length_m in (("branch", 1.0), ("stub", 0.2)):
+        copy.pipes[name] = Pipe.model_validate(
+            {"from": "tee", "to": "closed", "length_m": length_m, "area_m2": 6e-6}
+        )
+    return copy
+
+
+def with_limits(rig: Rig) -> Rig:
+    """The rig with a spool at its limits: before they are reached, a change of them is nothing."""
+    copy = rig.model_copy(deep=True)
+    copy.valves["valve"].spool.max_speed_v_s = 200.0
+    copy.valves["valve"].spool.max_acceleration_v_s2 = 1e5
+    return copy
+
+
 def base_for(effect: Effect, rig: Rig) -> Rig:
-    """Rig A, or the same with a chamber for effects that need one."""
-    return rig if effect.places(rig) else with_chamber(rig)
+    """Rig A, or the same with what an effect needs to have a place and to be felt."""
+    if effect.name in ("spool_speed_limit", "spool_acceleration_limit"):
+        return with_limits(rig)
+    candidates = (rig, with_chamber(rig), with_junction(rig))
+    return next(base for base in candidates if effect.places(base))
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)

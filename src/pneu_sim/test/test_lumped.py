@@ -203,6 +203,34 @@ def test_leak_yielding_chamber_and_dead_volume_count() -> None:
     np.testing.assert_allclose(p["leak"][still_choked], decay[still_choked], rtol=1e-6)
 
 
+def test_porous_leaks_and_relief_valves_count() -> None:
+    room, conductance = 101325.0, 2e-15
+    leaks = {
+        "stub": {"from": "vessel", "to": "closed", "length_m": 0.5, "area_m2": 4e-6,
+                 "leaks": [{"position_m": 0.2, "porous_m3": 0.5 * conductance}]}
+    }  # fmt: skip
+    porous = {"vessel": {"volume_m3": VESSEL, "leak_porous_m3": 0.5 * conductance}}
+    rig = vessel_rig(8e5, 1.0, chambers=porous, pipes=leaks, orifices={})
+    p = roll(rig, None, 1e-3, 201, [4e5]).readings[0, 0]
+    # isothermal: p' = -G (p^2 - room^2) / (2 mu V)
+    decay = np.exp(-room * conductance / (MU * VOLUME) * np.arange(201) * 1e-3)
+    x = (4e5 - room) / (4e5 + room) * decay
+    np.testing.assert_allclose(p, room * (1.0 + x) / (1.0 - x), rtol=1e-4)
+    assert p[-1] < 3.5e5
+    valves = [
+        {"area_m2": 1e-6, "set_pa": 3e5, "range_pa": 1e4},
+        {"area_m2": 1e-6, "set_pa": 3.5e5},
+    ]
+    relief = {"vessel": {"volume_m3": VESSEL, "reliefs": valves}}
+    rig = vessel_rig(8e5, 1.0, chambers=relief)
+    held = roll(rig, None, 1e-3, 401, [2e5]).readings[0, 0, -1]
+    # What the hole brings, choked, leaves through the partly open valve, choked.
+    k = math.sqrt(GAMMA / R) * (2.0 / (GAMMA + 1.0)) ** ((GAMMA + 1.0) / (2.0 * (GAMMA - 1.0)))
+    brought = HOLE * 1.185 * 8e5
+    leaves = k * 1e-6 * (held - 3e5) / 1e4 * held / math.sqrt(T0)
+    assert leaves == pytest.approx(brought, rel=2e-3)
+
+
 # ---- what belongs to which volume ----------------------------------------------------------
 
 

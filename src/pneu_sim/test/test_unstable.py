@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pneu_sim import layout as L
 from pneu_sim.errors import InputError
 from pneu_sim.rig.build import Model, build, plan_grid
-from pneu_sim.rig.schema import Chamber, Rig
+from pneu_sim.rig.schema import Chamber, Rig, Ripple
 from pneu_sim.simulate import Prediction, even_course, initial_field, predict
 from pneu_sim.simulator import Simulator
 
@@ -128,6 +128,17 @@ def test_what_no_step_helps_is_told_in_one_sentence() -> None:
     simulator._tile.cell[L.VISCOUS] = np.nan
     with pytest.raises(InputError, match="8 times as many steps; "):
         simulator.run(0.01, {"volts": 5.0})
+
+
+def test_a_ripple_keeps_its_time_whatever_steps_are_taken() -> None:
+    found, want = (rig(speed) for speed in (250.0, PROPER[250.0]))
+    for one in (found, want):
+        name = next(iter(one.reservoirs))
+        one.reservoirs[name].ripples = [Ripple(amplitude_pa=5e4, frequency_hz=40.0)]
+    runs = [Simulator(one).run(0.06, {"volts": VOLTS}).pressures["end"] for one in (found, want)]
+    assert runs[0] == pytest.approx(runs[1], rel=1e-6)
+    plain = Simulator(rig(250.0)).run(0.06, {"volts": VOLTS}).pressures["end"]
+    assert np.abs(runs[0] - plain).max() > 1e4
 
 
 def test_a_regulator_sags_by_its_droop_and_comes_back() -> None:

@@ -53,10 +53,12 @@ class Sensitivity:
 
     Attributes:
         site: The candidate.
+        least: The least strength that is possible on this rig.
         change: (n_stretches, m) change per unit strength, in noise units.
     """
 
     site: Site
+    least: float
     change: Floats = field(repr=False)
 
 
@@ -89,23 +91,23 @@ def sensitivities(
     Returns:
         One for each, two for those that are far from proportional to their strength.
     """
-    tried: list[tuple[Site, float]] = []
+    tried: list[tuple[Site, float, float]] = []
     for site in sites:
         p = site.effect.strength
-        high = site.effect.limits(p, rig, site.place)[1]
+        low, high = site.effect.limits(p, rig, site.place)
         for factor in (SECANT, LARGER) if site.effect.curved else (SECANT,):
             step = factor * thresholds.typical * (p.typical - p.absent)
             at = min(step, 0.9 * (high - p.absent)) if step > 0.0 else step
-            tried.append((site, at))
-    rigs = [rig] + [s.attached(rig, s.effect.strength.absent + h) for s, h in tried]
+            tried.append((site, low, at))
+    rigs = [rig] + [s.attached(rig, s.effect.strength.absent + h) for s, _, h in tried]
     y = problem.simulate(rigs, progress, strict=False).readings
     missing = ~np.isfinite(problem.target())
     out = []
-    for k, (site, h) in enumerate(tried):
+    for k, (site, low, h) in enumerate(tried):
         change = (y[k + 1] - y[0]) / (problem.noise_pa * h)
         change[missing] = 0.0
         if np.isfinite(change).all():  # else the rig with it cannot be simulated at all
-            out.append(Sensitivity(site, change.reshape(problem.stretches, -1)))
+            out.append(Sensitivity(site, low, change.reshape(problem.stretches, -1)))
     return out
 
 
@@ -137,7 +139,7 @@ def _score_of(one: Sensitivity, alike: Floats, a: Floats, b: Floats, total: floa
         return Score(site, 0.0, 0.0, 0.0, s, alike)
     eta = float(a.sum()) / total_b
     strength = site.effect.strength
-    if not strength.lower <= strength.absent + eta:
+    if strength.absent + eta < one.least:
         return Score(site, strength.absent, 0.0, 0.0, s, alike)
     n = a.size
     rest = np.maximum(total_b - b, 1e-12)

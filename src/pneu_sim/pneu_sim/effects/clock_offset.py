@@ -10,7 +10,7 @@ from pneu_sim.rig.schema import Rig
 class ClockOffset(Effect):
     """Lateness of one tap's readings, added to the rig's.
 
-    A lateness that all taps share cannot be told from a valve delay, and is sought as one.
+    A lateness that all taps share is the common clock offset.
     """
 
     name: ClassVar[str] = "clock_offset"

@@ -36,7 +36,7 @@ class LengthError(Effect):
         cells = max(2, round(pipe.length_m / (pipe.dx_m or rig.grid.dx_m)))
         pipe.length_m *= factor
         pipe.dx_m = pipe.length_m / cells
-        for parts in (pipe.losses, pipe.leaks, pipe.volumes, pipe.narrowings):
+        for parts in (pipe.losses, pipe.leaks, pipe.reliefs, pipe.volumes, pipe.narrowings):
             for part in parts:
                 part.position_m *= factor
         if pipe.area_profile is not None:

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names of the parts of a rig at which effects may sit, and the parts by those names."""
 
-from pneu_sim.rig.schema import Orifice, Pipe, Port, Reservoir, Rig
+from pneu_sim.rig.schema import CLOSED, Orifice, Pipe, Port, Reservoir, Rig
 
 ROOM = "room"
 """Place of effects that act on the surroundings of the whole rig."""
+
+TAPS = "taps"
+"""Place of effects that act on all taps of a rig alike."""
 
 SOURCE_MARGIN = 0.05
 """A reservoir whose pressure is this close to the room's (relative) is the room itself."""
@@ -53,6 +56,30 @@ def flow_paths(rig: Rig) -> dict[str, list[Port | Orifice]]:
     for name, orifice in rig.orifices.items():
         paths[name] = [orifice]
     return paths
+
+
+def open_to_room(rig: Rig) -> list[str]:
+    """Pipes with an end in a reservoir that is the room.
+
+    Args:
+        rig: The rig.
+    """
+    room = {name for name, reservoir in rig.reservoirs.items() if is_room(rig, reservoir)}
+    return [name for name, pipe in rig.pipes.items() if {pipe.from_node, pipe.to_node} & room]
+
+
+def junctions(rig: Rig) -> list[str]:
+    """Nodes that join three or more pipe ends and nothing else.
+
+    Args:
+        rig: The rig.
+    """
+    ends: dict[str, int] = {}
+    for pipe in rig.pipes.values():
+        for node in (pipe.from_node, pipe.to_node):
+            ends[node] = ends.get(node, 0) + 1
+    fixed = {CLOSED, *rig.reservoirs, *rig.chambers}
+    return [node for node, count in ends.items() if count > 2 and node not in fixed]
 
 
 def fill_and_exhaust(rig: Rig, valve: str) -> tuple[list[Port], list[Port]]:

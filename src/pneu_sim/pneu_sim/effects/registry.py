@@ -17,27 +17,37 @@ from pneu_sim.effects.blockage import Blockage
 from pneu_sim.effects.chamber_compliance import ChamberCompliance
 from pneu_sim.effects.chamber_heat import ChamberHeat
 from pneu_sim.effects.chamber_leak import ChamberLeak
+from pneu_sim.effects.chamber_porous_leak import ChamberPorousLeak
+from pneu_sim.effects.chamber_relief_valve import ChamberReliefValve
 from pneu_sim.effects.chamber_volume import ChamberVolume
 from pneu_sim.effects.clock_offset import ClockOffset
+from pneu_sim.effects.closing_delay import ClosingDelay
+from pneu_sim.effects.common_clock_offset import CommonClockOffset
 from pneu_sim.effects.critical_ratio import CriticalRatio
 from pneu_sim.effects.dead_band import DeadBand
 from pneu_sim.effects.dead_volume import DeadVolume
 from pneu_sim.effects.fill_exhaust_asymmetry import FillExhaustAsymmetry
 from pneu_sim.effects.flow_gain import FlowGain
 from pneu_sim.effects.hysteresis import Hysteresis
+from pneu_sim.effects.junction_loss import JunctionLoss
 from pneu_sim.effects.laminar_friction import LaminarFriction
 from pneu_sim.effects.leak import Leak
 from pneu_sim.effects.length_error import LengthError
 from pneu_sim.effects.local_loss import LocalLoss
 from pneu_sim.effects.null_offset import NullOffset
+from pneu_sim.effects.porous_leak import PorousLeak
 from pneu_sim.effects.regulator_droop import RegulatorDroop
+from pneu_sim.effects.relief_valve import ReliefValve
 from pneu_sim.effects.roughness import Roughness
 from pneu_sim.effects.sensor_bias import SensorBias
 from pneu_sim.effects.sensor_gain import SensorGain
 from pneu_sim.effects.sensor_lag import SensorLag
+from pneu_sim.effects.spool_acceleration_limit import SpoolAccelerationLimit
 from pneu_sim.effects.spool_bandwidth import SpoolBandwidth
 from pneu_sim.effects.spool_leakage import SpoolLeakage
+from pneu_sim.effects.spool_speed_limit import SpoolSpeedLimit
 from pneu_sim.effects.supply_level import SupplyLevel
+from pneu_sim.effects.supply_ripple import SupplyRipple
 from pneu_sim.effects.supply_temperature import SupplyTemperature
 from pneu_sim.effects.turbulent_friction import TurbulentFriction
 from pneu_sim.effects.unsteady_friction import UnsteadyFriction
@@ -56,7 +66,11 @@ BUILT_IN: tuple[type[Effect], ...] = (
     ClockOffset,
     SensorLag,
     ValveDelay,
+    ClosingDelay,
+    CommonClockOffset,
     SpoolBandwidth,
+    SpoolSpeedLimit,
+    SpoolAccelerationLimit,
     DeadBand,
     Hysteresis,
     NullOffset,
@@ -65,8 +79,11 @@ BUILT_IN: tuple[type[Effect], ...] = (
     FillExhaustAsymmetry,
     SpoolLeakage,
     Leak,
+    PorousLeak,
+    ReliefValve,
     Blockage,
     LocalLoss,
+    JunctionLoss,
     LaminarFriction,
     TurbulentFriction,
     Roughness,
@@ -77,12 +94,15 @@ BUILT_IN: tuple[type[Effect], ...] = (
     LengthError,
     AreaError,
     ChamberLeak,
+    ChamberPorousLeak,
+    ChamberReliefValve,
     ChamberVolume,
     ChamberCompliance,
     ChamberHeat,
     RegulatorDroop,
     SupplyLevel,
     SupplyTemperature,
+    SupplyRipple,
     AmbientTemperature,
     AmbientPressure,
 )

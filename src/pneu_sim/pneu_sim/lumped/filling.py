@@ -199,6 +199,11 @@ def _rates(
         p = _bulk(v, side, base, y)
         t = _temperature(v, r_gas, volume, side, base, y)
         leak = port_flow(p, t, room[0], room[1], volume[v, 3], LEAK_LINEAR, gamma, r_gas)
+        leak += volume[v, 4] * (p - room[0]) * (p + room[0])
+        for k in range(5, volume.shape[1], 3):
+            if p > volume[v, k + 1] and p > room[0] and volume[v, k] > 0.0:
+                open_area = volume[v, k] * min((p - volume[v, k + 1]) / volume[v, k + 2], 1.0)
+                leak += port_flow(p, t, room[0], room[1], open_area, LEAK_LINEAR, gamma, r_gas)
         carried = t if leak > 0.0 else room[1]
         size = volume[v, 0] + volume[v, 1] * (p - volume[v, 2])
         rise = -exponent * r_gas * carried * leak / (size + exponent * p * volume[v, 1])
@@ -316,7 +321,7 @@ def begin_volumes(
 
     Args:
         base: (n_volumes,) initial pressures, Pa.
-        volume: (n_volumes, 4) volume, growth per pascal, rest pressure, leak area.
+        volume: (n_volumes, 5 + 3 n) see ``LumpedModel``.
         n_sides: Sides of ports.
         r_gas: Specific gas constant, J/(kg K).
         room: (2,) pressure and temperature of the room.
@@ -364,7 +369,7 @@ def advance_volumes(
         area: (lanes, n_ports) effective areas fully open, m^2.
         linear: (lanes, n_ports) pressure ratios above which flow is linear.
         source: (lanes, n_sources, 2) pressure, Pa, and temperature, K.
-        volume: (lanes, n_volumes, 4) volume, growth per pascal, rest pressure, leak area.
+        volume: (lanes, n_volumes, 5 + 3 n) see ``LumpedModel``.
         tap: (n_taps,) place of each tap, alike for all lanes.
         tap_delay: (lanes, n_taps, 2 n_ports) travel times, s.
         side_delay: (lanes, 2 n_ports, 2 n_ports) travel times, s.
@@ -447,7 +452,7 @@ def fill(
         area: (n_ports,) effective areas fully open, m^2.
         linear: (n_ports,) pressure ratios above which flow is linear.
         source: (n_sources, 2) pressure, Pa, and temperature, K.
-        volume: (n_volumes, 4) volume, growth per pascal, rest pressure, leak area.
+        volume: (n_volumes, 5 + 3 n) see ``LumpedModel``.
         tap: (n_taps,) place of each tap.
         chamber: (n_chambers,) place of each chamber.
         tap_delay: (n_taps, 2 n_ports) travel times, s.

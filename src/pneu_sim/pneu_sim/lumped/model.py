@@ -12,8 +12,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 # Columns of a volume's row (see LumpedModel.volume).
-V_VOLUME, V_COMPLIANCE, V_REST_P, V_LEAK = 0, 1, 2, 3
-VOLUME_COLUMNS = 4
+V_VOLUME, V_COMPLIANCE, V_REST_P, V_LEAK, V_POROUS = 0, 1, 2, 3, 4
+VOLUME_COLUMNS = 5
+# After them, as often as a volume of the rig needs: area, set pressure and range of a relief valve.
+RELIEF_COLUMNS = 3
 
 
 @dataclass
@@ -30,7 +32,8 @@ class LumpedModel:
         area: (n_ports,) effective area fully open.
         linear: (n_ports,) pressure ratio above which the flow is linear in the pressure drop.
         source: (n_sources, 2) pressure and temperature.
-        volume: (n_volumes, 4) volume at rest, growth per pascal, rest pressure, leak area.
+        volume: (n_volumes, 5 + 3 n) volume at rest, growth per pascal, rest pressure, leak area,
+            flow of porous leaks over p^2 - p_room^2, then the relief valves.
         cells: Per volume the slots of its pipes, for the initial pressure.
         tap: (n_taps,) place of each tap.
         chamber: (n_chambers,) place of each chamber.

@@ -18,8 +18,10 @@ import numpy as np
 from pneu_sim import layout as L
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.lumped.model import (
+    RELIEF_COLUMNS,
     V_COMPLIANCE,
     V_LEAK,
+    V_POROUS,
     V_REST_P,
     V_VOLUME,
     VOLUME_COLUMNS,
@@ -39,7 +41,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> LumpedModel:
 
     Volumes are those of the full model's cells and chambers, so that dead volumes, blockages,
     yielding walls, leaks and whatever acts on spools and sensors count here too. Friction, wall
-    heat, losses and droop have no counterpart.
+    heat, losses, droop and ripples have no counterpart.
 
     Args:
         rig: The rig.
@@ -104,6 +106,7 @@ def _volumes(full: Model, network: Network) -> tuple[np.ndarray, list[np.ndarray
     rows = np.zeros((len(network.volumes), VOLUME_COLUMNS))
     rows[:, V_REST_P] = full.ambient[0]
     cells = []
+    reliefs: list[list[tuple[float, float, float]]] = []
     for k, volume in enumerate(network.volumes):
         slots = [np.arange(s, s + n) for s, n in (plan.pipes[name] for name in volume.pipes)]
         own = np.concatenate(slots) if slots else np.zeros(0, dtype=np.int64)
@@ -115,7 +118,16 @@ def _volumes(full: Model, network: Network) -> tuple[np.ndarray, list[np.ndarray
             chamber = full.chamber[plan.chambers.index(name)]
             rows[k, V_VOLUME] += chamber[L.C_VOLUME]
             rows[k, V_COMPLIANCE] += chamber[L.C_COMPLIANCE]
-        for slot, leak in full.leaks.items():
-            inside = slot in own if slot >= 0 else plan.chambers[-1 - slot] in volume.chambers
-            rows[k, V_LEAK] += leak if inside else 0.0
-    return rows, cells
+        slots_of = {-1 - plan.chambers.index(name) for name in volume.chambers} | set(own.tolist())
+        rows[k, V_LEAK] = sum(leak for slot, leak in full.leaks.items() if slot in slots_of)
+        rows[k, V_POROUS] = sum(leak for slot, leak in full.porous.items() if slot in slots_of)
+        valves: dict[tuple[float, float], float] = {}
+        for slot in slots_of & set(full.reliefs):
+            for area, opens, span in full.reliefs[slot]:
+                valves[opens, span] = valves.get((opens, span), 0.0) + area
+        reliefs.append([(area, *at) for at, area in sorted(valves.items())])
+    most = max((len(valves_of) for valves_of in reliefs), default=0)
+    more = np.zeros((len(reliefs), most * RELIEF_COLUMNS))
+    for k, valves_of in enumerate(reliefs):
+        more[k, : len(valves_of) * RELIEF_COLUMNS] = np.ravel(valves_of)
+    return np.concatenate([rows, more], axis=1), cells

@@ -77,6 +77,10 @@ class Model:
         reservoir: (n_reservoirs, RESERVOIR_PARAMS).
         chamber: (n_chambers, CHAMBER_PARAMS).
         leaks: Slot, or -1 - chamber, to effective area, m^2.
+        porous: The same to the flow of porous leaks over p^2 - p_room^2, kg/(s Pa^2).
+        reliefs: The same to relief valves: effective area m^2, set pressure and range, Pa.
+        ripples: Reservoir to ripples of its pressure: amplitude Pa, angular frequency rad/s, phase
+            rad.
         spool: (n_valves, VALVE_COLUMNS) natural frequency rad/s, damping, integral gain,
             acceleration limit, delay, hysteresis, null offset, dead-band, null voltage, speed
             limit, how much longer than that the delay of closing is.
@@ -97,6 +101,9 @@ class Model:
     reservoir: Floats
     chamber: Floats
     leaks: dict[int, float]
+    porous: dict[int, float]
+    reliefs: dict[int, list[tuple[float, float, float]]]
+    ripples: dict[int, list[tuple[float, float, float]]]
     spool: Floats
     curve: Floats
     curve_v: Floats
@@ -357,6 +364,10 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
     cell[L.WALL_T] = ambient_t
     cell[L.REST_P] = rig.ambient.pressure_pa
     leaks: dict[int, float] = {}
+    porous: dict[int, float] = {}
+    reliefs: dict[int, list[tuple[float, float, float]]] = {}
+    # Poiseuille or Darcy, isothermal at the room's temperature, which the plug has.
+    per_porous = 1.0 / (2.0 * mu * gas.r_specific * ambient_t)
     for name, pipe in rig.pipes.items():
         first, n = plan.pipes[name]
         span = slice(first, first + n)
@@ -407,7 +418,15 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         cell[L.LOSS, first + n - 1] += pipe.loss_to / dx
         for leak in pipe.leaks:
             for i, share in _spread(leak.position_m, centres):
-                leaks[first + i] = leaks.get(first + i, 0.0) + share * leak.area_m2
+                if leak.area_m2 > 0.0:
+                    leaks[first + i] = leaks.get(first + i, 0.0) + share * leak.area_m2
+                if leak.porous_m3 > 0.0:
+                    more = share * leak.porous_m3 * per_porous
+                    porous[first + i] = porous.get(first + i, 0.0) + more
+        for relief in pipe.reliefs:
+            for i, share in _spread(relief.position_m, centres):
+                of_slot = reliefs.setdefault(first + i, [])
+                of_slot.append((share * relief.area_m2, relief.set_pa, relief.range_pa))
     if not rig.grid.memory:
         # One rig of a batch may have memory where the others have none.
         cell[[L.UNSTEADY, L.HEAT_UNSTEADY]] = 0.0
@@ -421,6 +440,15 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
     for c, chamber in enumerate(rig.chambers.values()):
         if chamber.leak_area_m2 > 0.0:
             leaks[-1 - c] = chamber.leak_area_m2
+        if chamber.leak_porous_m3 > 0.0:
+            porous[-1 - c] = chamber.leak_porous_m3 * per_porous
+        if chamber.reliefs:
+            reliefs[-1 - c] = [(r.area_m2, r.set_pa, r.range_pa) for r in chamber.reliefs]
+    ripples = {
+        k: [(r.amplitude_pa, 2.0 * math.pi * r.frequency_hz, r.phase_rad) for r in source.ripples]
+        for k, source in enumerate(rig.reservoirs.values())
+        if source.ripples
+    }
 
     port = np.zeros((plan.ports.shape[0], L.PORT_PARAMS))
     curve = np.ones((plan.ports.shape[0], CURVE_POINTS))
@@ -507,6 +535,9 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
             ]
         ).reshape(-1, L.CHAMBER_PARAMS),
         leaks=leaks,
+        porous=porous,
+        reliefs=reliefs,
+        ripples=ripples,
         spool=spool,
         curve=curve,
         curve_v=curve_v,

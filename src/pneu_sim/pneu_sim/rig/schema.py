@@ -133,15 +133,59 @@ class LocalLoss(Part):
 
 
 class Leak(Part):
-    """An orifice to the room in a pipe's wall.
+    """A way to the room in a pipe's wall: a hole, or something porous (a seal, a thread).
 
     Attributes:
         position_m: Where it sits.
-        area_m2: Effective area.
+        area_m2: Effective area of an orifice.
+        porous_m3: Permeability x area / length of a porous plug; of a capillary of diameter d and
+            length l, pi d^4 / (128 l). It leaks porous_m3 (p^2 - p_room^2) / (2 mu R T).
     """
 
     position_m: NonNegative
+    area_m2: NonNegative = 0.0
+    porous_m3: NonNegative = 0.0
+
+
+class Relief(Part):
+    """A relief valve: an orifice to the room that opens above a set pressure.
+
+    Attributes:
+        area_m2: Effective area fully open.
+        set_pa: Pressure at which it begins to open.
+        range_pa: By how much more it is fully open; between, the area grows in proportion.
+    """
+
     area_m2: NonNegative
+    set_pa: Positive
+    range_pa: Positive = 2e4
+
+
+class PipeRelief(Relief):
+    """A relief valve on a pipe.
+
+    Attributes:
+        area_m2: Effective area fully open.
+        set_pa: Pressure at which it begins to open.
+        range_pa: By how much more it is fully open; between, the area grows in proportion.
+        position_m: Where it sits.
+    """
+
+    position_m: NonNegative
+
+
+class Ripple(Part):
+    """A pulsation of a reservoir's pressure: a compressor's strokes, a regulator that hunts.
+
+    Attributes:
+        amplitude_pa: Its amplitude, half of peak to peak.
+        frequency_hz: Its frequency.
+        phase_rad: Phase of its sine at time zero of the simulation or recording.
+    """
+
+    amplitude_pa: NonNegative
+    frequency_hz: Positive
+    phase_rad: Finite = 0.0
 
 
 class DeadVolume(Part):
@@ -183,6 +227,7 @@ class Pipe(Part):
         wall: Friction and heat.
         losses: Local losses.
         leaks: Leaks to the room.
+        reliefs: Relief valves.
         volumes: Dead volumes.
         narrowings: Stretches of reduced area.
         volume_from_m3: Volume at the ``from`` end (a valve's chamber, a fitting).
@@ -200,6 +245,7 @@ class Pipe(Part):
     wall: Wall = Wall()
     losses: list[LocalLoss] = []
     leaks: list[Leak] = []
+    reliefs: list[PipeRelief] = []
     volumes: list[DeadVolume] = []
     narrowings: list[Narrowing] = []
     volume_from_m3: NonNegative = 0.0
@@ -217,6 +263,7 @@ class Reservoir(Part):
         droop_pa_s_per_kg: Sag of the pressure per flow drawn.
         droop_tau_s: Time constant of the sag.
         inlet_loss: Velocity heads lost where gas enters a pipe (0 rounded, 0.5 sharp).
+        ripples: Pulsations of its pressure, added up. Lumped models have none.
     """
 
     pressure_pa: Positive
@@ -224,6 +271,7 @@ class Reservoir(Part):
     droop_pa_s_per_kg: NonNegative = 0.0
     droop_tau_s: NonNegative = 0.002
     inlet_loss: NonNegative = 0.0
+    ripples: list[Ripple] = []
 
 
 class Chamber(Part):
@@ -234,12 +282,16 @@ class Chamber(Part):
         compliance_m3_per_pa: Growth of the volume per pascal above the room (a test lung).
         heat_w_per_k: Heat conductance of its wall.
         leak_area_m2: Effective area of its leak to the room.
+        leak_porous_m3: Permeability x area / length of a porous leak to the room, see a pipe's.
+        reliefs: Relief valves.
     """
 
     volume_m3: Positive
     compliance_m3_per_pa: NonNegative = 0.0
     heat_w_per_k: NonNegative = 0.0
     leak_area_m2: NonNegative = 0.0
+    leak_porous_m3: NonNegative = 0.0
+    reliefs: list[Relief] = []
 
 
 class Opening(Part):
@@ -612,9 +664,10 @@ def check_network(rig: Rig) -> None:
     for name, pipe in rig.pipes.items():
         for node in (pipe.from_node, pipe.to_node):
             ends[node] = ends.get(node, 0) + 1
-        placed: list[LocalLoss | Leak | DeadVolume | Narrowing] = [
+        placed: list[LocalLoss | Leak | PipeRelief | DeadVolume | Narrowing] = [
             *pipe.losses,
             *pipe.leaks,
+            *pipe.reliefs,
             *pipe.volumes,
             *pipe.narrowings,
         ]
