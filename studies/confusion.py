@@ -2,9 +2,9 @@
 """Every effect of the catalogue hidden in recordings of calibrated rigs, and what is learned.
 
 Three rigs of different shape are drawn at random and calibrated from their datasheets. Each effect
-is injected once on each, healthy recordings beside them; with ``--without`` each effect is taken out
-of the catalogue before its own recording is looked at. What was found is kept by a digest of code
-and settings, so that an interrupted run goes on, and ``docs/confusion.md`` shows one version only.
+is injected once on each, and healthy recordings are looked at beside them; with ``--without`` each
+effect is taken out of the catalogue before its own recording is looked at. What was found is kept
+by a digest of code and settings: an interrupted run goes on, and the page shows one version only.
 """
 
 import argparse
@@ -312,10 +312,10 @@ def page(cases: dict[str, Found], planned: int) -> str:
         "# Confusion matrix",
         "",
         "Made by `make confusion`: rigs of three shapes, drawn at random and calibrated from their"
-        f" datasheets; every effect of the catalogue hidden in a recording of {SECONDS:g} s of each,"
-        " from a plant of finer cells and other numerics, at a place, a position and a strength of"
-        f" its own. An effect that changes no tap by {FELT:g} times the noise, even at the strongest"
-        " tried, is not counted.",
+        f" datasheets; every effect hidden in a recording of {SECONDS:g} s of each,"
+        " from a plant of finer cells and other numerics, at a place, a position and a strength"
+        f" of its own. An effect that changes no tap by {FELT:g} times the noise, even at the"
+        " strongest tried, is not counted.",
         f"Made from the sources {sources_digest()}.",
         "",
         f"* run: {len(cases)} of {planned}" + ("" if len(cases) == planned else " (not all)"),

@@ -29,8 +29,9 @@ def blocks_of(problem: Problem, block_s: float) -> Ints:
 def lead(better: Floats, other: Floats, blocks: Ints) -> float:
     """By how many standard errors one residual is smaller than another.
 
-    The sum of the differences of squares over blocks of time, over the root of the sum of their
-    squares: what such a sum would scatter by if its sign were chance in every block.
+    Two models whose predictions differ by D leave squares that differ by ``2 r D + D^2``, r being
+    what the better one leaves. The first term is chance: noise makes it scatter by ``2 |D|``, what
+    the model does not know by as much as r and D go together in blocks of time.
 
     Args:
         better: (n_stretches, m) residual in noise deviations.
@@ -40,9 +41,12 @@ def lead(better: Floats, other: Floats, blocks: Ints) -> float:
     Returns:
         The lead; negative where ``other`` is the smaller one, 0 where they agree.
     """
-    apart = np.bincount(blocks.ravel(), weights=(other**2 - better**2).ravel())
-    scatter = float(np.sqrt(np.sum(apart**2)))
-    return float(apart.sum()) / scatter if scatter > 0.0 else 0.0
+    gain = float(np.sum(other**2) - np.sum(better**2))
+    apart = other - better
+    left = better if gain >= 0.0 else other
+    together = np.bincount(blocks.ravel(), weights=(left * apart).ravel())
+    scatter = 2.0 * float(np.sqrt(max(np.sum(together**2), np.sum(apart**2))))
+    return gain / scatter if scatter > 0.0 else 0.0
 
 
 def share_explained(before: Floats, after: Floats) -> float:

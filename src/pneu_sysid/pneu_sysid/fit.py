@@ -316,7 +316,7 @@ def _tried(
     done = {path.split(".")[1] for path in job.measured}
     if step.limits and last is not None:
         rig, changed = try_limits(
-            rig, last.problem, job.used(last.problem), last.estimate, done, told
+            rig, last.problem, job.used(last.problem), last.estimate, last.fitted, done, told
         )
         if not changed:
             return rig, every

@@ -6,14 +6,15 @@ than the one assumed is a valley of its own; so what a spool may be is tried bef
 """
 
 import math
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.rig.schema import Rig, Spool
+from pneu_sim.rig.schema import FitParameter, Rig, Spool
 from pneu_sysid.gauss_newton import Estimate, huber_cost
+from pneu_sysid.parameters import rig_at, variables_of
 from pneu_sysid.problem import Problem
 
 Floats = NDArray[np.float64]
@@ -31,6 +32,8 @@ FASTER = (1.0, 1.35, 1.8)
 """A spool with a limit is as much faster where it is not reached."""
 WIDER = (1.0, 2.0, 4.0)
 """Factors on the limit that a spool has, where the other one is tried."""
+SLOWER = (1.0, 0.75, 0.55)
+"""... and as much slower, perhaps, if it has none after all."""
 WORTH = 0.03
 """A limit has to take away so much of what the cost is more than the noise's to be assumed."""
 CHANCE = 15.0
@@ -47,6 +50,7 @@ class _Trial:
     speed: float | None = None
     acceleration: float | None = None
     wider: float = 1.0
+    free: bool = False
 
 
 def try_spools(
@@ -81,6 +85,7 @@ def try_limits(
     problem: Problem,
     used: NDArray[np.bool_],
     estimate: Estimate,
+    fitted: Sequence[FitParameter],
     known: Container[str] = (),
     told: Told | None = None,
 ) -> tuple[Rig, bool]:
@@ -93,6 +98,7 @@ def try_limits(
         problem: The problem that it was estimated on.
         used: (n_stretches,) stretches that it was estimated on.
         estimate: The estimation.
+        fitted: Its parameters.
         known: Valves whose spools are known already.
         told: Given the size of a batch, what is called with the fraction of it that is done.
 
@@ -100,17 +106,61 @@ def try_limits(
         The rig, and whether a spool got a limit.
     """
     changed = False
+    freed: set[str] = set()
+    for name, valve in rig.valves.items():
+        if name not in known and _is_limited(valve.spool):
+            better = _without_limits(rig, name, problem, used, estimate, fitted, told)
+            if better is not None:
+                rig, changed = better, True
+                freed.add(name)
     while True:
         # the one that takes away most first: beside it another's share may be too small to see
         found = [
             _best_limit(rig, name, problem, used, estimate, told)
             for name, valve in rig.valves.items()
-            if name not in known and _may_be_limited(valve.spool)
+            if name not in known and name not in freed and _may_be_limited(valve.spool)
         ]
         worth = [one for one in found if one is not None]
         if not worth:
             return rig, changed
         rig, changed = max(worth, key=lambda one: one[0])[1], True
+
+
+def _is_limited(spool: Spool) -> bool:
+    """Whether a spool has a limit."""
+    return spool.max_speed_v_s is not None or spool.max_acceleration_v_s2 is not None
+
+
+def _without_limits(
+    rig: Rig,
+    name: str,
+    problem: Problem,
+    used: NDArray[np.bool_],
+    estimate: Estimate,
+    fitted: Sequence[FitParameter],
+    told: Told | None,
+) -> Rig | None:
+    """The rig whose spool has no limits, where it would do better so; else None.
+
+    While much else was wrong a limit may have explained what another bandwidth does better, and
+    the fit that followed made the spool faster until the limit was all that slowed it down.
+    """
+    trials = [_Trial(bandwidth, free=True) for bandwidth in SLOWER]
+    rigs = _tried(rig, name, trials, 0.0)
+    costs, amounts = _costs(rig, rigs, problem, used, estimate, told)
+    k = int(np.argmin(costs[1:]))
+    if costs[1 + k] >= costs[0] + CHANCE:
+        return None
+    # with what the others make good, or the next step would lead back
+    left = [
+        (p, a) for p, a in zip(fitted, amounts[1 + k], strict=True) if "spool.max_" not in p.path
+    ]
+    variables = variables_of(rigs[k], [p for p, _ in left])
+    moved = [
+        float(np.clip(v.value + a, v.lower, v.upper))
+        for v, (_, a) in zip(variables, left, strict=True)
+    ]
+    return rig_at(rigs[k], [p for p, _ in left], np.array(moved))
 
 
 def _may_be_limited(spool: Spool) -> bool:
@@ -142,7 +192,7 @@ def _best_limit(
     else:
         trials = [_Trial(b, speed=s) for b in FASTER for s in SPEEDS]
         trials += [_Trial(b, acceleration=a) for b in FASTER for a in ACCELERATIONS]
-    costs = _costs(rig, _tried(rig, name, trials, step_v), problem, used, estimate, told)
+    costs, _ = _costs(rig, _tried(rig, name, trials, step_v), problem, used, estimate, told)
     k = int(np.argmin(costs[1:]))
     noise = 0.5 * float(np.isfinite(problem.measured[used]).sum())
     if costs[0] - costs[1 + k] < WORTH * max(costs[0] - noise, 0.0) + CHANCE:
@@ -177,6 +227,10 @@ def _spool(given: Spool, trial: _Trial, step_v: float) -> Spool:
     values = {"bandwidth_hz": bandwidth, "delay_s": given.delay_s + trial.delay_s}
     if given.closing_delay_s is not None:
         values["closing_delay_s"] = given.closing_delay_s + trial.delay_s
+    if trial.free:
+        return given.model_copy(
+            update={**values, "max_speed_v_s": None, "max_acceleration_v_s2": None}
+        )
     if given.max_speed_v_s is not None:
         values["max_speed_v_s"] = trial.wider * given.max_speed_v_s
     if given.max_acceleration_v_s2 is not None:
@@ -204,12 +258,13 @@ def _costs(
     used: NDArray[np.bool_],
     estimate: Estimate,
     told: Told | None,
-) -> Floats:
-    """(1 + n,) cost of the rig and of each trial after what the parameters can make good."""
+) -> tuple[Floats, Floats]:
+    """(1 + n,) cost of the rig and of each trial after what (1 + n, P) amounts make good."""
     rigs = [rig, *trials]
     tell = None if told is None else told(len(rigs))
     out = problem.simulate(rigs, progress=tell, strict=False).readings
     r = np.nan_to_num(problem.residual(out), nan=1e4, posinf=1e4, neginf=-1e4)
     r = r.reshape(len(rigs), problem.stretches, -1)[:, used]
-    left = r - np.einsum("smp,kp->ksm", estimate.jacobian, estimate.amounts(r))
-    return np.array([0.5 * float(np.sum(one**2)) for one in left])
+    amounts = -estimate.amounts(r)
+    left = r + np.einsum("smp,kp->ksm", estimate.jacobian, amounts)
+    return np.array([0.5 * float(np.sum(one**2)) for one in left]), amounts

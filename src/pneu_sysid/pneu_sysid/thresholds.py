@@ -25,8 +25,9 @@ class Thresholds:
         contender: Candidates whose score is below this share of the best are not refitted: scores
             are taken at one strength and on long cells, and are right to some tens of percent.
         tied: Two candidates are told apart where the better one's lead is more than so many of its
-            standard errors over blocks of time.
-        block_s: Length of those blocks, s: longer than what a model's error lasts.
+            standard errors.
+        block_s: Length of the blocks of time in which errors of a model are taken to hang together,
+            s: about as long as the gas of a line rings.
         explained: An answer must bring the error down to this multiple of what is left of it
             anyway (the calibration's rest, or the noise) ...
         relative: ... or to this share of what it was: effects are known in form, not in every
@@ -54,7 +55,7 @@ class Thresholds:
     worth: float = 0.08
     explained_alike: float = 0.95
     contender: float = 0.35
-    tied: float = 2.0
+    tied: float = 3.0
     block_s: float = 0.1
     explained: float = 1.5
     relative: float = 0.06

@@ -17,7 +17,8 @@ class Blockage(Effect):
     formula: ClassVar[str] = "A(x) = A_rig(x) (1 - fraction) for |x - position_m| < length_m / 2"
     source: ClassVar[str] = (
         "quasi-one-dimensional flow in a duct of varying area: Toro, Riemann Solvers and Numerical"
-        " Methods for Fluid Dynamics, 3rd ed. 2009; loss at the widening: Borda-Carnot"
+        " Methods for Fluid Dynamics, 3rd ed. 2009; loss at the widening: Borda-Carnot; at the"
+        " entrance, as of a sharp edge: Idelchik, Handbook of Hydraulic Resistance, 4th ed. 2007"
     )
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("fraction", "of the area lost", 0.0, 0.0, 0.95, 0.3, 0.006),

@@ -288,30 +288,69 @@ def _areas(pipe: Pipe, faces: Floats) -> tuple[Floats, Floats]:
     """Mean area of each cell and area of each face of a pipe, before neighbours are compared."""
     n = faces.size - 1
     if pipe.area_profile is None:
-        cell = np.full(n, pipe.area_m2)
-        face = np.full(n + 1, pipe.area_m2)
-    else:
-        x, a = np.array(pipe.area_profile, dtype=float).T
-        # Frustum mean: exact for a radius, close for an area, that varies linearly.
-        fine = np.linspace(0.0, 1.0, 9)
-        grid = faces[:-1, None] + fine * np.diff(faces)[:, None]
-        values = np.interp(grid, x, a)
-        cell = np.trapezoid(values, fine, axis=1)
-        face = np.interp(faces, x, a)
-    whole = cell.copy()
+        return np.full(n, pipe.area_m2), np.full(n + 1, pipe.area_m2)
+    x, a = np.array(pipe.area_profile, dtype=float).T
+    # Frustum mean: exact for a radius, close for an area, that varies linearly.
+    fine = np.linspace(0.0, 1.0, 9)
+    grid = faces[:-1, None] + fine * np.diff(faces)[:, None]
+    return np.trapezoid(np.interp(grid, x, a), fine, axis=1), np.interp(faces, x, a)
+
+
+@dataclass(frozen=True)
+class _Narrowed:
+    """What narrowings make of the cells and faces of a pipe.
+
+    Attributes:
+        face: (n + 1,) factor on the area of each face.
+        volume: (n,) factor on the volume of each cell.
+        viscous: (n,) factor on its laminar drag.
+        turbulent: (n,) factor on its turbulent drag.
+        heads: (n,) velocity heads lost besides.
+    """
+
+    face: Floats
+    volume: Floats
+    viscous: Floats
+    turbulent: Floats
+    heads: Floats
+
+
+def _narrowed(pipe: Pipe, faces: Floats) -> _Narrowed:
+    """A narrowing as cells of any length feel it.
+
+    Its volume and the friction along it are shared by the cells that it covers. The jet behind it
+    loses what Borda and Carnot say, whatever the cells: the narrowing is at the faces next to its
+    middle, and where it lies between two each has the part of the loss that is its own. The flow
+    into it loses what a sharp edge does (Idelchik 2007, diagram 4-9).
+    """
+    centres = 0.5 * (faces[1:] + faces[:-1])
+    n = faces.size - 1
+    dx = pipe.length_m / n
+    face, volume = np.ones(n + 1), np.ones(n)
+    viscous, turbulent, heads = np.ones(n), np.ones(n), np.zeros(n)
     for narrowing in pipe.narrowings:
+        left = 1.0 - narrowing.fraction
         low = narrowing.position_m - 0.5 * narrowing.length_m
         high = narrowing.position_m + 0.5 * narrowing.length_m
         covered = np.clip(np.minimum(faces[1:], high) - np.maximum(faces[:-1], low), 0.0, None)
-        cell *= 1.0 - narrowing.fraction * covered / np.diff(faces)
-    if pipe.area_profile is None:
-        # Smallest-area faces (thesis 5.3).
-        face[1:-1] = np.minimum(cell[:-1], cell[1:])
-        face[0], face[-1] = cell[0], cell[-1]
-    else:
-        left = cell / whole
-        face *= np.minimum(np.append(left, 1.0), np.insert(left, 0, 1.0))
-    return cell, face
+        covered /= dx
+        volume *= 1.0 - narrowing.fraction * covered
+        # pressure drop at one mass flow: 1 / A^2, and with Blasius' law 1 / A^2.375
+        viscous *= 1.0 + covered * (left**-2.0 - 1.0)
+        turbulent *= 1.0 + covered * (left**-2.375 - 1.0)
+        loss = (1.0 / left - 1.0) ** 2
+        entrance = 0.5 * narrowing.fraction**0.75 / left**2
+        for i, part in _spread(narrowing.position_m, centres):
+            heads[i] += part * (entrance + (loss if n == 1 else 0.0))
+        if n == 1:
+            continue
+        at = float(np.clip(narrowing.position_m / dx, 1.0, n - 1.0))
+        k = min(int(at), n - 2) if n > 2 else 1
+        share = at - k
+        face[k] /= 1.0 + math.sqrt((1.0 - share) * loss)
+        if share > 0.0:
+            face[k + 1] /= 1.0 + math.sqrt(share * loss)
+    return _Narrowed(face, volume, viscous, turbulent, heads)
 
 
 def _spread(x: float, centres: Floats) -> list[tuple[int, float]]:
@@ -375,8 +414,10 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         centres = 0.5 * (faces[1:] + faces[:-1])
         dx = pipe.length_m / n
         area, face = _areas(pipe, faces)
+        narrowed = _narrowed(pipe, faces)
+        face *= narrowed.face
         diameter = np.sqrt(4.0 * area / math.pi)
-        volume = area * dx
+        volume = area * dx * narrowed.volume
         volume[0] += pipe.volume_from_m3
         volume[-1] += pipe.volume_to_m3
         for extra in pipe.volumes:
@@ -387,13 +428,17 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         cell[L.FACE, first - 1 : first + n] = face
         cell[L.INV_VOLUME, span] = 1.0 / volume
         cell[L.LENGTH, span] = dx
-        cell[L.VISCOUS, span] = wall.laminar * 8.0 * math.pi * mu / area
+        # forces are per volume, and the volume of a narrowed cell is smaller
+        viscous = narrowed.viscous / narrowed.volume
+        cell[L.VISCOUS, span] = wall.laminar * 8.0 * math.pi * mu / area * viscous
         cell[L.UNSTEADY, span] = wall.unsteady * 4.0 * math.pi * mu / area
         cell[L.RELAX, span] = L.UNSTEADY_RATE * math.pi * mu / area
         cell[L.REYNOLDS, span] = diameter / mu
         cell[L.ROUGH, span] = (wall.roughness_m / (3.7 * diameter)) ** 1.11
         # the kernel multiplies the laminar drag, so its factor is taken out of the turbulent part
-        cell[L.TURBULENT, span] = wall.turbulent / max(wall.laminar, 1e-9)
+        drag = narrowed.turbulent / narrowed.viscous
+        cell[L.TURBULENT, span] = wall.turbulent / max(wall.laminar, 1e-9) * drag
+        cell[L.LOSS, span] += narrowed.heads / (narrowed.volume * dx)
         cell[L.ONSET, span] = 1.0 / wall.onset_reynolds
         cell[L.QUICKEN, span] = wall.turbulent_fade
         if wall.heat_kappa is None:
@@ -403,7 +448,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
             cell[L.HEAT, span] = wall.heat_kappa / np.sqrt(area)
         cell[L.HEAT_UNSTEADY, span] = wall.heat_unsteady * 4.0 * math.pi * k_gas / area
         if pipe.area_profile is not None:
-            cell[L.TAPER, span] = np.diff(face) / (area * dx)
+            cell[L.TAPER, span] = np.diff(face / narrowed.face) / (area * dx)
         cell[L.COMPLIANCE, span] = wall.compliance_per_pa
         for loss in pipe.losses:
             for i, share in _spread(loss.position_m, centres):
@@ -599,7 +644,9 @@ def area_steps(models: Sequence[Model]) -> tuple[Ints, Floats]:
     area: list[Floats] = []
     here = np.stack([m.cell[L.AREA] for m in models], axis=-1)
     smooth = np.stack([m.cell[L.TAPER] != 0.0 for m in models], axis=-1)
-    jump = (here[:-1] != here[1:]) & ~(smooth[:-1] | smooth[1:])
+    narrow = np.stack([m.cell[L.FACE] for m in models], axis=-1)[:-1]
+    jump = (here[:-1] != here[1:]) | (narrow < np.minimum(here[:-1], here[1:]))
+    jump &= ~(smooth[:-1] | smooth[1:])
     for first, n in plan.pipes.values():
         for f in (first + np.flatnonzero(jump[first : first + n - 1].any(axis=1))).tolist():
             face = np.array([m.cell[L.FACE, f] for m in models])
