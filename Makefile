@@ -14,7 +14,7 @@ BENCH_VENV := .venv-bench
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test bench lint format bags folder-is-named exact calibration thinned confusion fuzz \
+.PHONY: help demo test bench lint format bags folder-is-named exact calibration thinned confusion thresholds fuzz \
 	study-pressure clean \
 	clean-kernels
 
@@ -55,8 +55,11 @@ calibration: $(VENV)/.ready-run  ## slow: rigs drawn at random, fitted from data
 thinned: folder-is-named $(VENV)/.ready-run  ## slow: labelled bags with fewer readings, BAGS=folder
 	@$(RUN) -m studies.thinned "$(BAGS)"
 
-confusion: $(VENV)/.ready-run  ## slow: every effect injected and diagnosed, as a matrix
+confusion: $(VENV)/.ready-run  ## slow: every effect hidden on three rigs, and what is learned
 	@$(RUN) -m studies.confusion
+
+thresholds: $(VENV)/.ready-run  ## slow: what decides verdicts, halved and doubled (after confusion)
+	@$(RUN) -m studies.thresholds
 
 fuzz: $(VENV)/.ready-dev  ## slow: mutated rig files, bags, CSVs and command lines
 	@$(RUN) -m studies.fuzz

@@ -228,7 +228,7 @@ def _allowed(bench: Bench, base: Floats) -> float:
     limits = bench.thresholds
     r = base if bench.project is None else bench.project(base)
     before = float(np.sum(r[bench.held_out] ** 2))
-    return max(limits.explained**2 * bench.floor, limits.relative**2 * before)
+    return max(limits.unexplained * bench.floor, limits.relative**2 * before)
 
 
 def _believed(bench: Bench, r: Refit, base: Floats, before: float, taken: float) -> bool:

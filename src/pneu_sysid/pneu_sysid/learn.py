@@ -421,7 +421,7 @@ def _conclude(state: Learned, bench: Bench, given: int, start: float, ambiguous:
         state.sentence += f"; not to be told from {', '.join(sorted(set(ambiguous)))}"
     limits = bench.thresholds
     left = (after.held_out_times_noise or 0.0) ** 2 * bench.readings_held
-    if left > max(limits.explained**2 * bench.floor, limits.relative**2 * start):
+    if left > max(limits.unexplained * bench.floor, limits.relative**2 * start):
         state.verdict = "unknown"
         state.sentence += "; more is missing that the catalogue does not hold"
     state.sentence += "."

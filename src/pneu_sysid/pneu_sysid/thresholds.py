@@ -28,10 +28,9 @@ class Thresholds:
             standard errors.
         block_s: Length of the blocks of time in which errors of a model are taken to hang together,
             s: about as long as the gas of a line rings.
-        explained: An answer must bring the error down to this multiple of what is left of it
-            anyway (the calibration's rest, or the noise) ...
-        relative: ... or to this share of what it was: effects are known in form, not in every
-            detail of the part that has them.
+        relative: An answer must bring the error down to where it needs no explanation, or to this
+            share of what it was: effects are known in form, not in every detail of the part that
+            has them.
         nearest: Where no answer brings it there, the nearest is added only if it explains this
             share of the squared error.
         settled: Squared error, as a multiple of what the calibration left, from which on nothing
@@ -57,7 +56,6 @@ class Thresholds:
     contender: float = 0.35
     tied: float = 3.0
     block_s: float = 0.1
-    explained: float = 1.5
     relative: float = 0.06
     nearest: float = 0.5
     settled: float = 1.1

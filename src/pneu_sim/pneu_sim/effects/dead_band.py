@@ -1,19 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dead-band: the spool's lands overlap the ports, so small commands open nothing."""
 
+import math
 from typing import ClassVar
 
 from pneu_sim.effects.base import Effect, EffectParameter
-from pneu_sim.rig.schema import Rig
+from pneu_sim.rig.schema import Port, Rig
+
+MOST = 0.9
+"""An overlap takes at most this share of the stroke."""
 
 
 class DeadBand(Effect):
-    """Overlap on each side of null, added to the rig's."""
+    """Overlap on each side of null, added to the rig's.
+
+    Conductances are those of the fully open port, which a valve with overlap reaches at the end of
+    its stroke too: what is left of the stroke opens all of it.
+    """
 
     name: ClassVar[str] = "dead_band"
     title: ClassVar[str] = "valve overlap (dead-band)"
     where: ClassVar[str] = "valve"
-    formula: ClassVar[str] = "x = null + sgn(u - null) max(|u - null| - width_v, 0)"
+    formula: ClassVar[str] = (
+        "x = null + sgn(u - null) max(|u - null| - width_v, 0) S / (S - width_v), S: stroke on"
+        " that side"
+    )
     source: ClassVar[str] = (
         "Beater, Pneumatic Drives, Springer 2007 (valve overlap); Tao and Kokotovic, Adaptive"
         " Control of Systems with Actuator and Sensor Nonlinearities, Wiley 1996"
@@ -31,5 +42,29 @@ class DeadBand(Effect):
     def places(self, rig: Rig) -> list[str]:
         return list(rig.valves)
 
+    def limits(self, parameter: EffectParameter, rig: Rig, place: str) -> tuple[float, float]:
+        if parameter.name != "width_v":
+            return super().limits(parameter, rig, place)
+        valve = rig.valves[place]
+        reach = [_reach_v(port, valve.spool.null_v) for port in valve.ports.values()]
+        return parameter.lower, min(parameter.upper, MOST * min(r for r in reach if r > 0.0))
+
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
-        rig.valves[place].spool.dead_band_v += values["width_v"]
+        width_v = values["width_v"]
+        valve = rig.valves[place]
+        null_v = valve.spool.null_v
+        valve.spool.dead_band_v += width_v
+        for port in valve.ports.values():
+            reach_v = _reach_v(port, null_v)
+            if port.opening.mirror is None and width_v > 0.0:
+                left = 1.0 - width_v / reach_v
+                port.opening.voltage_v = [
+                    null_v + left * (v - null_v) for v in port.opening.voltage_v
+                ]
+
+
+def _reach_v(port: Port, null_v: float) -> float:
+    """Volts from null to where an opening curve ends; infinite for one that follows another."""
+    if port.opening.mirror is not None:
+        return math.inf
+    return max(abs(v - null_v) for v in port.opening.voltage_v)
