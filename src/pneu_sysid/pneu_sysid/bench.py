@@ -17,6 +17,7 @@ from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.results import Numerics
 from pneu_sysid.sites import all_sites
+from pneu_sysid.spectrum import lines_of
 from pneu_sysid.standing import Standing, standing_of
 from pneu_sysid.thresholds import Thresholds
 
@@ -123,7 +124,9 @@ def bench_of(
     if rig.model == "pde":
         rough = problem.coarsened(rig, SCORE_CELLS, readings)
     nuisance = nuisance_of(rig, rough)
-    sites = all_sites(rig, without=without)
+    lines = lines_of(problem, residual_matrix(problem, readings))
+    pulses_hz = lines[0].frequency_hz if lines and lines[0].share >= thresholds.pulses else None
+    sites = all_sites(rig, without=without, pulses_hz=pulses_hz)
     known = sensitivities(rough, rig, sites, thresholds, lambda f: tell("scores", f))
     return Bench(
         rig=rig,

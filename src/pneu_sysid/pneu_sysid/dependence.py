@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sysid.problem import Problem
+from pneu_sysid.spectrum import lines_of
 
 Floats = NDArray[np.float64]
 
@@ -85,4 +86,7 @@ def dependences(problem: Problem, residual: Floats) -> list[tuple[str, str, floa
             gain = 1.0 - left / total
             if gain >= WORTH:
                 found.append((name, tap, gain))
+    for line in lines_of(problem, residual):
+        if line.share >= WORTH:
+            found.append((f"a pulsation of {line.frequency_hz:.3g} Hz", line.tap, line.share))
     return sorted(found, key=lambda item: -item[2])

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.effects import find_effect
+from pneu_sim.effects import Effect, find_effect
 from pneu_sim.effects.base import POSITION
 from pneu_sim.errors import InputError
 from pneu_sim.rig import save_rig
@@ -154,14 +154,20 @@ def _step(
         strength=strength,
         unit=effect.strength.unit if effect is not None else None,
         std_error=None if std_errors is None else float(std_errors[0]),
-        position_error_m=(
-            None if std_errors is None or len(std_errors) < 2 else float(std_errors[1])
-        ),
+        position_error_m=_position_error(effect, std_errors),
         rmse_pa=dict(rmse),
         held_out_rmse_pa=dict(held),
         total_times_noise=_rms(problem, residual, used),
         held_out_times_noise=_rms(problem, residual, kept),
     )
+
+
+def _position_error(effect: Effect | None, std_errors: Floats | None) -> float | None:
+    """Standard error of an effect's position; the strength's leads, then what else is fitted."""
+    if effect is None or std_errors is None:
+        return None
+    names = [p.name for p in effect.fitted]
+    return float(std_errors[1 + names.index(POSITION)]) if POSITION in names else None
 
 
 def learn(

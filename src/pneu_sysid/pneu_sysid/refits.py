@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim.effects import find_effect
-from pneu_sim.effects.base import POSITION
+from pneu_sim.effects.base import POSITION, EffectParameter
 from pneu_sim.rig import with_parameters
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.candidates import Project, Score, residual_matrix
@@ -22,8 +22,6 @@ from pneu_sysid.thresholds import Thresholds
 Floats = NDArray[np.float64]
 
 ITERATIONS = 5
-POSITIONS = 11
-"""Positions along a pipe that are looked at again once the strength is known."""
 AT_LEAST = 0.25
 """A strength is fitted from this fraction of the typical one at least: from zero there may be no
 slope."""
@@ -98,29 +96,31 @@ def refit(
         start = least if start >= 0.0 or low >= strength.absent else -least
     start = float(np.clip(strength.absent + start, low, high))
     variables = [Variable(strength.name, start, low, high, strength.step)]
-    position = next((p for p in site.effect.parameters if p.name == POSITION), None)
-    if position is not None:
-        lower, upper = site.effect.limits(position, rig, site.place)
-        step = min(0.05, 0.05 * (upper - lower))
-        variables.append(Variable(POSITION, site.shape[POSITION], lower, upper, step))
+    shape = site.effect.fitted
+    variables += [_variable(rig, site, p, p.name, site.shape[p.name]) for p in shape]
 
     def placed(x: Floats) -> Site:
-        shape = {**site.shape, POSITION: float(x[1])} if position is not None else site.shape
-        return Site(site.effect, site.place, shape)
+        values = {p.name: float(v) for p, v in zip(shape, x[1:], strict=True)}
+        return Site(site.effect, site.place, {**site.shape, **values})
 
     residuals = _projected(problem, lambda x: placed(x).attached(rig, float(x[0])), project)
     # whatever else is wrong in the recording must not bend the estimate
     estimate = minimise(residuals, variables, ITERATIONS, tolerance=3e-3, robust=True)
-    if position is not None:
+    for k, p in enumerate(shape, start=1):
+        if not p.scanned:
+            continue
         # The misfit has several valleys along a pipe: look into all of them at the strength found.
-        spots = np.linspace(variables[1].lower, variables[1].upper, POSITIONS)
-        tried = [np.array([estimate.values[0], spot]) for spot in spots]
+        tried = []
+        for spot in np.linspace(variables[k].lower, variables[k].upper, p.scanned):
+            tried.append(estimate.values.copy())
+            tried[-1][k] = spot
         costs = [huber_cost(r) for r in residuals(tried)]
         if min(costs) < huber_cost(estimate.residual):
             at = tried[int(np.argmin(costs))]
             again = [replace(v, value=float(x)) for v, x in zip(variables, at, strict=True)]
             estimate = minimise(residuals, again, ITERATIONS, tolerance=3e-3, robust=True)
     fitted = placed(estimate.values)
+    position = next((k for k, p in enumerate(shape, start=1) if p.name == POSITION), None)
     value, error = float(estimate.values[0]), float(estimate.std_errors[0])
     better = fitted.attached(rig, value)
     residual = residual_matrix(problem, problem.simulate([better], strict=False).readings[0])
@@ -131,7 +131,7 @@ def refit(
         site=fitted,
         strength=value,
         std_error=error,
-        position_error_m=float(estimate.std_errors[1]) if position is not None else None,
+        position_error_m=None if position is None else float(estimate.std_errors[position]),
         explained=share_explained(base[used], residual[used]),
         held_out=share_explained(base[~used], residual[~used]),
         t=abs(value - strength.absent) / max(error, 1e-300),
@@ -142,8 +142,19 @@ def refit(
     )
 
 
+def _variable(
+    rig: Rig, site: Site, parameter: EffectParameter, name: str, value: float
+) -> Variable:
+    """A parameter of an effect as a variable."""
+    low, high = site.effect.limits(parameter, rig, site.place)
+    step = parameter.step
+    if parameter.name == POSITION:
+        step = min(0.05, 0.05 * (high - low))
+    return Variable(name, float(np.clip(value, low, high)), low, high, step)
+
+
 def effect_variables(rig: Rig, index: int) -> list[Variable]:
-    """Strength and position of an attached effect as variables named by their paths.
+    """What is fitted of an attached effect, as variables named by their paths, strength first.
 
     Args:
         rig: The rig.
@@ -152,13 +163,17 @@ def effect_variables(rig: Rig, index: int) -> list[Variable]:
     attached = rig.effects[index]
     effect = find_effect(attached.effect)
     bare = rig.model_copy(update={"effects": rig.effects[:index]})
-    out = []
-    for p in (effect.strength, *(q for q in effect.parameters[1:] if q.name == POSITION)):
-        low, high = effect.limits(p, bare, attached.place)
-        step = p.step if p.name != POSITION else min(0.05, 0.05 * (high - low))
-        value = float(np.clip(attached.parameters.get(p.name, p.absent), low, high))
-        out.append(Variable(f"effects.{index}.parameters.{p.name}", value, low, high, step))
-    return out
+    site = Site(effect, attached.place, {})
+    return [
+        _variable(
+            bare,
+            site,
+            p,
+            f"effects.{index}.parameters.{p.name}",
+            attached.parameters.get(p.name, p.absent),
+        )
+        for p in (effect.strength, *effect.fitted)
+    ]
 
 
 def refit_effects(

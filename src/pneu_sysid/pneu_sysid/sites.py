@@ -5,7 +5,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from pneu_sim.effects import Effect, registry
-from pneu_sim.effects.base import POSITION
+from pneu_sim.effects.base import FREQUENCY, POSITION
 from pneu_sim.rig.schema import AttachedEffect, Rig
 
 LEAST_SPACING_M = 0.25
@@ -50,7 +50,12 @@ class Site:
         return rig.model_copy(update={"effects": [*rig.effects, extra]})
 
 
-def all_sites(rig: Rig, positions: int = 3, without: Collection[str] = ()) -> list[Site]:
+def all_sites(
+    rig: Rig,
+    positions: int = 3,
+    without: Collection[str] = (),
+    pulses_hz: float | None = None,
+) -> list[Site]:
     """Every effect of the catalogue at every place of a rig.
 
     Args:
@@ -58,12 +63,19 @@ def all_sites(rig: Rig, positions: int = 3, without: Collection[str] = ()) -> li
         positions: Intervals between the positions tried along the longest pipe: what a position
             changes of the prediction is smooth along a line, and it is fitted later.
         without: Names of effects that are left out.
+        pulses_hz: Frequency at which what is missing pulsates; effects that pulsate are left out
+            where it does not.
     """
     longest = max((pipe.length_m for pipe in rig.pipes.values()), default=0.0)
     spacing_m = max(LEAST_SPACING_M, longest / positions)
-    return [
-        Site(effect, place, shape)
-        for effect in registry().values()
-        if effect.name not in without
-        for place, shape in effect.sites(rig, spacing_m)
-    ]
+    out = []
+    for effect in registry().values():
+        if effect.name in without:
+            continue
+        pulsates = any(p.name == FREQUENCY for p in effect.parameters)
+        if pulsates and pulses_hz is None:
+            continue
+        for place, shape in effect.sites(rig, spacing_m):
+            own = {**shape, FREQUENCY: pulses_hz} if pulsates and pulses_hz else shape
+            out.append(Site(effect, place, own))
+    return out

@@ -35,6 +35,8 @@ class Thresholds:
             share of the squared error.
         settled: Squared error, as a multiple of what the calibration left, from which on nothing
             more is looked for.
+        pulses: Effects that pulsate are tried where a line in the spectrum is so much of the
+            squared error at a tap.
         unexplained: Squared error, as a multiple of what the calibration left, from which on it is
             said that something is missing although nothing in the catalogue explains it: operating
             points that the calibration never visited cost some of it.
@@ -59,6 +61,7 @@ class Thresholds:
     relative: float = 0.06
     nearest: float = 0.5
     settled: float = 1.1
+    pulses: float = 0.02
     unexplained: float = 3.0
     apart: float = 3.0
     at_noise: float = 1.2

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 POSITION = "position_m"
 """Name of the parameter that says where along a pipe an effect sits."""
 
+FREQUENCY = "frequency_hz"
+"""Name of the parameter that says how fast an effect pulsates; a recording's spectrum tells it."""
+
 RESOLVED_CELLS = 3
 """Cells a pipe needs before positions along it are told apart."""
 
@@ -30,6 +33,9 @@ class EffectParameter:
         upper: Upper bound.
         typical: A strength that is clearly felt on a laboratory rig; tests inject it.
         step: Step for sensitivities at zero strength.
+        fitted: Whether diagnosis fits it beside the strength.
+        scanned: Values between its bounds that diagnosis looks at besides; 0 where the misfit has
+            one valley.
     """
 
     name: str
@@ -39,11 +45,13 @@ class EffectParameter:
     upper: float
     typical: float
     step: float
+    fitted: bool = False
+    scanned: int = 0
 
 
 def position_along_pipe() -> EffectParameter:
     """The parameter of effects that sit at a point of a pipe; at most the pipe's length."""
-    return EffectParameter(POSITION, "m", 0.0, 0.0, math.inf, 1.0, 0.01)
+    return EffectParameter(POSITION, "m", 0.0, 0.0, math.inf, 1.0, 0.01, fitted=True, scanned=11)
 
 
 class Effect(ABC):
@@ -80,6 +88,11 @@ class Effect(ABC):
     def strength(self) -> EffectParameter:
         """The parameter that measures how much of the effect there is."""
         return self.parameters[0]
+
+    @property
+    def fitted(self) -> tuple[EffectParameter, ...]:
+        """The parameters that diagnosis fits beside the strength."""
+        return tuple(p for p in self.parameters[1:] if p.fitted)
 
     @property
     def has_position(self) -> bool:

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Chamber relief valve: a chamber blows off to the room above a pressure."""
 
+import math
+from collections.abc import Iterator
 from typing import ClassVar
 
 from pneu_sim.effects.base import Effect, EffectParameter
+from pneu_sim.effects.places import OFTEN, reached_pa
 from pneu_sim.rig.schema import Relief, Rig
 
 
@@ -22,7 +25,7 @@ class ChamberReliefValve(Effect):
     )
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("area_m2", "m^2, effective", 0.0, 0.0, 1e-5, 1e-7, 3e-9),
-        EffectParameter("set_pa", "Pa, absolute", 4e5, 1e4, 2e7, 4e5, 4e3),
+        EffectParameter("set_pa", "Pa, absolute", 4e5, 1e4, 2e7, 4e5, 1e3, fitted=True, scanned=7),
         EffectParameter("range_pa", "Pa", 2e4, 1e3, 1e6, 2e4, 500.0),
     )
     order: ClassVar[int] = 4
@@ -33,6 +36,15 @@ class ChamberReliefValve(Effect):
 
     def places(self, rig: Rig) -> list[str]:
         return list(rig.chambers)
+
+    def limits(self, parameter: EffectParameter, rig: Rig, place: str) -> tuple[float, float]:
+        low, high = super().limits(parameter, rig, place)
+        return reached_pa(rig, low, high) if parameter.name == "set_pa" else (low, high)
+
+    def sites(self, rig: Rig, spacing_m: float = 0.25) -> Iterator[tuple[str, dict[str, float]]]:
+        low, high = reached_pa(rig, 0.0, math.inf)
+        for place, shape in super().sites(rig, spacing_m):
+            yield place, {**shape, "set_pa": low + OFTEN * (high - low)}
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
         rig.chambers[place].reliefs.append(

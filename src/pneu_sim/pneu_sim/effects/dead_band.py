@@ -14,16 +14,16 @@ MOST = 0.9
 class DeadBand(Effect):
     """Overlap on each side of null, added to the rig's.
 
-    Conductances are those of the fully open port, which a valve with overlap reaches at the end of
-    its stroke too: what is left of the stroke opens all of it.
+    An overlap of the lands alone takes its width from the stroke, and the port no longer opens
+    wholly; where the driver's gain was set with the overlap there, all of it opens nevertheless.
     """
 
     name: ClassVar[str] = "dead_band"
     title: ClassVar[str] = "valve overlap (dead-band)"
     where: ClassVar[str] = "valve"
     formula: ClassVar[str] = (
-        "x = null + sgn(u - null) max(|u - null| - width_v, 0) S / (S - width_v), S: stroke on"
-        " that side"
+        "x = null + sgn(u - null) max(|u - null| - width_v, 0) S / (S - recovered width_v),"
+        " S: stroke on that side"
     )
     source: ClassVar[str] = (
         "Beater, Pneumatic Drives, Springer 2007 (valve overlap); Tao and Kokotovic, Adaptive"
@@ -31,6 +31,7 @@ class DeadBand(Effect):
     )
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("width_v", "V per side", 0.0, 0.0, 2.5, 0.25, 0.01),
+        EffectParameter("recovered", "share of the width", 0.0, 0.0, 1.0, 0.0, 0.05, fitted=True),
     )
     order: ClassVar[int] = 3
     curved: ClassVar[bool] = True
@@ -57,7 +58,7 @@ class DeadBand(Effect):
         for port in valve.ports.values():
             reach_v = _reach_v(port, null_v)
             if port.opening.mirror is None and width_v > 0.0:
-                left = 1.0 - width_v / reach_v
+                left = 1.0 - values["recovered"] * width_v / reach_v
                 port.opening.voltage_v = [
                     null_v + left * (v - null_v) for v in port.opening.voltage_v
                 ]

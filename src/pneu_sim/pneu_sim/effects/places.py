@@ -12,6 +12,24 @@ TAPS = "taps"
 SOURCE_MARGIN = 0.05
 """A reservoir whose pressure is this close to the room's (relative) is the room itself."""
 
+OFTEN = 0.6
+"""Of the way from the room's pressure to the highest: gas is often above that, and often below."""
+
+
+def reached_pa(rig: Rig, lower: float, upper: float) -> tuple[float, float]:
+    """Pressures that the gas of a rig goes through: from the room's to its highest reservoir's.
+
+    Args:
+        rig: The rig.
+        lower: They are at least this, Pa.
+        upper: They are at most this, Pa.
+    """
+    room = rig.ambient.pressure_pa
+    highest = max((r.pressure_pa for r in rig.reservoirs.values()), default=room)
+    # a chamber that is closed for itself knows no source
+    high = highest if highest > (1.0 + SOURCE_MARGIN) * room else max(upper, room)
+    return max(room, lower), min(high, upper)
+
 
 def is_room(rig: Rig, reservoir: Reservoir) -> bool:
     """Whether a reservoir is open to the room rather than a source or a vacuum.

@@ -2,9 +2,10 @@
 """Supply ripple: a compressor's strokes or a regulator's hunting make a source pulsate."""
 
 import math
+from collections.abc import Iterator
 from typing import ClassVar
 
-from pneu_sim.effects.base import Effect, EffectParameter
+from pneu_sim.effects.base import FREQUENCY, Effect, EffectParameter
 from pneu_sim.effects.places import sources
 from pneu_sim.rig.schema import Rig, Ripple
 
@@ -26,8 +27,10 @@ class SupplyRipple(Effect):
     )
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("amplitude_pa", "Pa", 0.0, 0.0, 1e5, 5e3, 150.0),
-        EffectParameter("frequency_hz", "Hz", 10.0, 0.01, 500.0, 10.0, 0.05),
-        EffectParameter("phase_rad", "rad", 0.0, -2.0 * math.pi, 2.0 * math.pi, 0.0, 0.05),
+        EffectParameter(FREQUENCY, "Hz", 10.0, 0.01, 500.0, 10.0, 1e-3, fitted=True),
+        EffectParameter(
+            "phase_rad", "rad", 0.0, -2.0 * math.pi, 2.0 * math.pi, 0.0, 0.05, fitted=True
+        ),
     )
     order: ClassVar[int] = 6
     next_experiment: ClassVar[str] = (
@@ -37,6 +40,11 @@ class SupplyRipple(Effect):
 
     def places(self, rig: Rig) -> list[str]:
         return sources(rig)
+
+    def sites(self, rig: Rig, spacing_m: float = 0.25) -> Iterator[tuple[str, dict[str, float]]]:
+        for place, shape in super().sites(rig, spacing_m):
+            for quarter in range(4):
+                yield place, {**shape, "phase_rad": 0.5 * math.pi * (quarter - 1)}
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
         rig.reservoirs[place].ripples.append(Ripple(**values))
