@@ -199,6 +199,17 @@ def test_nothing_flows_inside_the_dead_band(rig: Rig) -> None:
     assert beyond[-1] == pytest.approx(nearer[-1], rel=0.01)
 
 
+def test_an_overlap_may_leave_the_full_opening_as_it_was(rig: Rig) -> None:
+    """Half of what is left of the stroke then opens as half of the stroke did."""
+    rig.valves["valve"].spool.bandwidth_hz = None
+    dead = attach(rig, "dead_band", "valve", width_v=0.5, recovered=1.0)
+    plain = openings(build(rig), {"voltage": np.array([10.0, 7.5, 5.0])}, DT_S)[:, FILL]
+    volts = np.array([10.0, 5.5 + 0.5 * 4.5, 5.5])
+    banded = openings(build(dead), {"voltage": volts}, DT_S)[:, FILL]
+    np.testing.assert_allclose(banded, plain, atol=1e-9)
+    assert plain[0] == pytest.approx(1.0)
+
+
 def test_hysteresis_parts_the_branches_by_its_width(rig: Rig) -> None:
     rig.valves["valve"].spool.bandwidth_hz = None
     wide = attach(rig, "hysteresis", "valve", width_v=0.4)
