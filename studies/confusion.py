@@ -8,6 +8,7 @@ by a digest of code and settings: an interrupted run goes on, and the page shows
 """
 
 import argparse
+import hashlib
 import json
 import sys
 import time
@@ -183,7 +184,9 @@ def key_of(thresholds: Thresholds) -> str:
         thresholds: What decides.
     """
     own = digest_of(ROOT / "studies" / f"{n}.py" for n in ("confusion_cases", "calibration_rigs"))
-    settings = "" if thresholds == Thresholds() else f"_{abs(hash(repr(thresholds))):x}"
+    settings = ""
+    if thresholds != Thresholds():
+        settings = "_" + hashlib.sha256(repr(thresholds).encode()).hexdigest()[:6]
     return f"{sources_digest()}_{own}{settings}"
 
 

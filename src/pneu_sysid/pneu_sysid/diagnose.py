@@ -33,6 +33,10 @@ from pneu_sysid.together import each_of
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
+SAME = 1.0
+"""Candidates within so many standard errors of the best are as good as it, and the simplest is
+taken (the one-standard-error rule of Breiman et al. 1984)."""
+
 
 @dataclass
 class Diagnosis:
@@ -245,6 +249,17 @@ def _believed(bench: Bench, r: Refit, base: Floats, before: float, taken: float)
     )
 
 
+def _in_order(believed: list[Refit], bench: Bench) -> list[Refit]:
+    """Candidates by what they leave; of those within one standard error the simplest first.
+
+    A relief valve that opens at once is a leak: with more parameters it is never worse.
+    """
+    out = sorted(believed, key=lambda c: float(np.sum(c.residual**2)))
+    equal = [c for c in out if lead(out[0].residual, c.residual, bench.blocks) < SAME]
+    equal.sort(key=lambda c: (len(c.site.effect.fitted), c.site.effect.order, c.site.label))
+    return equal + [c for c in out if all(c is not e for e in equal)]
+
+
 def _judge(
     bench: Bench,
     base: Floats,
@@ -258,7 +273,7 @@ def _judge(
     held, floor = bench.held_out, bench.floor
     before = float(np.sum(r[held] ** 2))
     believed = [c for c in refits if _believed(bench, c, r, before, taken)]
-    believed.sort(key=lambda c: float(np.sum(c.residual**2)))
+    believed = _in_order(believed, bench)
     finalists = believed + sorted(
         (c for c in refits if all(c is not b for b in believed)), key=lambda c: -c.held_out
     )

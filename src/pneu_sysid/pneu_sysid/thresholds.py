@@ -17,9 +17,11 @@ class Thresholds:
         share_of_discrepancy: Squared error that an effect must take away, as a share of what the
             calibration left beyond the noise on its own recording: a part of that another recording
             shows again, and the best of tens of candidates explains some of it by chance.
-        chance: ... and beside that a share of the noise itself, squared: what is less than that
-            nobody would see in a plot, and no parameter is worth it.
-        worth: ... and at least this share of the squared error there is.
+        chance: ... and this share of the noise itself, squared. A calibration is called good where
+            it leaves up to twice the noise on other recordings, three times the noise's squares
+            more; this is a third of that.
+        worth: ... and this share of the squared error there is: what is missing explains most of
+            what is left, and of three equal effects each a third.
         explained_alike: A candidate may stand for another in the first look if their changes of the
             prediction have at least this cosine.
         contender: Candidates whose score is below this share of the best are not refitted: scores
@@ -37,9 +39,9 @@ class Thresholds:
             more is looked for.
         pulses: Effects that pulsate are tried where a line in the spectrum is so much of the
             squared error at a tap.
-        unexplained: Squared error, as a multiple of what the calibration left, from which on it is
-            said that something is missing although nothing in the catalogue explains it: operating
-            points that the calibration never visited cost some of it.
+        unexplained: Squared error, as a multiple of what the calibration left, from which on
+            something is missing although nothing in the catalogue explains it, and down to which an
+            answer has to bring it: the twice that a calibration is allowed on other recordings.
         apart: A recording whose squared error over what the calibration left is this many times the
             smallest of all differs from the others.
         at_noise: Up to this many times the noise a model explains a measurement to the noise.
@@ -52,8 +54,8 @@ class Thresholds:
 
     significant: float = 3.0
     share_of_discrepancy: float = 0.3
-    chance: float = 0.03
-    worth: float = 0.08
+    chance: float = 1.0
+    worth: float = 0.25
     explained_alike: float = 0.95
     contender: float = 0.35
     tied: float = 3.0
@@ -62,7 +64,7 @@ class Thresholds:
     nearest: float = 0.5
     settled: float = 1.1
     pulses: float = 0.02
-    unexplained: float = 3.0
+    unexplained: float = 4.0
     apart: float = 3.0
     at_noise: float = 1.2
     accuracy: float = 0.02

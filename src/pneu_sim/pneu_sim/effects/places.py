@@ -12,12 +12,14 @@ TAPS = "taps"
 SOURCE_MARGIN = 0.05
 """A reservoir whose pressure is this close to the room's (relative) is the room itself."""
 
+SELDOM = 0.1
 OFTEN = 0.6
-"""Of the way from the room's pressure to the highest: gas is often above that, and often below."""
+"""Of the way from the room's pressure to the highest: gas is seldom below the one, and often above
+and below the other."""
 
 
 def reached_pa(rig: Rig, lower: float, upper: float) -> tuple[float, float]:
-    """Pressures that the gas of a rig goes through: from the room's to its highest reservoir's.
+    """Pressures that the gas of a rig goes through, from above the room's to its highest source's.
 
     Args:
         rig: The rig.
@@ -28,7 +30,8 @@ def reached_pa(rig: Rig, lower: float, upper: float) -> tuple[float, float]:
     highest = max((r.pressure_pa for r in rig.reservoirs.values()), default=room)
     # a chamber that is closed for itself knows no source
     high = highest if highest > (1.0 + SOURCE_MARGIN) * room else max(upper, room)
-    return max(room, lower), min(high, upper)
+    # what opens from the room's pressure on is a leak
+    return max(room + SELDOM * (high - room), lower), min(high, upper)
 
 
 def is_room(rig: Rig, reservoir: Reservoir) -> bool:
