@@ -79,8 +79,8 @@ def with_thresholds(bench: Bench, usual: Thresholds, limits: Thresholds) -> Benc
     out = replace(bench, thresholds=limits)
     residual = residual_matrix(bench.problem, bench.readings)
     out.standing = standing_of(bench.rig, bench.problem, residual, limits)
-    if limits.block_s != usual.block_s:
-        out.blocks = blocks_of(bench.problem, limits.block_s)
+    if limits.block != usual.block:
+        out.blocks = blocks_of(bench.problem, limits.block)
     if limits.typical != usual.typical:
         rough = bench.coarser(bench.rig, bench.readings)
         out.known = sensitivities(rough, bench.rig, all_sites(bench.rig), limits)

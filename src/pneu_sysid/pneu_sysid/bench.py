@@ -135,7 +135,7 @@ def bench_of(
         standing=standing_of(rig, problem, residual_matrix(problem, readings), thresholds),
         known=known,
         project=None if nuisance is None else nuisance.without(~problem.held_out),
-        blocks=blocks_of(problem, thresholds.block_s),
+        blocks=blocks_of(problem, thresholds.block),
         thresholds=thresholds,
         numerics=numerics,
     )

@@ -256,7 +256,7 @@ def _in_order(believed: list[Refit], bench: Bench) -> list[Refit]:
     """
     out = sorted(believed, key=lambda c: float(np.sum(c.residual**2)))
     equal = [c for c in out if lead(out[0].residual, c.residual, bench.blocks) < SAME]
-    equal.sort(key=lambda c: (len(c.site.effect.fitted), c.site.effect.order, c.site.label))
+    equal.sort(key=lambda c: (len(c.site.effect.fitted(c.rig, c.site.place)), c.site.effect.order))
     return equal + [c for c in out if all(c is not e for e in equal)]
 
 
@@ -306,7 +306,8 @@ def _judge(
     )
     if top is not None:
         explained = left <= _allowed(bench, base)
-        if explained or _second_helps(bench, top, scores):
+        mostly = top.held_out >= limits.mostly
+        if explained or mostly or _second_helps(bench, top, scores):
             result.verdict = "ambiguous" if tied[0] else "effect"
             result.sentence = _sentence(top, tied[0], explained)
     elif before <= limits.unexplained * floor:

@@ -10,15 +10,16 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def blocks_of(problem: Problem, block_s: float) -> Ints:
+def blocks_of(problem: Problem, share: float) -> Ints:
     """(n_stretches, horizon * n_taps) number of the block of time that each reading is in.
 
     Errors of a model last; readings of one block are one observation of them.
 
     Args:
         problem: The problem.
-        block_s: Length of a block, s.
+        share: Length of a block, as a share of that of the stretches.
     """
+    block_s = share * float(np.median(np.diff(problem.span_s, axis=1)))
     time = np.nan_to_num(problem.time_s)
     number = np.floor(time / block_s).astype(np.int64)
     number += problem.of[:, None, None] * (int(number.max()) + 1)

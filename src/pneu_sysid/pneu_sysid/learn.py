@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.effects import Effect, find_effect
+from pneu_sim.effects import find_effect
 from pneu_sim.effects.base import POSITION
 from pneu_sim.errors import InputError
 from pneu_sim.rig import save_rig
@@ -105,7 +105,7 @@ def add_effect(
         )
     problem = make_problem(rig, recording, workers=workers)
     before, rmse, held = _errors(problem, rig)
-    first = _step(0, problem, before, rmse, held)
+    first = _step(0, problem, rig, before, rmse, held)
     sites = [
         s for s in all_sites(rig) if s.effect.name == name and (place is None or s.place == place)
     ]
@@ -128,13 +128,14 @@ def add_effect(
         problem, best.site.attached(rig, float(np.clip(start, low, high))), [len(rig.effects)]
     )
     after, rmse, held = _errors(problem, better)
-    second = _step(1, problem, after, rmse, held, better.effects[-1], estimate.std_errors)
+    second = _step(1, problem, better, after, rmse, held, better.effects[-1], estimate.std_errors)
     return better, first, second
 
 
 def _step(
     number: int,
     problem: Problem,
+    rig: Rig,
     residual: Floats,
     rmse: dict[str, float],
     held: dict[str, float],
@@ -154,7 +155,7 @@ def _step(
         strength=strength,
         unit=effect.strength.unit if effect is not None else None,
         std_error=None if std_errors is None else float(std_errors[0]),
-        position_error_m=_position_error(effect, std_errors),
+        position_error_m=_position_error(rig, added, std_errors),
         rmse_pa=dict(rmse),
         held_out_rmse_pa=dict(held),
         total_times_noise=_rms(problem, residual, used),
@@ -162,11 +163,13 @@ def _step(
     )
 
 
-def _position_error(effect: Effect | None, std_errors: Floats | None) -> float | None:
+def _position_error(
+    rig: Rig, added: AttachedEffect | None, std_errors: Floats | None
+) -> float | None:
     """Standard error of an effect's position; the strength's leads, then what else is fitted."""
-    if effect is None or std_errors is None:
+    if added is None or std_errors is None:
         return None
-    names = [p.name for p in effect.fitted]
+    names = [p.name for p in find_effect(added.effect).fitted(rig, added.place)]
     return float(std_errors[1 + names.index(POSITION)]) if POSITION in names else None
 
 
@@ -334,10 +337,10 @@ def _step_of(number: int, bench: Bench, model: _Model, estimate: Estimate | None
     problem = bench.problem
     residual, rmse, held = _errors(problem, model.rig, model.readings)
     if estimate is None:
-        return _step(number, problem, residual, rmse, held)
+        return _step(number, problem, model.rig, residual, rmse, held)
     index = len(model.rig.effects) - 1
     errors = estimate.std_errors[-len(effect_variables(model.rig, index)) :]
-    return _step(number, problem, residual, rmse, held, model.rig.effects[index], errors)
+    return _step(number, problem, model.rig, residual, rmse, held, model.rig.effects[index], errors)
 
 
 def _label(effect: AttachedEffect) -> str:

@@ -96,7 +96,7 @@ def refit(
         start = least if start >= 0.0 or low >= strength.absent else -least
     start = float(np.clip(strength.absent + start, low, high))
     variables = [Variable(strength.name, start, low, high, strength.step)]
-    shape = site.effect.fitted
+    shape = site.effect.fitted(rig, site.place)
     variables += [_variable(rig, site, p, p.name, site.shape[p.name]) for p in shape]
 
     def placed(x: Floats) -> Site:
@@ -172,7 +172,7 @@ def effect_variables(rig: Rig, index: int) -> list[Variable]:
             f"effects.{index}.parameters.{p.name}",
             attached.parameters.get(p.name, p.absent),
         )
-        for p in (effect.strength, *effect.fitted)
+        for p in (effect.strength, *effect.fitted(bare, attached.place))
     ]
 
 

@@ -28,11 +28,13 @@ class Thresholds:
             are taken at one strength and on long cells, and are right to some tens of percent.
         tied: Two candidates are told apart where the better one's lead is more than so many of its
             standard errors.
-        block_s: Length of the blocks of time in which errors of a model are taken to hang together,
-            s: about as long as the gas of a line rings.
+        block: Length of the blocks of time in which errors of a model are taken to hang together,
+            as a share of the horizon over which it predicts, which follows how fast a rig is.
         relative: An answer must bring the error down to where it needs no explanation, or to this
             share of what it was: effects are known in form, not in every detail of the part that
             has them.
+        mostly: ... and one that takes away this share of the squared error is told too, with the
+            word that more is missing besides: a measured rig is never all in its file.
         nearest: Where no answer brings it there, the nearest is added only if it explains this
             share of the squared error.
         settled: Squared error, as a multiple of what the calibration left, from which on nothing
@@ -59,8 +61,9 @@ class Thresholds:
     explained_alike: float = 0.95
     contender: float = 0.35
     tied: float = 3.0
-    block_s: float = 0.1
+    block: float = 0.2
     relative: float = 0.06
+    mostly: float = 0.9
     nearest: float = 0.5
     settled: float = 1.1
     pulses: float = 0.02

@@ -54,6 +54,17 @@ def position_along_pipe() -> EffectParameter:
     return EffectParameter(POSITION, "m", 0.0, 0.0, math.inf, 1.0, 0.01, fitted=True, scanned=11)
 
 
+def resolved(rig: "Rig", pipe: str) -> bool:
+    """Whether a pipe has cells enough that positions along it are told apart.
+
+    Args:
+        rig: The rig.
+        pipe: Name of the pipe.
+    """
+    part = rig.pipes[pipe]
+    return part.length_m >= (RESOLVED_CELLS - 0.5) * (part.dx_m or rig.grid.dx_m)
+
+
 class Effect(ABC):
     """A physical effect. Subclasses are one file each, and one line in the registry.
 
@@ -89,10 +100,18 @@ class Effect(ABC):
         """The parameter that measures how much of the effect there is."""
         return self.parameters[0]
 
-    @property
-    def fitted(self) -> tuple[EffectParameter, ...]:
-        """The parameters that diagnosis fits beside the strength."""
-        return tuple(p for p in self.parameters[1:] if p.fitted)
+    def fitted(self, rig: "Rig", place: str) -> tuple[EffectParameter, ...]:
+        """The parameters that diagnosis fits beside the strength; no position that no cell tells.
+
+        Args:
+            rig: The rig.
+            place: One of ``places``.
+        """
+        return tuple(
+            p
+            for p in self.parameters[1:]
+            if p.fitted and (p.name != POSITION or resolved(rig, place))
+        )
 
     @property
     def has_position(self) -> bool:
@@ -160,7 +179,7 @@ class Effect(ABC):
                 yield place, shape
                 continue
             pipe = rig.pipes[place]
-            if pipe.length_m < (RESOLVED_CELLS - 0.5) * (pipe.dx_m or rig.grid.dx_m):
+            if not resolved(rig, place):
                 yield place, {**shape, POSITION: 0.5 * pipe.length_m}
                 continue
             count = max(1, round(pipe.length_m / spacing_m))

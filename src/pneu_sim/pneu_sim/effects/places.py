@@ -12,6 +12,8 @@ TAPS = "taps"
 SOURCE_MARGIN = 0.05
 """A reservoir whose pressure is this close to the room's (relative) is the room itself."""
 
+FILLED = 10.0
+"""Pressure over the room's up to which gas is taken to have been filled in, where no source is."""
 SELDOM = 0.1
 OFTEN = 0.6
 """Of the way from the room's pressure to the highest: gas is seldom below the one, and often above
@@ -28,8 +30,8 @@ def reached_pa(rig: Rig, lower: float, upper: float) -> tuple[float, float]:
     """
     room = rig.ambient.pressure_pa
     highest = max((r.pressure_pa for r in rig.reservoirs.values()), default=room)
-    # a chamber that is closed for itself knows no source
-    high = highest if highest > (1.0 + SOURCE_MARGIN) * room else max(upper, room)
+    # gas that is shut in was once filled from somewhere
+    high = highest if highest > (1.0 + SOURCE_MARGIN) * room else FILLED * room
     # what opens from the room's pressure on is a leak
     return max(room + SELDOM * (high - room), lower), min(high, upper)
 
