@@ -24,6 +24,8 @@ from pneu_sysid.thresholds import Thresholds
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+GRID_S = 5.0
+"""So much of each recording tells whether the grid is fine enough."""
 REFIT_CELLS, SCORE_CELLS = 2.0, 4.0
 """Candidates are refitted and scored on cells so many times as long: only what they change of the
 prediction counts."""
@@ -142,9 +144,16 @@ def bench_of(
 
 
 def _grid(problem: Problem, rig: Rig, readings: Floats, refine: bool) -> Numerics | None:
-    """Whether the grid is fine enough, where that is asked and there is one."""
+    """Whether the grid is fine enough, where that is asked and there is one.
+
+    The beginning of long recordings tells it: shorter cells cost four times as much.
+    """
     if not refine or rig.model != "pde":
         return None
+    if any(recording.end_s > GRID_S for recording in problem.recordings):
+        part = [recording.until(GRID_S) for recording in problem.recordings]
+        problem = make_problem(rig, part, workers=problem.workers)
+        readings = problem.predict([rig])[0]
     compared = {
         tap: readings[:, :, k]
         for k, tap in enumerate(problem.taps)

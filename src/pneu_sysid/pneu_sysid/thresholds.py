@@ -73,4 +73,4 @@ class Thresholds:
     accuracy: float = 0.02
     typical: float = 1.0
     most_effects: int = 4
-    finalists: int = 8
+    finalists: int = 6

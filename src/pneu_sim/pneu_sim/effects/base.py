@@ -80,6 +80,8 @@ class Effect(ABC):
         parameters: Strength first, then shape.
         order: Diagnosis looks at lower orders first when two effects explain equally much
             (sensors, timing, steady flow, holds, small signals, slow).
+        spread_out: Whether it is much the same wherever along a pipe it sits, so that the middle is
+            tried for all of it; its position is fitted all the same.
         curved: Whether what it changes is far from proportional to its strength: a small one looks
             unlike a large one, and it is tried at several strengths.
         next_experiment: Recording that shows this effect apart from its look-alikes.
@@ -92,6 +94,7 @@ class Effect(ABC):
     source: ClassVar[str]
     parameters: ClassVar[tuple[EffectParameter, ...]]
     order: ClassVar[int] = 5
+    spread_out: ClassVar[bool] = False
     curved: ClassVar[bool] = False
     next_experiment: ClassVar[str]
 
@@ -179,7 +182,7 @@ class Effect(ABC):
                 yield place, shape
                 continue
             pipe = rig.pipes[place]
-            if not resolved(rig, place):
+            if self.spread_out or not resolved(rig, place):
                 yield place, {**shape, POSITION: 0.5 * pipe.length_m}
                 continue
             count = max(1, round(pipe.length_m / spacing_m))

@@ -33,6 +33,7 @@ class ReliefValve(Effect):
         EffectParameter("range_pa", "Pa", 2e4, 1e3, 1e6, 2e4, 500.0),
     )
     order: ClassVar[int] = 4
+    spread_out: ClassVar[bool] = True
     next_experiment: ClassVar[str] = (
         "Fill slowly past the suspected pressure, close the valve and let it settle: a relief valve"
         " holds a level that comes back after every fill, a leak goes on losing below it."
