@@ -33,10 +33,6 @@ from pneu_sysid.together import each_of
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-SAME = 1.0
-"""Candidates within so many standard errors of the best are as good as it, and the simplest is
-taken (the one-standard-error rule of Breiman et al. 1984)."""
-
 
 @dataclass
 class Diagnosis:
@@ -250,12 +246,18 @@ def _believed(bench: Bench, r: Refit, base: Floats, before: float, taken: float)
 
 
 def _in_order(believed: list[Refit], bench: Bench) -> list[Refit]:
-    """Candidates by what they leave; of those within one standard error the simplest first.
+    """Candidates by what they leave; of those that leave the same the simplest first.
 
-    A relief valve that opens at once is a leak: with more parameters it is never worse.
+    A relief valve that opens at once is a leak: with more parameters it is never worse. The same is
+    what one parameter may take away by chance (ln n of the mean square: Schwarz 1978).
     """
     out = sorted(believed, key=lambda c: float(np.sum(c.residual**2)))
-    equal = [c for c in out if lead(out[0].residual, c.residual, bench.blocks) < SAME]
+    if not out:
+        return out
+    least = float(np.sum(out[0].residual ** 2))
+    count = int(np.isfinite(bench.problem.measured).sum())
+    most = least * (1.0 + np.log(count) / count)
+    equal = [c for c in out if float(np.sum(c.residual**2)) <= most]
     equal.sort(key=lambda c: (len(c.site.effect.fitted(c.rig, c.site.place)), c.site.effect.order))
     return equal + [c for c in out if all(c is not e for e in equal)]
 
