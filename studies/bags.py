@@ -235,7 +235,7 @@ def page(digests: list[str], healthy: list[str], cases: dict[str, Found], failed
             f"* first, or said not to be told from what is first: {share(len(tied), total)}",
             f"* place right, of those: {share(sum(f.placed for f in located), len(located))}",
             f"* strength within {100 * STRENGTH_WITHIN:.0f} %: {share(len(right), len(located))}",
-            f"* with something superfluous: {share(sum(f.superfluous > 0 for f in tied), total)}",
+            f"* with something superfluous: {share(sum(f.named and f.superfluous > 0 for f in tied), total)}",
             f"* error kept aside after adding within {AFTER_WITHIN:g} times the healthy"
             f" recording's: {share(len(near), total)}",
             f"* healthy recordings accused: {share(wrong, len(cases) - len(faulty))}",

@@ -8,11 +8,10 @@ by a digest of code and settings: an interrupted run goes on, and the page shows
 """
 
 import argparse
-import hashlib
 import json
 import sys
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,6 @@ from rich.console import Console
 from pneu_sim.effects.base import POSITION
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.learn import Learned, learn
-from pneu_sysid.thresholds import Thresholds
 from studies.confusion_cases import (
     FELT,
     RIGS,
@@ -63,7 +61,6 @@ class Found:
     after: float
     seconds: float
     length_m: float = 0.0
-    note: str = field(default="")
 
     @property
     def healthy(self) -> bool:
@@ -177,17 +174,10 @@ class Store:
         part.replace(self._file)
 
 
-def key_of(thresholds: Thresholds) -> str:
-    """Digest of code and settings.
-
-    Args:
-        thresholds: What decides.
-    """
+def key_of_sources() -> str:
+    """Digest of the code and of what the rigs and recordings are drawn by."""
     own = digest_of(ROOT / "studies" / f"{n}.py" for n in ("confusion_cases", "calibration_rigs"))
-    settings = ""
-    if thresholds != Thresholds():
-        settings = "_" + hashlib.sha256(repr(thresholds).encode()).hexdigest()[:6]
-    return f"{sources_digest()}_{own}{settings}"
+    return f"{sources_digest()}_{own}"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -199,7 +189,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--budget-s", type=float, default=float("inf"))
     options = parser.parse_args(arguments)
     console = Console(width=170)
-    key = key_of(Thresholds())
+    key = key_of_sources()
     store = Store(key)
     simulator = digest_of(sorted((ROOT / "src" / "pneu_sim" / "pneu_sim").rglob("*.py")))
     begun = time.monotonic()
@@ -308,7 +298,7 @@ def page(cases: dict[str, Found], planned: int) -> str:
     tied = [f for f in felt if f.tied]
     located = [f for f in tied if f.at is not None]
     right = [f for f in located if abs(f.strength_error or 0.0) <= STRENGTH_WITHIN]
-    marks = {"superfluous": sum(bool(f.superfluous) for f in tied if f.named)}
+    besides = sum(bool(f.superfluous) for f in tied if f.named)
     accused = sum(bool(mark_of(k, f)) for k, f in whole.items() if f.healthy)
     sure = sum(bool(mark_of(k, f)) for k, f in taken_out.items() if f.felt)
     lines = [
@@ -326,7 +316,7 @@ def page(cases: dict[str, Found], planned: int) -> str:
         f" first {share(sum(f.named for f in felt), len(felt))}",
         f"* place right, of those: {share(sum(f.placed for f in located), len(located))}",
         f"* strength within {100 * STRENGTH_WITHIN:.0f} %: {share(len(right), len(located))}",
-        f"* with something superfluous: {share(marks['superfluous'], len(felt))}",
+        f"* with something superfluous: {share(besides, len(felt))}",
         f"* healthy recordings accused: {share(accused, len(healthy))}",
     ]
     if taken_out:

@@ -15,15 +15,15 @@ from typing import Any
 from rich.console import Console
 
 from pneu_sim.rig.schema import Rig
-from pneu_sysid import diagnose as diagnosis
 from pneu_sysid.bench import Bench, bench_of
-from pneu_sysid.candidates import sensitivities
+from pneu_sysid.candidates import residual_matrix, sensitivities
 from pneu_sysid.diagnose import Diagnosis, look
 from pneu_sysid.evidence import blocks_of
+from pneu_sysid.refits import refit
 from pneu_sysid.sites import all_sites
 from pneu_sysid.standing import standing_of
 from pneu_sysid.thresholds import Thresholds
-from studies.confusion import STORE, key_of
+from studies.confusion import STORE, key_of_sources
 from studies.confusion_cases import RIGS, calibrated, load_recording, recordings_of
 from studies.digest import digest_of, sources_digest
 
@@ -74,8 +74,6 @@ def with_thresholds(bench: Bench, usual: Thresholds, limits: Thresholds) -> Benc
         usual: Numbers that it was made with.
         limits: The other numbers.
     """
-    from pneu_sysid.candidates import residual_matrix
-
     out = replace(bench, thresholds=limits)
     residual = residual_matrix(bench.problem, bench.readings)
     out.standing = standing_of(bench.rig, bench.problem, residual, limits)
@@ -85,6 +83,10 @@ def with_thresholds(bench: Bench, usual: Thresholds, limits: Thresholds) -> Benc
         rough = bench.coarser(bench.rig, bench.readings)
         out.known = sensitivities(rough, bench.rig, all_sites(bench.rig), limits)
     return out
+
+
+def quiet(stage: str, done: float) -> None:
+    """Tells nobody how far the work is."""
 
 
 def verdict_of(found: Diagnosis) -> str:
@@ -106,26 +108,20 @@ def main(arguments: list[str] | None = None) -> int:
     changes: dict[tuple[str, float], list[str]] = {(n, f): [] for n, f, _ in variants()}
     looked: list[str] = []
     for shape, seed in RIGS:
-        rig = calibrated(shape, seed, STORE / f"rigs_{key_of(usual)}")
+        rig = calibrated(shape, seed, STORE / f"rigs_{key_of_sources()}")
         every = recordings_of(shape, seed, STORE / f"recordings_{simulator}")
         faulty = [(i, path) for i, path in every if i.effect][:: options.every]
         healthy = [(i, path) for i, path in every if not i.effect][: max(1, len(faulty) // 3)]
         for injection, path in faulty + healthy:
-            quiet: Callable[[str, float], None] = lambda stage, done: None  # noqa: E731
             bench = bench_of(rig, load_recording(path), False, None, quiet, usual, ())
-            # what two threads ask for at once would not be remembered
-            original = diagnosis.refit
-            diagnosis.refit = Remembered(original)
-            try:
-                base = verdict_of(look(bench, rig, bench.readings, quiet))
-                for name, factor, limits in variants():
-                    other = with_thresholds(bench, usual, limits)
-                    found = verdict_of(look(other, rig, bench.readings, quiet))
-                    if found != base:
-                        changes[name, factor].append(f"{injection.key}: {base} -> {found}")
-                        console.print(name, factor, changes[name, factor][-1])
-            finally:
-                diagnosis.refit = original
+            work = Remembered(refit)
+            base = verdict_of(look(bench, rig, bench.readings, quiet, work=work))
+            for name, factor, limits in variants():
+                other = with_thresholds(bench, usual, limits)
+                found = verdict_of(look(other, rig, bench.readings, quiet, work=work))
+                if found != base:
+                    changes[name, factor].append(f"{injection.key}: {base} -> {found}")
+                    console.print(name, factor, changes[name, factor][-1])
             looked.append(injection.key)
             console.print(f"{len(looked)} {injection.key}: {base}")
     (ROOT / "docs" / "thresholds.md").write_text(page(looked, changes), encoding="utf-8")

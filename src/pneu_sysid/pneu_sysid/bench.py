@@ -66,12 +66,29 @@ class Bench:
         r = residual_matrix(self.problem, readings)
         return r if self.project is None else self.project(r)
 
-    def coarser(self, rig: Rig, readings: Floats) -> Problem:
-        """The problem that candidates are refitted on.
+    def held_sum(self, residual: Floats) -> float:
+        """Squared error on what verdicts are judged on.
 
         Args:
-            rig: The rig that they are added to.
-            readings: What it predicts on its own cells.
+            residual: (n_stretches, m) in noise deviations, without what is uncertain anyway.
+        """
+        return float(np.sum(residual[self.held_out] ** 2))
+
+    def allowed(self, before: float) -> float:
+        """Squared error that an answer may leave there.
+
+        Args:
+            before: What there was.
+        """
+        limits = self.thresholds
+        return max(limits.unexplained * self.floor, limits.relative**2 * before)
+
+    def coarser(self, rig: Rig, readings: Floats | None = None) -> Problem:
+        """The problem that effects are refitted on.
+
+        Args:
+            rig: The rig about which they are.
+            readings: What it predicts on its own cells, where that is known.
         """
         if rig.model != "pde":
             return self.problem

@@ -36,7 +36,7 @@ class Score:
         explained: Fraction of the squared residual it would explain.
         t: Estimate over its jackknife standard error, stretches left out one at a time.
         sensitivity: (n_stretches, m) change of the prediction per unit strength, in noise units.
-        alike: What it changes, without what is uncertain anyway.
+        projected: What it changes, without what is uncertain anyway.
     """
 
     site: Site
@@ -44,7 +44,7 @@ class Score:
     explained: float
     t: float
     sensitivity: Floats = field(repr=False)
-    alike: Floats = field(repr=False)
+    projected: Floats = field(repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,22 +131,22 @@ def scores_of(
     return out
 
 
-def _score_of(one: Sensitivity, alike: Floats, a: Floats, b: Floats, total: float) -> Score:
+def _score_of(one: Sensitivity, projected: Floats, a: Floats, b: Floats, total: float) -> Score:
     """One-step strength, explained fraction and jackknife significance."""
     site, s = one.site, one.change
     total_b = float(b.sum())
     if total_b <= 1e-12 or total <= 0.0:
-        return Score(site, 0.0, 0.0, 0.0, s, alike)
+        return Score(site, 0.0, 0.0, 0.0, s, projected)
     eta = float(a.sum()) / total_b
     strength = site.effect.strength
     if strength.absent + eta < one.least:
-        return Score(site, strength.absent, 0.0, 0.0, s, alike)
+        return Score(site, strength.absent, 0.0, 0.0, s, projected)
     n = a.size
     rest = np.maximum(total_b - b, 1e-12)
     left_out = (a.sum() - a) / rest
     se = float(np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2)))
     explained = eta * float(a.sum()) / total
-    return Score(site, strength.absent + eta, explained, abs(eta) / max(se, 1e-300), s, alike)
+    return Score(site, strength.absent + eta, explained, abs(eta) / max(se, 1e-300), s, projected)
 
 
 def best_per_place(scores: Sequence[Score]) -> list[Score]:
@@ -181,12 +181,12 @@ def to_refit(best: Sequence[Score], thresholds: Thresholds) -> tuple[list[Score]
             break
         if share < LITTLE * thresholds.worth:
             break  # what it explains would not be worth it
-        if any(abs(cosine(item.alike, o.alike)) >= thresholds.explained_alike for o in leaders):
+        if any(abs(cosine(item.projected, o.projected)) >= thresholds.alike for o in leaders):
             mates.append(item)
         else:
             leaders.append(item)
     room = max(thresholds.finalists - len(leaders), thresholds.finalists // 3)
     chosen = leaders[: thresholds.finalists - min(room, len(mates))]
     chosen += mates[: thresholds.finalists - len(chosen)]
-    left = [one for one in (*leaders, *mates) if all(one is not other for other in chosen)]
+    left = [one for one in (*leaders, *mates) if one not in chosen]
     return chosen, left

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pneu_sim.effects.base import POSITION
 from pneu_sim.rig.schema import Rig
 from pneu_sim.tally import Tally
+from pneu_sysid import words
 from pneu_sysid.bench import Bench, bench_of
 from pneu_sysid.candidates import Score, best_per_place, residual_matrix, scores_of, to_refit
 from pneu_sysid.dependence import dependences
@@ -131,8 +132,9 @@ def diagnose(
     found.statements = [
         since_calibration(bench.standing, names, something),
         against_noise(bench.standing, limits),
-        *_experiments(found),
     ]
+    if found.verdict == "ambiguous":
+        found.statements.append(words.to_tell_apart(found.finalists[0]))
     return found
 
 
@@ -184,7 +186,14 @@ def diagnose_apart(
     return diagnose(rig, recordings, finalists, refine, workers, progress, limits, without)
 
 
-def look(bench: Bench, rig: Rig, readings: Floats, tell: Progress, taken: float = 0.0) -> Diagnosis:
+def look(
+    bench: Bench,
+    rig: Rig,
+    readings: Floats,
+    tell: Progress,
+    taken: float = 0.0,
+    work: Callable[..., Refit] = refit,
+) -> Diagnosis:
     """Looks for the effect that a rig lacks most.
 
     Args:
@@ -193,6 +202,7 @@ def look(bench: Bench, rig: Rig, readings: Floats, tell: Progress, taken: float 
         readings: (n_stretches, horizon, n_taps) what it predicts, Pa.
         tell: Called with a stage's name and the fraction done.
         taken: Squared error on what is kept aside that the effects added so far took away.
+        work: What refits a candidate.
 
     Returns:
         The diagnosis, without what is only said once.
@@ -208,7 +218,7 @@ def look(bench: Bench, rig: Rig, readings: Floats, tell: Progress, taken: float 
 
         def try_out(shared: Problem, item: tuple[int, Score]) -> Refit:
             k, candidate = item
-            found = refit(shared, rig, base, candidate, limits, bench.project)
+            found = work(shared, rig, base, candidate, limits, bench.project)
             tally.reached(k, 1.0)
             return found
 
@@ -216,19 +226,15 @@ def look(bench: Bench, rig: Rig, readings: Floats, tell: Progress, taken: float 
 
     refits = refitted(first)
     result = _judge(bench, base, refits, best, readings, taken)
-    if others and refits and result.left_over * bench.floor > _allowed(bench, base):
+    if (
+        others
+        and refits
+        and result.left_over * bench.floor > bench.allowed(result.excess * bench.floor)
+    ):
         # the best is not the answer: one that looks like it may be
         refits += refitted(others[: limits.finalists])
         result = _judge(bench, base, refits, best, readings, taken)
     return result
-
-
-def _allowed(bench: Bench, base: Floats) -> float:
-    """Squared error on what is kept aside that an answer may leave."""
-    limits = bench.thresholds
-    r = base if bench.project is None else bench.project(base)
-    before = float(np.sum(r[bench.held_out] ** 2))
-    return max(limits.unexplained * bench.floor, limits.relative**2 * before)
 
 
 def _believed(bench: Bench, r: Refit, base: Floats, before: float, taken: float) -> bool:
@@ -259,7 +265,7 @@ def _in_order(believed: list[Refit], bench: Bench) -> list[Refit]:
     most = least * (1.0 + np.log(count) / count)
     equal = [c for c in out if float(np.sum(c.residual**2)) <= most]
     equal.sort(key=lambda c: (len(c.site.effect.fitted(c.rig, c.site.place)), c.site.effect.order))
-    return equal + [c for c in out if all(c is not e for e in equal)]
+    return equal + [c for c in out if c not in equal]
 
 
 def _judge(
@@ -272,12 +278,11 @@ def _judge(
 ) -> Diagnosis:
     limits, problem, standing = bench.thresholds, bench.problem, bench.standing
     r = base if bench.project is None else bench.project(base)
-    held, floor = bench.held_out, bench.floor
-    before = float(np.sum(r[held] ** 2))
-    believed = [c for c in refits if _believed(bench, c, r, before, taken)]
-    believed = _in_order(believed, bench)
+    floor = bench.floor
+    before = bench.held_sum(r)
+    believed = _in_order([c for c in refits if _believed(bench, c, r, before, taken)], bench)
     finalists = believed + sorted(
-        (c for c in refits if all(c is not b for b in believed)), key=lambda c: -c.held_out
+        (c for c in refits if c not in believed), key=lambda c: -c.held_out
     )
     tied = [
         [
@@ -307,34 +312,19 @@ def _judge(
         bench=bench,
     )
     if top is not None:
-        explained = left <= _allowed(bench, base)
+        explained = left <= bench.allowed(before)
         mostly = top.held_out >= limits.mostly
         if explained or mostly or _second_helps(bench, top, scores):
             result.verdict = "ambiguous" if tied[0] else "effect"
-            result.sentence = _sentence(top, tied[0], explained)
+            result.sentence = words.missing(top, tied[0], explained)
     elif before <= limits.unexplained * floor:
         result.verdict = "nothing_missing"
         times = float(np.sqrt(before / max(bench.readings_held, 1)))
-        result.sentence = _nothing_sentence(standing, times)
+        result.sentence = words.nothing_missing(standing, times)
     if result.verdict == "unknown":
         result.depends_on = dependences(problem, r if top is None else top.residual)
-        result.sentence = _unknown_sentence(result, top)
+        result.sentence = words.unknown(top, result.depends_on)
     return result
-
-
-def _nothing_sentence(standing: Standing, left_times: float) -> str:
-    """Nothing was found: of a change since the calibration, or of the noise."""
-    if standing.explains:
-        return "Nothing is missing: the model explains the recording to the sensor noise."
-    if standing.calibrated and not standing.own:
-        return (
-            "Nothing changed since the calibration: the model explains the recording as well as"
-            " the one it was calibrated on."
-        )
-    return (
-        f"No effect is missing: of the {standing.times_noise:.2f} times the noise that the model"
-        f" leaves, {left_times:.2f} would be left if its base parameters were fitted here."
-    )
 
 
 def _second_helps(bench: Bench, top: Refit, scores: list[Score]) -> bool:
@@ -346,63 +336,10 @@ def _second_helps(bench: Bench, top: Refit, scores: list[Score]) -> bool:
     for item in scores:
         if item.site.part == top.site.part:
             continue
-        b = float(np.sum(item.alike**2))
+        b = float(np.sum(item.projected**2))
         if b > 0.0:
-            best = max(best, float(np.sum(item.alike * rest)) ** 2 / b)
-    return best >= bench.thresholds.contender * max(total - noise, 0.0)
-
-
-def strength_in_words(strength: float, std_error: float, unit: str) -> str:
-    """A strength with its unit and standard error.
-
-    Args:
-        strength: The strength.
-        std_error: Its standard error.
-        unit: The unit.
-    """
-    return f"{strength:.3g} {unit}".strip() + f" (± {std_error:.1g})"
-
-
-def _where(r: Refit) -> str:
-    if r.position_error_m is not None:
-        at = f"in {r.site.place} at {r.site.shape[POSITION]:.2f}"
-        return f"{at} ± {r.position_error_m:.2f} m" if r.position_error_m < 10.0 else f"{at} m"
-    return f"at {r.site.place}"
-
-
-def _sentence(top: Refit, alike: list[str], alone: bool) -> str:
-    effect = top.site.effect
-    text = (
-        f"Missing: {effect.title} {_where(top)},"
-        f" {strength_in_words(top.strength, top.std_error, effect.strength.unit)}; it explains"
-        f" {100.0 * top.held_out:.0f} % of the held-out squared residual"
-    )
-    if alike:
-        text += f"; this recording cannot tell it from {', '.join(alike)}"
-    if not alone:
-        text += "; more is missing besides"
-    return text + "."
-
-
-def _experiments(found: Diagnosis) -> list[str]:
-    """What would tell the best candidate from those that are as good."""
-    if found.verdict != "ambiguous":
-        return []
-    top = found.finalists[0]
-    return [f"To tell {top.site.label} from the others: {top.site.effect.next_experiment}"]
-
-
-def _unknown_sentence(result: Diagnosis, top: Refit | None) -> str:
-    text = "Something is missing that the catalogue does not hold"
-    if top is not None:
-        text += (
-            f" (the nearest, {top.site.label}, explains only {100.0 * top.held_out:.0f} % of the"
-            " held-out squared residual)"
-        )
-    if result.depends_on:
-        named = ", ".join(f"{v} at {tap}" for v, tap, _ in result.depends_on[:3])
-        text += f"; the residual depends on {named}"
-    return text + "."
+            best = max(best, float(np.sum(item.projected * rest)) ** 2 / b)
+    return best >= bench.thresholds.second * max(total - noise, 0.0)
 
 
 def result_of_diagnosis(name: str, found: Diagnosis, findings: list[str]) -> DiagnoseResult:

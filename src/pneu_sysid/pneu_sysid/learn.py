@@ -13,10 +13,10 @@ from pneu_sim.effects.base import POSITION
 from pneu_sim.errors import InputError
 from pneu_sim.rig import save_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig
-from pneu_sysid.bench import REFIT_CELLS, Bench
+from pneu_sysid.bench import Bench
 from pneu_sysid.candidates import best_per_place, residual_matrix, scores_of, sensitivities
 from pneu_sysid.compare import findings_of
-from pneu_sysid.diagnose import Diagnosis, diagnose_apart, look, strength_in_words
+from pneu_sysid.diagnose import Diagnosis, diagnose_apart, look
 from pneu_sysid.evidence import lead
 from pneu_sysid.fit import fit_rig, tap_rmse
 from pneu_sysid.gauss_newton import Estimate
@@ -27,6 +27,7 @@ from pneu_sysid.refits import effect_variables, refit_effects
 from pneu_sysid.results import LearnResult, Step, Verdict, pneu_version, write_json
 from pneu_sysid.sites import all_sites
 from pneu_sysid.thresholds import Thresholds
+from pneu_sysid.words import strength_in_words
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -213,16 +214,16 @@ def learn(
     model = _Model(rig, bench.readings, bench.residual(bench.readings))
     state = Learned(rig, [_step_of(0, bench, model)], [first], "nothing_missing", "", [rig])
     given = len(rig.effects)
-    start = _held_sum(bench, model.residual)
+    start = bench.held_sum(model.residual)
     mates: list[list[AttachedEffect]] = []
     _save(state, problem, out)
     found = first
     while True:
         count = len(model.rig.effects) - given
         if count:
-            if _held_sum(bench, model.residual) <= limits.settled * bench.floor:
+            if bench.held_sum(model.residual) <= limits.settled * bench.floor:
                 break
-            taken = start - _held_sum(bench, model.residual)
+            taken = start - bench.held_sum(model.residual)
             found = look(bench, model.rig, model.readings, tell, taken)
             state.diagnoses.append(found)
         if count >= limits.most_effects or not _worth_adding(found, bench):
@@ -230,7 +231,7 @@ def learn(
         tell("refit", 0.0)
         better, estimate = _together(bench, found.finalists[0].rig, given, 3)
         tell("refit", 1.0)
-        gone = 1.0 - _held_sum(bench, better.residual) / _held_sum(bench, model.residual)
+        gone = 1.0 - bench.held_sum(better.residual) / bench.held_sum(model.residual)
         if gone < limits.worth:
             break
         labels = set(found.alike(0))
@@ -243,11 +244,13 @@ def learn(
         state.steps = _steps(bench, state.steps, model, estimate, given)
         state.rig = model.rig
         state.rigs = [*state.rigs[: len(state.steps) - 1], model.rig]
-        _conclude(state, bench, given, start, [_label(e) for o in mates for e in o])
+        left = bench.held_sum(model.residual)
+        _conclude(state, bench, given, start, left, [_label(e) for o in mates for e in o])
         _save(state, problem, out)
         if len(model.rig.effects) - given <= count:
             break  # what was added last made another superfluous: no more is to be had
-    _conclude(state, bench, given, start, [_label(e) for o in mates for e in o])
+    left = bench.held_sum(model.residual)
+    _conclude(state, bench, given, start, left, [_label(e) for o in mates for e in o])
     if first.unchanged and state.steps[1:]:
         state.sentence = f"In {', '.join(r.name for r in differ)} alone: {state.sentence}"
         state.rig = _without_effects(state.rig, given, first.unchanged)
@@ -265,18 +268,10 @@ class _Model:
     residual: Floats
 
 
-def _held_sum(bench: Bench, residual: Floats) -> float:
-    """Squared error on what is kept aside."""
-    return float(np.sum(residual[bench.held_out] ** 2))
-
-
 def _together(bench: Bench, rig: Rig, given: int, iterations: int = 4) -> tuple[_Model, Estimate]:
     """Fits all effects that were added, together."""
-    rough = bench.problem
-    if rig.model == "pde":
-        rough = bench.problem.coarsened(rig, REFIT_CELLS)
     indices = list(range(given, len(rig.effects)))
-    fitted, estimate = refit_effects(rough, rig, indices, iterations, bench.project)
+    fitted, estimate = refit_effects(bench.coarser(rig), rig, indices, iterations, bench.project)
     readings = bench.problem.predict([fitted])[0]
     return _Model(fitted, readings, bench.residual(readings)), estimate
 
@@ -394,7 +389,7 @@ def _needed(
     while k < len(model.rig.effects) - given - 1:
         effects = [e for i, e in enumerate(model.rig.effects) if i != given + k]
         other, found = _together(bench, model.rig.model_copy(update={"effects": effects}), given)
-        held, alone = _held_sum(bench, model.residual), _held_sum(bench, other.residual)
+        held, alone = bench.held_sum(model.residual), bench.held_sum(other.residual)
         if (
             alone - held < limits.worth * alone
             or lead(model.residual, other.residual, bench.blocks) < limits.significant
@@ -406,8 +401,10 @@ def _needed(
     return model, estimate, mates
 
 
-def _conclude(state: Learned, bench: Bench, given: int, start: float, ambiguous: list[str]) -> None:
-    """Verdict and sentence over all that was added."""
+def _conclude(
+    state: Learned, bench: Bench, given: int, start: float, left: float, alike: list[str]
+) -> None:
+    """Verdict and sentence over all that was added, which left so much of what there was."""
     last = state.diagnoses[-1]
     if not state.rig.effects[given:]:
         state.verdict, state.sentence = last.verdict, last.sentence
@@ -420,17 +417,15 @@ def _conclude(state: Learned, bench: Bench, given: int, start: float, ambiguous:
         )
         parts.append(f"{effect.title} at {step.place}, {strength}")
     before, after = state.steps[0], state.steps[-1]
-    state.verdict = "ambiguous" if ambiguous else "effect"
-    state.alike = ambiguous
+    state.verdict = "ambiguous" if alike else "effect"
+    state.alike = alike
     state.sentence = (
         f"Missing: {' and '.join(parts)}; with that the held-out error falls from"
         f" {before.held_out_times_noise:.2f} to {after.held_out_times_noise:.2f} times the noise"
     )
-    if ambiguous:
-        state.sentence += f"; not to be told from {', '.join(sorted(set(ambiguous)))}"
-    limits = bench.thresholds
-    left = (after.held_out_times_noise or 0.0) ** 2 * bench.readings_held
-    if left > max(limits.unexplained * bench.floor, limits.relative**2 * start):
+    if alike:
+        state.sentence += f"; not to be told from {', '.join(sorted(set(alike)))}"
+    if left > bench.allowed(start):
         state.verdict = "unknown"
         state.sentence += "; more is missing that the catalogue does not hold"
     state.sentence += "."

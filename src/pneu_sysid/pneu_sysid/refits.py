@@ -109,7 +109,7 @@ def refit(
     for k, p in enumerate(shape, start=1):
         if not p.scanned:
             continue
-        # The misfit has several valleys along a pipe: look into all of them at the strength found.
+        # the misfit has several valleys: look into all of them at the strength found
         tried = []
         for spot in np.linspace(variables[k].lower, variables[k].upper, p.scanned):
             tried.append(estimate.values.copy())

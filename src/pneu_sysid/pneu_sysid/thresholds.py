@@ -22,10 +22,12 @@ class Thresholds:
             more; this is a third of that.
         worth: ... and this share of the squared error there is: what is missing explains most of
             what is left, and of three equal effects each a third.
-        explained_alike: A candidate may stand for another in the first look if their changes of the
+        alike: A candidate may stand for another in the first look if their changes of the
             prediction have at least this cosine.
         contender: Candidates whose score is below this share of the best are not refitted: scores
             are taken at one strength and on long cells, and are right to some tens of percent.
+        second: More is missing besides where another candidate explains, to first order, this share
+            of what the best one leaves above the noise.
         tied: Two candidates are told apart where the better one's lead is more than so many of its
             standard errors.
         block: Length of the blocks of time in which errors of a model are taken to hang together,
@@ -58,8 +60,9 @@ class Thresholds:
     share_of_discrepancy: float = 0.3
     chance: float = 1.0
     worth: float = 0.25
-    explained_alike: float = 0.95
+    alike: float = 0.95
     contender: float = 0.35
+    second: float = 0.35
     tied: float = 3.0
     block: float = 0.2
     relative: float = 0.06

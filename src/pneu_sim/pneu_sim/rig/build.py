@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from pneu_sim import layout as L
 from pneu_sim.errors import InputError
 from pneu_sim.gas import AIR, Gas
+from pneu_sim.rig.cells import areas, narrowed_by, spread
 from pneu_sim.rig.opening import opening_at
-from pneu_sim.rig.schema import CLOSED, Pipe, Port, Rig, Spool, Valve
+from pneu_sim.rig.schema import CLOSED, Port, Rig, Spool, Valve
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -284,82 +285,6 @@ def reservoir_of_pipes(rig: Rig, plan: Plan) -> dict[str, int]:
     return found
 
 
-def _areas(pipe: Pipe, faces: Floats) -> tuple[Floats, Floats]:
-    """Mean area of each cell and area of each face of a pipe, before neighbours are compared."""
-    n = faces.size - 1
-    if pipe.area_profile is None:
-        return np.full(n, pipe.area_m2), np.full(n + 1, pipe.area_m2)
-    x, a = np.array(pipe.area_profile, dtype=float).T
-    # Frustum mean: exact for a radius, close for an area, that varies linearly.
-    fine = np.linspace(0.0, 1.0, 9)
-    grid = faces[:-1, None] + fine * np.diff(faces)[:, None]
-    return np.trapezoid(np.interp(grid, x, a), fine, axis=1), np.interp(faces, x, a)
-
-
-@dataclass(frozen=True)
-class _Narrowed:
-    """What narrowings make of the cells and faces of a pipe.
-
-    Attributes:
-        face: (n + 1,) factor on the area of each face.
-        volume: (n,) factor on the volume of each cell.
-        viscous: (n,) factor on its laminar drag.
-        turbulent: (n,) factor on its turbulent drag.
-        heads: (n,) velocity heads lost besides.
-    """
-
-    face: Floats
-    volume: Floats
-    viscous: Floats
-    turbulent: Floats
-    heads: Floats
-
-
-def _narrowed(pipe: Pipe, faces: Floats) -> _Narrowed:
-    """A narrowing as cells of any length feel it.
-
-    Its volume and the friction along it are shared by the cells that it covers. The jet behind it
-    loses what Borda and Carnot say, whatever the cells: the narrowing is at the faces next to its
-    middle, and where it lies between two each has the part of the loss that is its own. The flow
-    into it loses what a sharp edge does (Idelchik 2007, diagram 4-9).
-    """
-    centres = 0.5 * (faces[1:] + faces[:-1])
-    n = faces.size - 1
-    dx = pipe.length_m / n
-    face, volume = np.ones(n + 1), np.ones(n)
-    viscous, turbulent, heads = np.ones(n), np.ones(n), np.zeros(n)
-    for narrowing in pipe.narrowings:
-        left = 1.0 - narrowing.fraction
-        low = narrowing.position_m - 0.5 * narrowing.length_m
-        high = narrowing.position_m + 0.5 * narrowing.length_m
-        covered = np.clip(np.minimum(faces[1:], high) - np.maximum(faces[:-1], low), 0.0, None)
-        covered /= dx
-        volume *= 1.0 - narrowing.fraction * covered
-        # pressure drop at one mass flow: 1 / A^2, and with Blasius' law 1 / A^2.375
-        viscous *= 1.0 + covered * (left**-2.0 - 1.0)
-        turbulent *= 1.0 + covered * (left**-2.375 - 1.0)
-        loss = (1.0 / left - 1.0) ** 2
-        entrance = 0.5 * narrowing.fraction**0.75 / left**2
-        for i, part in _spread(narrowing.position_m, centres):
-            heads[i] += part * (entrance + (loss if n == 1 else 0.0))
-        if n == 1:
-            continue
-        at = float(np.clip(narrowing.position_m / dx, 1.0, n - 1.0))
-        k = min(int(at), n - 2) if n > 2 else 1
-        share = at - k
-        face[k] /= 1.0 + math.sqrt((1.0 - share) * loss)
-        if share > 0.0:
-            face[k + 1] /= 1.0 + math.sqrt(share * loss)
-    return _Narrowed(face, volume, viscous, turbulent, heads)
-
-
-def _spread(x: float, centres: Floats) -> list[tuple[int, float]]:
-    """Shares of a point between the two cells around it, so that it can move smoothly."""
-    s = float(np.interp(x, centres, np.arange(centres.size)))
-    i = min(int(s), centres.size - 2)
-    return [(i, 1.0 - (s - i)), (i + 1, s - i)]
-
-
 def _curve(port: Port, valve: Valve) -> tuple[Floats, Floats]:
     """An opening curve as a table over voltage, with the leakage of the closed port added."""
     null = valve.spool.null_v
@@ -413,15 +338,15 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         faces = np.linspace(0.0, pipe.length_m, n + 1)
         centres = 0.5 * (faces[1:] + faces[:-1])
         dx = pipe.length_m / n
-        area, face = _areas(pipe, faces)
-        narrowed = _narrowed(pipe, faces)
+        area, face = areas(pipe, faces)
+        narrowed = narrowed_by(pipe, faces)
         face *= narrowed.face
         diameter = np.sqrt(4.0 * area / math.pi)
         volume = area * dx * narrowed.volume
         volume[0] += pipe.volume_from_m3
         volume[-1] += pipe.volume_to_m3
         for extra in pipe.volumes:
-            for i, share in _spread(extra.position_m, centres):
+            for i, share in spread(extra.position_m, centres):
                 volume[i] += share * extra.volume_m3
         wall = pipe.wall
         cell[L.AREA, span] = area
@@ -451,7 +376,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
             cell[L.TAPER, span] = np.diff(face / narrowed.face) / (area * dx)
         cell[L.COMPLIANCE, span] = wall.compliance_per_pa
         for loss in pipe.losses:
-            for i, share in _spread(loss.position_m, centres):
+            for i, share in spread(loss.position_m, centres):
                 cell[L.LOSS, first + i] += share * loss.k / dx
                 if loss.resistance_pa_s_m > 0.0:
                     # A viscous part that turbulence does not raise: taken out of the gain on it.
@@ -462,14 +387,14 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         cell[L.LOSS, first] += pipe.loss_from / dx
         cell[L.LOSS, first + n - 1] += pipe.loss_to / dx
         for leak in pipe.leaks:
-            for i, share in _spread(leak.position_m, centres):
+            for i, share in spread(leak.position_m, centres):
                 if leak.area_m2 > 0.0:
                     leaks[first + i] = leaks.get(first + i, 0.0) + share * leak.area_m2
                 if leak.porous_m3 > 0.0:
                     more = share * leak.porous_m3 * per_porous
                     porous[first + i] = porous.get(first + i, 0.0) + more
         for relief in pipe.reliefs:
-            for i, share in _spread(relief.position_m, centres):
+            for i, share in spread(relief.position_m, centres):
                 of_slot = reliefs.setdefault(first + i, [])
                 of_slot.append((share * relief.area_m2, relief.set_pa, relief.range_pa))
     if not rig.grid.memory:

@@ -72,7 +72,7 @@ def render(contents: Contents) -> Markup:
             _switches("Lines", "model", list(models)),
             tag(
                 "fieldset",
-                tag("legend", "Residuals, measured minus model"),
+                tag("legend", "Residuals"),
                 tag(
                     "label",
                     tag("input", type="checkbox", checked=True, data_kind="logarithmic"),
