@@ -219,6 +219,7 @@ def page(digests: list[str], healthy: list[str], cases: dict[str, Found], failed
     right = [f for f in located if abs(f.strength_error or 0.0) <= STRENGTH_WITHIN]
     near = [f for k, f in faulty.items() if f.after <= AFTER_WITHIN * left.get(k[0], 0.0)]
     wrong = sum(bool(mark_of(k, f)) for k, f in cases.items() if f.healthy)
+    beside = [f for f in tied if f.named and f.superfluous > 0]
     total = len(faulty) + len(failed)
     return "\n".join(
         [
@@ -235,7 +236,7 @@ def page(digests: list[str], healthy: list[str], cases: dict[str, Found], failed
             f"* first, or said not to be told from what is first: {share(len(tied), total)}",
             f"* place right, of those: {share(sum(f.placed for f in located), len(located))}",
             f"* strength within {100 * STRENGTH_WITHIN:.0f} %: {share(len(right), len(located))}",
-            f"* with something superfluous: {share(sum(f.named and f.superfluous > 0 for f in tied), total)}",
+            f"* with something superfluous: {share(len(beside), total)}",
             f"* error kept aside after adding within {AFTER_WITHIN:g} times the healthy"
             f" recording's: {share(len(near), total)}",
             f"* healthy recordings accused: {share(wrong, len(cases) - len(faulty))}",
