@@ -174,10 +174,20 @@ class Store:
         part.replace(self._file)
 
 
+def drawn_by() -> str:
+    """Digest of what the rigs and recordings are drawn by."""
+    return digest_of(ROOT / "studies" / f"{n}.py" for n in ("confusion_cases", "calibration_rigs"))
+
+
 def key_of_sources() -> str:
     """Digest of the code and of what the rigs and recordings are drawn by."""
-    own = digest_of(ROOT / "studies" / f"{n}.py" for n in ("confusion_cases", "calibration_rigs"))
-    return f"{sources_digest()}_{own}"
+    return f"{sources_digest()}_{drawn_by()}"
+
+
+def recordings_folder() -> Path:
+    """Where recordings of this version of the simulator are kept."""
+    simulator = digest_of(sorted((ROOT / "src" / "pneu_sim" / "pneu_sim").rglob("*.py")))
+    return STORE / f"recordings_{simulator}_{drawn_by()}"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -191,14 +201,13 @@ def main(arguments: list[str] | None = None) -> int:
     console = Console(width=170)
     key = key_of_sources()
     store = Store(key)
-    simulator = digest_of(sorted((ROOT / "src" / "pneu_sim" / "pneu_sim").rglob("*.py")))
     begun = time.monotonic()
     total = 0
     for shape, seed in RIGS:
         if shape not in options.rigs:
             continue
         rig = calibrated(shape, seed, STORE / f"rigs_{key}")
-        for injection, path in recordings_of(shape, seed, STORE / f"recordings_{simulator}"):
+        for injection, path in recordings_of(shape, seed, recordings_folder()):
             if options.only and (injection.effect or "none") not in options.only:
                 continue
             for without in (False, True) if options.without and injection.effect else (False,):

@@ -100,6 +100,32 @@ def place_of(effect: Effect, rig: Rig, rng: np.random.Generator) -> str | None:
     return str(rng.choice(places)) if places else None
 
 
+def shape_of(effect: Effect, rig: Rig, place: str, rng: np.random.Generator) -> dict[str, float]:
+    """Every parameter but the strength: a position anywhere, and what is fitted not typical.
+
+    Where the rig bounds a parameter (a relief valve's set pressure lies between those that there
+    are) it is drawn from the middle half of what the rig allows.
+
+    Args:
+        effect: The effect.
+        rig: The rig.
+        place: Its place.
+        rng: Source of the draws.
+    """
+    values = {}
+    for q in effect.parameters[1:]:
+        low, high = effect.limits(q, rig, place)
+        if q.name == POSITION:
+            values[q.name] = float(rng.uniform(0.1, 0.9) * rig.pipes[place].length_m)
+        elif q.fitted and (low, high) != (q.lower, q.upper):
+            values[q.name] = float(low + rng.uniform(0.25, 0.75) * (high - low))
+        elif q.fitted:
+            values[q.name] = float(np.clip(q.typical * rng.uniform(0.5, 2.0), low, high))
+        else:
+            values[q.name] = q.typical
+    return values
+
+
 def apart(faulty: Readings, healthy: Readings, noise: float) -> float:
     """How much two runs differ at the tap where they differ most, in noise deviations.
 
@@ -170,9 +196,7 @@ def recordings_of(shape: str, seed: int, folder: Path) -> list[tuple[Injection, 
                 volts = {c: draw_volts(samples, own) for c in plant.commands}
                 shared[along] = volts, run_plant(plant, volts)
             volts, healthy = shared[along]
-            values = {q.name: q.typical for q in effect.parameters[1:]}
-            if effect.has_position:
-                values[POSITION] = float(rng.uniform(0.1, 0.9) * plant.pipes[place].length_m)
+            values = shape_of(effect, plant, place, rng)
             for strength in strengths(effect, plant, place, rng):
                 values[effect.strength.name] = strength
                 attached = AttachedEffect(effect=effect.name, place=place, parameters=values)

@@ -23,9 +23,9 @@ from pneu_sysid.refits import refit
 from pneu_sysid.sites import all_sites
 from pneu_sysid.standing import standing_of
 from pneu_sysid.thresholds import Thresholds
-from studies.confusion import STORE, key_of_sources
+from studies.confusion import STORE, key_of_sources, recordings_folder
 from studies.confusion_cases import RIGS, calibrated, load_recording, recordings_of
-from studies.digest import digest_of, sources_digest
+from studies.digest import sources_digest
 
 ROOT = Path(__file__).resolve().parent.parent
 EVERY = 6
@@ -104,12 +104,11 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     console = Console(width=150)
     usual = Thresholds()
-    simulator = digest_of(sorted((ROOT / "src" / "pneu_sim" / "pneu_sim").rglob("*.py")))
     changes: dict[tuple[str, float], list[str]] = {(n, f): [] for n, f, _ in variants()}
     looked: list[str] = []
     for shape, seed in RIGS:
         rig = calibrated(shape, seed, STORE / f"rigs_{key_of_sources()}")
-        every = recordings_of(shape, seed, STORE / f"recordings_{simulator}")
+        every = recordings_of(shape, seed, recordings_folder())
         faulty = [(i, path) for i, path in every if i.effect][:: options.every]
         healthy = [(i, path) for i, path in every if not i.effect][: max(1, len(faulty) // 3)]
         for injection, path in faulty + healthy:
