@@ -54,11 +54,13 @@ class Sensitivity:
     Attributes:
         site: The candidate.
         least: The least strength that is possible on this rig.
+        most: The greatest.
         change: (n_stretches, m) change per unit strength, in noise units.
     """
 
     site: Site
     least: float
+    most: float
     change: Floats = field(repr=False)
 
 
@@ -91,23 +93,23 @@ def sensitivities(
     Returns:
         One for each, two for those that are far from proportional to their strength.
     """
-    tried: list[tuple[Site, float, float]] = []
+    tried: list[tuple[Site, tuple[float, float], float]] = []
     for site in sites:
         p = site.effect.strength
         low, high = site.effect.limits(p, rig, site.place)
         for factor in (SECANT, LARGER) if site.effect.curved else (SECANT,):
             step = factor * thresholds.typical * (p.typical - p.absent)
             at = min(step, 0.9 * (high - p.absent)) if step > 0.0 else step
-            tried.append((site, low, at))
+            tried.append((site, (low, high), at))
     rigs = [rig] + [s.attached(rig, s.effect.strength.absent + h) for s, _, h in tried]
     y = problem.simulate(rigs, progress, strict=False).readings
     missing = ~np.isfinite(problem.target())
     out = []
-    for k, (site, low, h) in enumerate(tried):
+    for k, (site, (low, high), h) in enumerate(tried):
         change = (y[k + 1] - y[0]) / (problem.noise_pa * h)
         change[missing] = 0.0
         if np.isfinite(change).all():  # else the rig with it cannot be simulated at all
-            out.append(Sensitivity(site, low, change.reshape(problem.stretches, -1)))
+            out.append(Sensitivity(site, low, high, change.reshape(problem.stretches, -1)))
     return out
 
 
@@ -132,21 +134,19 @@ def scores_of(
 
 
 def _score_of(one: Sensitivity, projected: Floats, a: Floats, b: Floats, total: float) -> Score:
-    """One-step strength, explained fraction and jackknife significance."""
+    """One-step strength within its bounds, explained fraction and jackknife significance."""
     site, s = one.site, one.change
     total_b = float(b.sum())
     if total_b <= 1e-12 or total <= 0.0:
-        return Score(site, 0.0, 0.0, 0.0, s, projected)
-    eta = float(a.sum()) / total_b
-    strength = site.effect.strength
-    if strength.absent + eta < one.least:
-        return Score(site, strength.absent, 0.0, 0.0, s, projected)
+        return Score(site, site.effect.strength.absent, 0.0, 0.0, s, projected)
+    absent = site.effect.strength.absent
+    eta = float(np.clip(float(a.sum()) / total_b, one.least - absent, one.most - absent))
     n = a.size
     rest = np.maximum(total_b - b, 1e-12)
     left_out = (a.sum() - a) / rest
     se = float(np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2)))
-    explained = eta * float(a.sum()) / total
-    return Score(site, strength.absent + eta, explained, abs(eta) / max(se, 1e-300), s, projected)
+    explained = eta * (2.0 * float(a.sum()) - eta * total_b) / total
+    return Score(site, absent + eta, explained, abs(eta) / max(se, 1e-300), s, projected)
 
 
 def best_per_place(scores: Sequence[Score]) -> list[Score]:

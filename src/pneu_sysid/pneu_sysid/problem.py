@@ -95,6 +95,7 @@ class Problem:
         dx_m: Cell length; None is the rig's own.
         workers: Threads of a batch; None is one per core.
         grid_pa: (n_stretches, horizon, n_taps) what a finer grid adds to every prediction, Pa.
+        fewest_cells: Cells that the shortest pipe has at least.
     """
 
     recordings: list[Recording]
@@ -109,6 +110,7 @@ class Problem:
     dx_m: float | None = None
     workers: int | None = None
     grid_pa: Floats | None = None
+    fewest_cells: int = 2
     _courses: list[Course] = field(default_factory=list, repr=False)
     _from: list[Ints] = field(default_factory=list, repr=False)
     _in_doubt: list[int] = field(default_factory=list, repr=False)
@@ -210,7 +212,8 @@ class Problem:
         """The same problem on longer cells, whose error at a rig is made good.
 
         What changes between this rig and another is told by the longer cells, which cost a
-        fraction; the rig itself is predicted as it is on its own.
+        fraction; the rig itself is predicted as it is on its own. A short pipe may become a single
+        cell: with two, it alone would hold the time steps of all down.
 
         Args:
             rig: The rig.
@@ -220,6 +223,7 @@ class Problem:
         """
         self._prepare(rig)
         out = self.with_grid(factor * (self.dx_m or rig.grid.dx_m))
+        out.fewest_cells = 1
         with ThreadPoolExecutor(1) as pool:  # beside the run on this grid
             coarse = pool.submit(out.predict, [rig])
             fine = self.predict([rig])[0] if readings is None else readings
@@ -242,7 +246,7 @@ class Problem:
         key = rig.model + ",".join(f"{n}:{p.from_node}:{p.to_node}" for n, p in rig.pipes.items())
         if key in self._prepared:
             return self._prepared[key]
-        plan = plan_grid(rig, self.dx_m)
+        plan = plan_grid(rig, self.dx_m, self.fewest_cells)
         ready = _Prepared(plan, initial_field(rig, plan, through_orifices=False), [], [])
         found = self._finer.get(key)
         if found is not None:

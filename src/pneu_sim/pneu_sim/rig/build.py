@@ -122,12 +122,13 @@ class Model:
     thesis_joints: bool = False
 
 
-def plan_grid(rig: Rig, dx_m: float | None = None) -> Plan:
+def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
     """Lays out slots, ends and ports of a rig.
 
     Args:
         rig: The rig.
         dx_m: Cell length that replaces the rig's, for every pipe alike in proportion.
+        fewest: Cells that the shortest pipe has at least.
 
     Raises:
         InputError: The rig asks for a time step above the stable limit, or for more cells or
@@ -138,7 +139,7 @@ def plan_grid(rig: Rig, dx_m: float | None = None) -> Plan:
     slot = 0
     shortest = math.inf
     for name, pipe in rig.pipes.items():
-        cells = max(2, round(pipe.length_m / ((pipe.dx_m or rig.grid.dx_m) * scale)))
+        cells = max(fewest, round(pipe.length_m / ((pipe.dx_m or rig.grid.dx_m) * scale)))
         pipes[name] = (slot + 1, cells)
         slot += cells + 2
         shortest = min(shortest, pipe.length_m / cells)
