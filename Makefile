@@ -14,9 +14,8 @@ BENCH_VENV := .venv-bench
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test bench lint format bags folder-is-named exact calibration thinned confusion thresholds fuzz \
-	study-pressure clean \
-	clean-kernels
+.PHONY: help demo test bench lint format bags folder-is-named exact calibration thinned confusion \
+	thresholds moved fuzz study-pressure clean clean-kernels
 
 help:  ## list the targets
 	@$(PYTHON) tools/make_help.py $(firstword $(MAKEFILE_LIST))
@@ -60,6 +59,9 @@ confusion: $(VENV)/.ready-run  ## slow: every effect hidden on three rigs, and w
 
 thresholds: $(VENV)/.ready-run  ## slow: what decides verdicts, halved and doubled (after confusion)
 	@$(RUN) -m studies.thresholds
+
+moved: $(VENV)/.ready-run  ## slow: verdicts with calibrations moved on purpose (after confusion)
+	@$(RUN) -m studies.moved
 
 fuzz: $(VENV)/.ready-dev  ## slow: mutated rig files, bags, CSVs and command lines
 	@$(RUN) -m studies.fuzz

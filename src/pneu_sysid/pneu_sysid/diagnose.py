@@ -244,7 +244,8 @@ def _believed(bench: Bench, r: Refit, base: Floats, before: float, taken: float)
     discrepancy = max(bench.floor - bench.readings_held, 0.0)
     return (
         r.t >= limits.significant
-        and r.held_out >= limits.worth
+        # where it was fitted it explains at least as much, or it explains something else
+        and min(r.held_out, r.explained) >= limits.worth
         and gain >= limits.share_of_discrepancy * discrepancy + limits.chance * bench.readings_held
         and gain >= limits.accuracy**2 * taken
         and lead(r.residual, base, bench.blocks) >= limits.significant

@@ -68,7 +68,8 @@ class FitOutcome:
         start: Value of each before.
         values: Value of each after.
         known: What is known of each.
-        estimate: The last estimation in its own variables, of those that the recordings show.
+        fitted: Those that were estimated last.
+        estimate: Their estimation, in its own variables (see `rig_at`).
         warnings: What the recordings cannot tell or never visit, and recordings that differ, in
             plain words.
         shortfall: Where the fitted rig stops short of the noise; None where it does not.
@@ -81,6 +82,7 @@ class FitOutcome:
     start: list[float]
     values: list[float]
     known: Known
+    fitted: list[FitParameter]
     estimate: Estimate
     warnings: list[str]
     shortfall: Shortfall | None
@@ -442,6 +444,7 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
         ],
         values=start_of(now, listed),
         known=known,
+        fitted=fitted,
         estimate=last.estimate,
         warnings=warnings + _strangers(problem, out.readings[0]),
         shortfall=shortfall,
