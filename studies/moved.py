@@ -126,9 +126,9 @@ def page(cases: dict[str, Found]) -> str:
     lines = [
         "# Calibrations moved on purpose",
         "",
-        "Made by `make moved`: calibrations of the confusion study's rigs, all that was fitted moved"
-        " together by one and by two of their own standard errors, and what is learned with them"
-        " from recordings of that study.",
+        "Made by `make moved`: calibrations of the confusion study's rigs, all that was fitted"
+        " moved together by one and by two of their own standard errors, and what is learned with"
+        " them from recordings of that study.",
         f"Made from the sources {sources_digest()}.",
         "",
     ]
