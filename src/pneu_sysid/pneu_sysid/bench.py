@@ -74,6 +74,20 @@ class Bench:
         """
         return float(np.sum(residual[self.held_out] ** 2))
 
+    def unexplained(self, residual: Floats) -> bool:
+        """Whether something is missing, on what is kept aside or over all, whatever explains it.
+
+        Args:
+            residual: (n_stretches, m) in noise deviations, without what is uncertain anyway.
+        """
+        limit = self.thresholds.unexplained
+        count = np.isfinite(self.problem.measured).sum(axis=(0, 1))
+        whole = float(np.sum(count * self.standing.floor**2))
+        return (
+            self.held_sum(residual) > limit * self.floor
+            or float(np.sum(residual**2)) > limit * whole
+        )
+
     def allowed(self, before: float) -> float:
         """Squared error that an answer may leave there.
 
@@ -135,6 +149,7 @@ def bench_of(
     tell("base", 0.0)
     problem = make_problem(rig, recording, workers=workers)
     readings = problem.predict([rig])[0]
+    problem = problem.keeping_alike(residual_matrix(problem, readings))
     # The check of the grid is one long run; it fills what the search leaves of the processor.
     checking = ThreadPoolExecutor(1)
     numerics = checking.submit(_grid, problem, rig, readings, refine)

@@ -13,6 +13,8 @@ BINS = 16
 FOLDS = 4
 WORTH = 0.02
 """Cross-validated gain below which a variable is not named."""
+MOST_OF_IT, SELDOM = 0.8, 0.15
+"""A residual of which so much is in so small a share of the time is said to be there alone."""
 
 
 def _variables(problem: Problem, tap: int, predicted: Floats) -> dict[str, Floats]:
@@ -90,3 +92,30 @@ def dependences(problem: Problem, residual: Floats) -> list[tuple[str, str, floa
         if line.share >= WORTH:
             found.append((f"a pulsation of {line.frequency_hz:.3g} Hz", line.tap, line.share))
     return sorted(found, key=lambda item: -item[2])
+
+
+def seldom(problem: Problem, residual: Floats) -> list[tuple[str, float, float]]:
+    """Where in time a residual is, if it is almost nowhere else.
+
+    Args:
+        problem: The problem.
+        residual: (n_stretches, m) in noise units.
+
+    Returns:
+        Recording, beginning and end in s, of each part of it in order of time; none where the
+        residual is spread over time.
+    """
+    square = np.sum(residual**2, axis=1)
+    order = np.argsort(-square)
+    count = int(np.searchsorted(np.cumsum(square[order]), MOST_OF_IT * square.sum())) + 1
+    if count > SELDOM * problem.stretches:
+        return []
+    out: list[tuple[str, float, float]] = []
+    for k in np.sort(order[:count]):
+        name = problem.recordings[problem.of[k]].name
+        begin, end = (float(x) for x in problem.span_s[k])
+        if out and out[-1][0] == name and begin - out[-1][2] < 1e-6:
+            out[-1] = (name, out[-1][1], end)
+        else:
+            out.append((name, begin, end))
+    return out

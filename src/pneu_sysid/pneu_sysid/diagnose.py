@@ -13,7 +13,7 @@ from pneu_sim.tally import Tally
 from pneu_sysid import words
 from pneu_sysid.bench import Bench, bench_of
 from pneu_sysid.candidates import Score, best_per_place, residual_matrix, scores_of, to_refit
-from pneu_sysid.dependence import dependences
+from pneu_sysid.dependence import dependences, seldom
 from pneu_sysid.evidence import lead
 from pneu_sysid.fit import tap_rmse
 from pneu_sysid.problem import Problem, make_problem
@@ -318,13 +318,14 @@ def _judge(
         if explained or mostly or _second_helps(bench, top, scores):
             result.verdict = "ambiguous" if tied[0] else "effect"
             result.sentence = words.missing(top, tied[0], explained)
-    elif before <= limits.unexplained * floor:
+    elif not bench.unexplained(r):
         result.verdict = "nothing_missing"
         times = float(np.sqrt(before / max(bench.readings_held, 1)))
         result.sentence = words.nothing_missing(standing, times)
     if result.verdict == "unknown":
-        result.depends_on = dependences(problem, r if top is None else top.residual)
-        result.sentence = words.unknown(top, result.depends_on)
+        rest = r if top is None else top.residual
+        result.depends_on = dependences(problem, rest)
+        result.sentence = words.unknown(top, result.depends_on, seldom(problem, rest))
     return result
 
 

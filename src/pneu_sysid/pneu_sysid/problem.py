@@ -96,6 +96,7 @@ class Problem:
         workers: Threads of a batch; None is one per core.
         grid_pa: (n_stretches, horizon, n_taps) what a finer grid adds to every prediction, Pa.
         fewest_cells: Cells that the shortest pipe has at least.
+        aside: (n_stretches,) which stretches are kept aside; None is every third.
     """
 
     recordings: list[Recording]
@@ -111,6 +112,7 @@ class Problem:
     workers: int | None = None
     grid_pa: Floats | None = None
     fewest_cells: int = 2
+    aside: NDArray[np.bool_] | None = None
     _courses: list[Course] = field(default_factory=list, repr=False)
     _from: list[Ints] = field(default_factory=list, repr=False)
     _in_doubt: list[int] = field(default_factory=list, repr=False)
@@ -135,8 +137,27 @@ class Problem:
     @property
     def held_out(self) -> NDArray[np.bool_]:
         """(n_stretches,) which stretches are kept aside."""
+        if self.aside is not None:
+            return self.aside
         k = self.of if len(self.recordings) >= HELD_OUT_EVERY else np.arange(self.stretches)
         return np.asarray(k % HELD_OUT_EVERY == HELD_OUT_EVERY - 1)
+
+    def keeping_alike(self, residual: Floats) -> "Problem":
+        """The same problem, what is kept aside as badly predicted as what is not.
+
+        An effect may be felt in few stretches: with every third kept aside it could be in none of
+        them. Of every three in the order of their errors the middle one is.
+
+        Args:
+            residual: (n_stretches, m) in noise deviations.
+        """
+        of = self.of if len(self.recordings) >= HELD_OUT_EVERY else np.arange(self.stretches)
+        groups = range(int(of.max()) + 1)
+        count = np.isfinite(self.measured).sum(axis=(1, 2))
+        square = np.sum(residual**2, axis=1)
+        mean = [square[of == g].sum() / max(int(count[of == g].sum()), 1) for g in groups]
+        chosen = np.argsort(-np.array(mean), kind="stable")[1::HELD_OUT_EVERY]
+        return replace(self, aside=np.isin(of, chosen))
 
     def target(self) -> Floats:
         """(n_stretches, horizon, n_taps) measured readings."""

@@ -74,12 +74,17 @@ def to_tell_apart(top: Refit) -> str:
     return f"To tell {top.site.label} from the others: {top.site.effect.next_experiment}"
 
 
-def unknown(top: Refit | None, depends_on: list[tuple[str, str, float]]) -> str:
+def unknown(
+    top: Refit | None,
+    depends_on: list[tuple[str, str, float]],
+    seldom: list[tuple[str, float, float]],
+) -> str:
     """Nothing in the catalogue explains it.
 
     Args:
         top: The nearest candidate; None where none is believed.
         depends_on: Variable, tap and gain of what the residual depends on.
+        seldom: Recording, beginning and end of where it is, if it is almost nowhere else.
     """
     text = "Something is missing that the catalogue does not hold"
     if top is not None:
@@ -90,4 +95,7 @@ def unknown(top: Refit | None, depends_on: list[tuple[str, str, float]]) -> str:
     if depends_on:
         named = ", ".join(f"{v} at {tap}" for v, tap, _ in depends_on[:3])
         text += f"; the residual depends on {named}"
+    if seldom:
+        named = ", ".join(f"{begin:.1f} to {end:.1f} s of {name}" for name, begin, end in seldom)
+        text += f"; most of it is at {named}"
     return text + "."

@@ -97,6 +97,8 @@ def spread(x: float, centres: Floats) -> list[tuple[int, float]]:
         x: Where it is, m.
         centres: (n,) middles of the cells, m.
     """
+    if centres.size == 1:
+        return [(0, 1.0)]
     s = float(np.interp(x, centres, np.arange(centres.size)))
     i = min(int(s), centres.size - 2)
     return [(i, 1.0 - (s - i)), (i + 1, s - i)]
