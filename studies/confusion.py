@@ -3,8 +3,9 @@
 
 Three rigs of different shape are drawn at random and calibrated from their datasheets. Each effect
 is injected once on each, and healthy recordings are looked at beside them; with ``--without`` each
-effect is taken out of the catalogue before its own recording is looked at. What was found is kept
-by a digest of code and settings: an interrupted run goes on, and the page shows one version only.
+effect is taken out of the catalogue, on one of the rigs in turn, before its own recording is looked
+at. What was found is kept by a digest of code and settings: an interrupted run goes on, and the
+page shows one version only.
 """
 
 import argparse
@@ -17,9 +18,11 @@ from typing import Any
 
 from rich.console import Console
 
+from pneu_sim.effects import registry
 from pneu_sim.effects.base import POSITION
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.learn import Learned, learn
+from studies.calibration_rigs import draw_case
 from studies.confusion_cases import (
     FELT,
     RIGS,
@@ -36,6 +39,24 @@ STORE = ROOT / "out" / "confusion"
 STRENGTH_WITHIN = 0.2
 PLACE_WITHIN = 0.1
 """Of the length of its pipe, or 10 cm if that is more."""
+
+CLASSES = (
+    {"sensor_bias", "sensor_gain"},
+    {"clock_offset", "common_clock_offset", "sensor_lag", "valve_delay", "closing_delay"}
+    | {"spool_bandwidth", "spool_speed_limit", "spool_acceleration_limit"},
+    {"dead_band", "hysteresis", "null_offset", "spool_leakage"},
+    {"flow_gain", "critical_ratio", "fill_exhaust_asymmetry", "local_loss", "area_error"},
+    {"blockage", "local_loss", "junction_loss", "area_error", "roughness"}
+    | {"laminar_friction", "turbulent_friction", "unsteady_friction"},
+    {"leak", "porous_leak", "relief_valve", "spool_leakage"}
+    | {"chamber_leak", "chamber_porous_leak", "chamber_relief_valve"},
+    {"dead_volume", "wall_compliance", "chamber_volume", "chamber_compliance"}
+    | {"length_error", "area_error"},
+    {"wall_heat", "chamber_heat", "ambient_temperature", "supply_temperature"},
+    {"regulator_droop", "supply_level", "supply_ripple", "supply_temperature"},
+    {"ambient_pressure", "ambient_temperature"},
+)
+"""Effects of one kind: where one is taken out of the catalogue, another may be named for it."""
 
 
 @dataclass
@@ -203,6 +224,7 @@ def main(arguments: list[str] | None = None) -> int:
     store = Store(key)
     begun = time.monotonic()
     total = 0
+    out_on = taken_out_on() if options.without else {}
     for shape, seed in RIGS:
         if shape not in options.rigs:
             continue
@@ -210,7 +232,7 @@ def main(arguments: list[str] | None = None) -> int:
         for injection, path in recordings_of(shape, seed, recordings_folder()):
             if options.only and (injection.effect or "none") not in options.only:
                 continue
-            for without in (False, True) if options.without and injection.effect else (False,):
+            for without in (False, True) if out_on.get(injection.effect) == shape else (False,):
                 total += 1
                 name = injection.key + (" without it" if without else "")
                 if name in store.cases:
@@ -229,6 +251,27 @@ def main(arguments: list[str] | None = None) -> int:
     if len(options.rigs) == len(RIGS) and not options.only:
         (ROOT / "docs" / "confusion.md").write_text(text, encoding="utf-8")
     return 0
+
+
+def taken_out_on() -> dict[str, str]:
+    """On which rig each effect is taken out: in turn, on one that has a place for it."""
+    rigs = {shape: draw_case(shape, seed).truth for shape, seed in RIGS}
+    out = {}
+    for number, effect in enumerate(registry().values()):
+        fitting = [shape for shape, rig in rigs.items() if effect.places(rig)]
+        if fitting:
+            out[effect.name] = fitting[number % len(fitting)]
+    return out
+
+
+def of_one_kind(a: str, b: str) -> bool:
+    """Whether two effects are of one kind.
+
+    Args:
+        a: Name of one.
+        b: Name of the other.
+    """
+    return any(a in kind and b in kind for kind in CLASSES)
 
 
 def line_of(name: str, found: Found) -> str:
@@ -265,7 +308,10 @@ def mark_of(name: str, found: Found) -> str:
     """
     if name.endswith("without it"):
         sure = found.verdict == "effect" and bool(found.steps)
-        return "SURE OF ANOTHER" if sure else ""
+        if not sure:
+            return ""
+        mate = of_one_kind(found.injection.effect, found.steps[0]["effect"])
+        return "of its kind" if mate else "SURE OF ANOTHER"
     if found.healthy:
         return "ACCUSED" if found.steps or found.verdict != "nothing_missing" else ""
     if not found.felt:
@@ -309,7 +355,7 @@ def page(cases: dict[str, Found], planned: int) -> str:
     right = [f for f in located if abs(f.strength_error or 0.0) <= STRENGTH_WITHIN]
     besides = sum(bool(f.superfluous) for f in tied if f.named)
     accused = sum(bool(mark_of(k, f)) for k, f in whole.items() if f.healthy)
-    sure = sum(bool(mark_of(k, f)) for k, f in taken_out.items() if f.felt)
+    marks = [mark_of(k, f) for k, f in taken_out.items() if f.felt]
     lines = [
         "# Confusion matrix",
         "",
@@ -329,9 +375,10 @@ def page(cases: dict[str, Found], planned: int) -> str:
         f"* healthy recordings accused: {share(accused, len(healthy))}",
     ]
     if taken_out:
-        counted = sum(f.felt for f in taken_out.values())
+        sure, mates = marks.count("SURE OF ANOTHER"), marks.count("of its kind")
         lines.append(
-            f"* taken out of the catalogue, another named for sure: {share(sure, counted)}"
+            "* taken out of the catalogue, each on one rig: one of its kind named for it"
+            f" {share(mates, len(marks))}, another for sure {share(sure, len(marks))}"
         )
     lines += [
         "",

@@ -24,13 +24,15 @@ def commands(seconds: float, rng: np.random.Generator) -> NDArray[np.float64]:
     return volts
 
 
-def synthetic(rig: Rig, seconds: float, seed: int, name: str) -> Recording:
-    """A recording of a rig on a grid of half the cell length, with noise."""
+def synthetic(
+    rig: Rig, seconds: float, seed: int, name: str, volts: NDArray[np.float64] | None = None
+) -> Recording:
+    """A recording of a rig on a grid of half the cell length, with noise; of `commands` if none."""
     rng = np.random.default_rng(seed)
     finer = rig.model_copy(
         update={"grid": rig.grid.model_copy(update={"dx_m": 0.5 * rig.grid.dx_m})}
     )
-    volts = commands(seconds, rng)
+    volts = commands(seconds, rng) if volts is None else volts
     taps = add_noise(rig, run_rig(finer, {"voltage": volts}, 1.0 / RATE_HZ), rng, NOISE_PA)
     size = len(next(iter(taps.values())))
     return even_recording(name, np.arange(size) / RATE_HZ, {"voltage": volts[:size]}, taps)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studies.synthetic import NOISE_PA, synthetic
+from studies.synthetic import NOISE_PA, RATE_HZ, synthetic
 
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig
@@ -140,3 +140,34 @@ def test_healthy_synthetic_recording_raises_no_alarm(exact: Rig) -> None:
     """Noise alone is not taken for physics."""
     found = diagnose(exact, synthetic(exact, SECONDS, 7, "healthy"), refine=False)
     assert found.verdict == "nothing_missing"
+
+
+def test_an_effect_that_a_few_steps_show_is_found(exact: Rig) -> None:
+    """A spool limited in speed is felt where the command moves far, here within half a second."""
+    rng = np.random.default_rng(8)
+    time = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
+    volts = 5.0 + np.repeat(rng.uniform(-0.5, 0.5, 30), time.size // 30)
+    for begin, value in ((2.0, 10.0), (2.2, 0.0), (2.4, 10.0), (2.6, 0.0), (2.75, 5.0)):
+        volts[time >= begin] = value
+    slow = AttachedEffect(
+        effect="spool_speed_limit", place="valve", parameters={"slowness_s_v": 3e-3}
+    )
+    recording = synthetic(with_effects(exact, slow), SECONDS, 8, "few steps", volts)
+    found = diagnose(exact, recording, refine=False)
+    top = found.finalists[0]
+    assert found.verdict in ("effect", "ambiguous")
+    assert top.site.effect.name == "spool_speed_limit"
+    assert top.strength == pytest.approx(3e-3, rel=0.2)
+
+
+@pytest.mark.parametrize("begin_s", [1.0, 2.5])
+def test_what_happens_once_is_not_nothing(exact: Rig, begin_s: float) -> None:
+    """A sensor is jolted for a moment: no effect is named, and when it was is said."""
+    clean = synthetic(exact, SECONDS, 7, "jolted")
+    end = clean.pressures["end"]
+    jolt = 2e4 * np.exp(-0.5 * ((end.time_s - begin_s - 0.2) / 0.03) ** 2)
+    jolted = Signal(end.time_s, end.values + jolt)
+    recording = dataclasses.replace(clean, pressures={**clean.pressures, "end": jolted})
+    found = diagnose(exact, recording, refine=False)
+    assert found.verdict == "unknown"
+    assert "most of it is at" in found.sentence

@@ -8,6 +8,7 @@ from pneu_sysid.problem import Problem
 from pneu_sysid.spectrum import lines_of
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 BINS = 16
 FOLDS = 4
@@ -15,6 +16,8 @@ WORTH = 0.02
 """Cross-validated gain below which a variable is not named."""
 MOST_OF_IT, SELDOM = 0.8, 0.15
 """A residual of which so much is in so small a share of the time is said to be there alone."""
+TOGETHER_S = 0.25
+"""Times that are no further apart are told as one."""
 
 
 def _variables(problem: Problem, tap: int, predicted: Floats) -> dict[str, Floats]:
@@ -94,28 +97,34 @@ def dependences(problem: Problem, residual: Floats) -> list[tuple[str, str, floa
     return sorted(found, key=lambda item: -item[2])
 
 
-def seldom(problem: Problem, residual: Floats) -> list[tuple[str, float, float]]:
+def seldom(problem: Problem, residual: Floats, blocks: Ints) -> list[tuple[str, float, float]]:
     """Where in time a residual is, if it is almost nowhere else.
 
     Args:
         problem: The problem.
         residual: (n_stretches, m) in noise units.
+        blocks: (n_stretches, m) block of time of each reading.
 
     Returns:
         Recording, beginning and end in s, of each part of it in order of time; none where the
         residual is spread over time.
     """
-    square = np.sum(residual**2, axis=1)
+    measured = np.isfinite(problem.measured).reshape(residual.shape)
+    time = problem.time_s.reshape(residual.shape)
+    square = np.bincount(blocks[measured], weights=residual[measured] ** 2)
     order = np.argsort(-square)
     count = int(np.searchsorted(np.cumsum(square[order]), MOST_OF_IT * square.sum())) + 1
-    if count > SELDOM * problem.stretches:
+    if count > SELDOM * np.unique(blocks[measured]).size:
         return []
-    out: list[tuple[str, float, float]] = []
-    for k in np.sort(order[:count]):
-        name = problem.recordings[problem.of[k]].name
-        begin, end = (float(x) for x in problem.span_s[k])
-        if out and out[-1][0] == name and begin - out[-1][2] < 1e-6:
-            out[-1] = (name, out[-1][1], end)
+    spans = []
+    for k in order[:count]:
+        mine = measured & (blocks == k)
+        of = int(problem.of[np.flatnonzero(mine.any(axis=1))[0]])
+        spans.append((of, float(time[mine].min()), float(time[mine].max())))
+    out: list[tuple[int, float, float]] = []
+    for of, begin, end in sorted(spans):
+        if out and out[-1][0] == of and begin - out[-1][2] < TOGETHER_S:
+            out[-1] = (of, out[-1][1], end)
         else:
-            out.append((name, begin, end))
-    return out
+            out.append((of, begin, end))
+    return [(problem.recordings[of].name, begin, end) for of, begin, end in out]

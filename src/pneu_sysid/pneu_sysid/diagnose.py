@@ -325,7 +325,7 @@ def _judge(
     if result.verdict == "unknown":
         rest = r if top is None else top.residual
         result.depends_on = dependences(problem, rest)
-        result.sentence = words.unknown(top, result.depends_on, seldom(problem, rest))
+        result.sentence = words.unknown(top, result.depends_on, seldom(problem, rest, bench.blocks))
     return result
 
 
