@@ -22,8 +22,6 @@ SECANT = 0.5
 LARGER = 2.0
 """... and at this multiple too, where an effect is far from proportional to its strength: a small
 narrowing reflects waves, a large one throttles the flow."""
-LITTLE = 0.5
-"""A score below this multiple of what an effect has to explain is not looked into."""
 
 
 @dataclass(eq=False)
@@ -179,7 +177,7 @@ def to_refit(best: Sequence[Score], thresholds: Thresholds) -> tuple[list[Score]
         share = item.explained
         if share <= 0.0 or (k >= 3 and share < thresholds.contender * best[0].explained):
             break
-        if share < LITTLE * thresholds.worth:
+        if share < thresholds.little * thresholds.worth:
             break  # what it explains would not be worth it
         if any(abs(cosine(item.projected, o.projected)) >= thresholds.alike for o in leaders):
             mates.append(item)

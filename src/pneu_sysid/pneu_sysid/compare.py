@@ -36,6 +36,7 @@ from pneu_sysid.results import (
     regime_order,
 )
 from pneu_sysid.shift import Shift, estimate_shift
+from pneu_sysid.thresholds import Thresholds
 
 Floats = NDArray[np.float64]
 
@@ -47,10 +48,6 @@ SERIES_POINTS = 30000
 """Readings of all taps together that are kept for plotting."""
 GAP_PERIODS = 3.5
 """Readings further apart than this many periods have a gap between them."""
-DISCRETISATION = 0.5
-"""Part of the error above noise that the grid's own error must exceed to be called its cause."""
-AT_NOISE = 1.2
-"""Up to this many times the noise there is no error to explain."""
 
 
 def compare(
@@ -422,6 +419,7 @@ def grid_check(
         (Richardson). The grid is blamed where that e, in units of noise and over the taps that are
         not at their noise anyway, exceeds half of the error above noise.
     """
+    limits = Thresholds()
     dx = problem.dx_m or rig.grid.dx_m
     finer = problem.with_grid(0.5 * dx).simulate([rig], progress=progress).readings[0]
     remaining = 1.0 - 0.5**rig.grid.order
@@ -435,7 +433,7 @@ def grid_check(
         target = problem.target()[:, :, t]
         change[tap] = _rms(finer[:, :, t] - coarse)
         rmse[tap] = _rms(target - coarse), _rms(target - finer[:, :, t])
-        if rmse[tap][0] > AT_NOISE * noise:
+        if rmse[tap][0] > limits.at_noise * noise:
             grid_error = change[tap] / remaining
             excess = float(np.sqrt(rmse[tap][0] ** 2 - noise**2))
             part[tap] = grid_error / excess
@@ -443,8 +441,8 @@ def grid_check(
             above_noise += (excess / noise) ** 2
     share = float(np.sqrt(of_grid / above_noise)) if above_noise > 0.0 else 0.0
     head = f"On cells of half the length ({50.0 * dx:.3g} instead of {100.0 * dx:.3g} cm)"
-    guilty = sorted((tap for tap in part if part[tap] > DISCRETISATION), key=lambda t: -part[t])
-    if share > DISCRETISATION:
+    guilty = sorted((tap for tap in part if part[tap] > limits.of_grid), key=lambda t: -part[t])
+    if share > limits.of_grid:
         tap = guilty[0]
         before, after = rmse[tap]
         turn = (
@@ -468,7 +466,7 @@ def grid_check(
         dx_m=dx,
         refined_dx_m=0.5 * dx,
         change_pa=dict(change),
-        discretisation=share > DISCRETISATION,
+        discretisation=share > limits.of_grid,
         sentence=sentence,
     )
 

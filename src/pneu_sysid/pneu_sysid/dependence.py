@@ -6,16 +6,13 @@ from numpy.typing import NDArray
 
 from pneu_sysid.problem import Problem
 from pneu_sysid.spectrum import lines_of
+from pneu_sysid.thresholds import Thresholds
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 BINS = 16
 FOLDS = 4
-WORTH = 0.02
-"""Cross-validated gain below which a variable is not named."""
-MOST_OF_IT, SELDOM = 0.8, 0.15
-"""A residual of which so much is in so small a share of the time is said to be there alone."""
 TOGETHER_S = 0.25
 """Times that are no further apart are told as one."""
 
@@ -48,7 +45,9 @@ def _variables(problem: Problem, tap: int, predicted: Floats) -> dict[str, Float
     return out
 
 
-def dependences(problem: Problem, residual: Floats) -> list[tuple[str, str, float]]:
+def dependences(
+    problem: Problem, residual: Floats, thresholds: Thresholds
+) -> list[tuple[str, str, float]]:
     """Names the variables that predict a residual on stretches kept aside.
 
     For each tap and variable, the mean residual in quantile bins of the variable is learnt on some
@@ -58,6 +57,7 @@ def dependences(problem: Problem, residual: Floats) -> list[tuple[str, str, floa
     Args:
         problem: The problem.
         residual: (n_stretches, horizon * n_taps) in noise units.
+        thresholds: What decides.
 
     Returns:
         (variable, tap, gain), largest first; only gains worth naming.
@@ -89,21 +89,24 @@ def dependences(problem: Problem, residual: Floats) -> list[tuple[str, str, floa
                 mean = sums / np.maximum(count, 1)
                 left += float(np.sum((e[test] - mean[which[test]]) ** 2))
             gain = 1.0 - left / total
-            if gain >= WORTH:
+            if gain >= thresholds.named:
                 found.append((name, tap, gain))
     for line in lines_of(problem, residual):
-        if line.share >= WORTH:
+        if line.share >= thresholds.named:
             found.append((f"a pulsation of {line.frequency_hz:.3g} Hz", line.tap, line.share))
     return sorted(found, key=lambda item: -item[2])
 
 
-def seldom(problem: Problem, residual: Floats, blocks: Ints) -> list[tuple[str, float, float]]:
+def seldom(
+    problem: Problem, residual: Floats, blocks: Ints, thresholds: Thresholds
+) -> list[tuple[str, float, float]]:
     """Where in time a residual is, if it is almost nowhere else.
 
     Args:
         problem: The problem.
         residual: (n_stretches, m) in noise units.
         blocks: (n_stretches, m) block of time of each reading.
+        thresholds: What decides.
 
     Returns:
         Recording, beginning and end in s, of each part of it in order of time; none where the
@@ -113,8 +116,8 @@ def seldom(problem: Problem, residual: Floats, blocks: Ints) -> list[tuple[str, 
     time = problem.time_s.reshape(residual.shape)
     square = np.bincount(blocks[measured], weights=residual[measured] ** 2)
     order = np.argsort(-square)
-    count = int(np.searchsorted(np.cumsum(square[order]), MOST_OF_IT * square.sum())) + 1
-    if count > SELDOM * np.unique(blocks[measured]).size:
+    count = int(np.searchsorted(np.cumsum(square[order]), thresholds.most_of_it * square.sum())) + 1
+    if count > thresholds.seldom * np.unique(blocks[measured]).size:
         return []
     spans = []
     for k in order[:count]:

@@ -324,8 +324,10 @@ def _judge(
         result.sentence = words.nothing_missing(standing, times)
     if result.verdict == "unknown":
         rest = r if top is None else top.residual
-        result.depends_on = dependences(problem, rest)
-        result.sentence = words.unknown(top, result.depends_on, seldom(problem, rest, bench.blocks))
+        result.depends_on = dependences(problem, rest, limits)
+        result.sentence = words.unknown(
+            top, result.depends_on, seldom(problem, rest, bench.blocks, limits)
+        )
     return result
 
 

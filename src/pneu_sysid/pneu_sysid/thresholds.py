@@ -22,6 +22,8 @@ class Thresholds:
             more; this is a third of that.
         worth: ... and this share of the squared error there is: what is missing explains most of
             what is left, and of three equal effects each a third.
+        little: A score below this share of ``worth`` is not looked into: scores are taken at one
+            strength and on long cells, and miss by less than half what a refit explains.
         alike: A candidate may stand for another in the first look if their changes of the
             prediction have at least this cosine.
         contender: Candidates whose score is below this share of the best are not refitted: scores
@@ -51,6 +53,12 @@ class Thresholds:
         at_noise: Up to this many times the noise a model explains a measurement to the noise.
         accuracy: An effect in the model is right to this share of what it changes; companions of an
             effect that explain less than that are not believed.
+        named: A residual is said to depend on a variable that predicts this share of its square on
+            stretches it was not learnt on: there chance predicts nothing.
+        most_of_it: A residual of which this share is in ...
+        seldom: ... this share of the time is said to be there alone.
+        of_grid: Share of the error above noise that the grid's own has to be, to be called its
+            cause.
         typical: Factor on the strengths at which effects are first tried.
         most_effects: Effects that are added at most.
         finalists: Candidates that are refitted at most.
@@ -60,6 +68,7 @@ class Thresholds:
     share_of_discrepancy: float = 0.3
     chance: float = 1.0
     worth: float = 0.25
+    little: float = 0.5
     alike: float = 0.95
     contender: float = 0.35
     second: float = 0.35
@@ -74,6 +83,10 @@ class Thresholds:
     apart: float = 3.0
     at_noise: float = 1.2
     accuracy: float = 0.02
+    named: float = 0.02
+    most_of_it: float = 0.8
+    seldom: float = 0.15
+    of_grid: float = 0.5
     typical: float = 1.0
     most_effects: int = 4
     finalists: int = 6
