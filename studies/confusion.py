@@ -20,7 +20,7 @@ from rich.console import Console
 
 from pneu_sim.effects import registry
 from pneu_sim.effects.base import POSITION
-from pneu_sim.rig.schema import Rig
+from pneu_sim.rig.schema import CLOSED, Rig
 from pneu_sysid.learn import Learned, learn
 from studies.calibration_rigs import draw_case
 from studies.confusion_cases import (
@@ -72,6 +72,8 @@ class Found:
         after: The same after.
         seconds: How long it took, s.
         length_m: Length of the pipe that it is on, m; 0 where that has no meaning.
+        off_m: Way along the pipes from where it is to where it was found, m; None where it has no
+            position, or no way leads there.
     """
 
     injection: Injection
@@ -82,6 +84,7 @@ class Found:
     after: float
     seconds: float
     length_m: float = 0.0
+    off_m: float | None = None
 
     @property
     def healthy(self) -> bool:
@@ -114,12 +117,11 @@ class Found:
     def placed(self) -> bool:
         """Whether the hidden effect was found where it is."""
         step = self.at
-        if step is None or step["place"] != self.injection.place:
+        if step is None:
             return False
-        true = self.injection.values.get(POSITION)
-        if true is None or step["position_m"] is None:
-            return True
-        return abs(step["position_m"] - true) <= max(0.1, PLACE_WITHIN * self.length_m)
+        if POSITION not in self.injection.values or step["position_m"] is None:
+            return bool(step["place"] == self.injection.place)
+        return self.off_m is not None and self.off_m <= max(0.1, PLACE_WITHIN * self.length_m)
 
     @property
     def strength_error(self) -> float | None:
@@ -154,6 +156,11 @@ def found_of(injection: Injection, rig: Rig, learned: Learned, seconds: float) -
             }
         )
     pipe = rig.pipes.get(injection.place)
+    at = next((s for s in steps if s["effect"] == injection.effect), None)
+    off = None
+    if at is not None and at["position_m"] is not None and POSITION in injection.values:
+        hidden = injection.place, injection.values[POSITION]
+        off = way_m(rig, hidden, (str(at["place"]), float(at["position_m"])))
     return Found(
         injection,
         learned.verdict,
@@ -163,7 +170,41 @@ def found_of(injection: Injection, rig: Rig, learned: Learned, seconds: float) -
         learned.steps[-1].held_out_times_noise or 0.0,
         seconds,
         pipe.length_m if pipe is not None else 0.0,
+        off,
     )
+
+
+def way_m(rig: Rig, a: tuple[str, float], b: tuple[str, float]) -> float | None:
+    """The way between two places along the pipes of a rig, m; None where there is none.
+
+    What sits just before a joint sits just behind it too, on another pipe.
+
+    Args:
+        rig: The rig.
+        a: Pipe and position along it, m.
+        b: The same of the other.
+    """
+    if a[0] == b[0]:
+        return abs(a[1] - b[1])
+    ends = {CLOSED, *rig.reservoirs, *rig.chambers}
+    ways = dict(zip(_nodes(rig, a[0]), (a[1], rig.pipes[a[0]].length_m - a[1]), strict=True))
+    for _ in rig.pipes:  # no way goes through more pipes than there are
+        for name, pipe in rig.pipes.items():
+            for here, there in (_nodes(rig, name), _nodes(rig, name)[::-1]):
+                if here in ways and here not in ends:
+                    far = ways[here] + pipe.length_m
+                    ways[there] = min(ways.get(there, far), far)
+    begin, end = _nodes(rig, b[0])
+    found = [
+        ways[node] + left
+        for node, left in ((begin, b[1]), (end, rig.pipes[b[0]].length_m - b[1]))
+        if node in ways and node not in ends
+    ]
+    return min(found, default=None)
+
+
+def _nodes(rig: Rig, pipe: str) -> tuple[str, str]:
+    return rig.pipes[pipe].from_node, rig.pipes[pipe].to_node
 
 
 class Store:
