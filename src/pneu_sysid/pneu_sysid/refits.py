@@ -21,10 +21,15 @@ from pneu_sysid.thresholds import Thresholds
 
 Floats = NDArray[np.float64]
 
-ITERATIONS = 5
+ITERATIONS, TOLERANCE = 5, 1e-3
 AT_LEAST = 0.25
 """A strength is fitted from this fraction of the typical one at least: from zero there may be no
 slope."""
+ELSEWHERE = 0.2
+"""A place is tried with another strength too where that would be other by this share."""
+LOOKS = 5
+WORTH_ANOTHER = 1e-3
+"""Places are looked at again, so many times at most, as long as the misfit falls by this share."""
 
 
 @dataclass(eq=False)
@@ -105,20 +110,16 @@ def refit(
 
     residuals = _projected(problem, lambda x: placed(x).attached(rig, float(x[0])), project)
     # whatever else is wrong in the recording must not bend the estimate
-    estimate = minimise(residuals, variables, ITERATIONS, tolerance=3e-3, robust=True)
+    estimate = minimise(residuals, variables, ITERATIONS, TOLERANCE, robust=True)
+    own = (base if project is None else project(base))[~problem.held_out]
     for k, p in enumerate(shape, start=1):
-        if not p.scanned:
-            continue
-        # the misfit has several valleys: look into all of them at the strength found
-        tried = []
-        for spot in np.linspace(variables[k].lower, variables[k].upper, p.scanned):
-            tried.append(estimate.values.copy())
-            tried[-1][k] = spot
-        costs = [huber_cost(r) for r in residuals(tried)]
-        if min(costs) < huber_cost(estimate.residual):
-            at = tried[int(np.argmin(costs))]
+        for _ in range(LOOKS if p.scanned else 0):
+            spots = np.linspace(variables[k].lower, variables[k].upper, p.scanned)
+            at = _elsewhere(residuals, estimate, k, spots, own, variables[0], strength.absent)
+            if at is None:
+                break
             again = [replace(v, value=float(x)) for v, x in zip(variables, at, strict=True)]
-            estimate = minimise(residuals, again, ITERATIONS, tolerance=3e-3, robust=True)
+            estimate = minimise(residuals, again, ITERATIONS, TOLERANCE, robust=True)
     fitted = placed(estimate.values)
     position = next((k for k, p in enumerate(shape, start=1) if p.name == POSITION), None)
     value, error = float(estimate.values[0]), float(estimate.std_errors[0])
@@ -140,6 +141,52 @@ def refit(
         change=base - residual,
         rig=better,
     )
+
+
+def _elsewhere(
+    residuals: Callable[[Sequence[Floats]], Floats],
+    estimate: Estimate,
+    which: int,
+    spots: Floats,
+    base: Floats,
+    strength: Variable,
+    absent: float,
+) -> Floats | None:
+    """A better point at another value of one variable; None where there is none.
+
+    The misfit has several valleys. Each value is tried with the strength that was found, and with
+    the one that there does the same.
+
+    Args:
+        residuals: Batched residuals.
+        estimate: What was found so far; the strength is its first variable.
+        which: The variable that is changed.
+        spots: Values to try.
+        base: (n_stretches, m) residual without the effect.
+        strength: Bounds of the strength.
+        absent: Strength at which the effect vanishes.
+    """
+    tried = []
+    for spot in spots:
+        tried.append(estimate.values.copy())
+        tried[-1][which] = spot
+    costs = []
+    others = []
+    for point, r in zip(tried, residuals(tried), strict=True):
+        costs.append(huber_cost(r))
+        change = base - r
+        size = float(np.sum(change * change))
+        by = float(np.sum(change * base)) / size if size > 0.0 else 1.0
+        if abs(by - 1.0) > ELSEWHERE:
+            others.append(point.copy())
+            others[-1][0] = np.clip(
+                absent + by * (point[0] - absent), strength.lower, strength.upper
+            )
+    if others:
+        costs += [huber_cost(r) for r in residuals(others)]
+    best = int(np.argmin(costs))
+    better = costs[best] < (1.0 - WORTH_ANOTHER) * huber_cost(estimate.residual)
+    return [*tried, *others][best] if better else None
 
 
 def _variable(
