@@ -168,7 +168,9 @@ def bench_of(
         readings=readings,
         standing=standing_of(rig, problem, residual_matrix(problem, readings), thresholds),
         known=known,
-        project=None if nuisance is None else nuisance.without(~problem.held_out),
+        project=None
+        if nuisance is None
+        else nuisance.without(np.ones(problem.stretches, dtype=bool)),
         blocks=blocks_of(problem, thresholds.block),
         thresholds=thresholds,
         numerics=numerics,

@@ -252,6 +252,15 @@ def _believed(bench: Bench, r: Refit, base: Floats, before: float, taken: float)
     )
 
 
+def _is_special(candidate: Refit, believed: list[Refit], bench: Bench) -> bool:
+    """Whether a candidate is no more than a special case of it: a relief valve that never shuts."""
+    return any(
+        other.site.effect.name == candidate.site.effect.contains
+        and lead(candidate.residual, other.residual, bench.blocks) < bench.thresholds.tied
+        for other in believed
+    )
+
+
 def _in_order(believed: list[Refit], bench: Bench) -> list[Refit]:
     """Candidates by what they leave; of those that leave the same the simplest first.
 
@@ -281,7 +290,8 @@ def _judge(
     r = base if bench.project is None else bench.project(base)
     floor = bench.floor
     before = bench.held_sum(r)
-    believed = _in_order([c for c in refits if _believed(bench, c, r, before, taken)], bench)
+    believed = [c for c in refits if _believed(bench, c, r, before, taken)]
+    believed = _in_order([c for c in believed if not _is_special(c, believed, bench)], bench)
     finalists = believed + sorted(
         (c for c in refits if c not in believed), key=lambda c: -c.held_out
     )

@@ -105,9 +105,7 @@ def add_effect(
             f"effect {name!r}: place {place!r} is not one of {', '.join(places) or 'none here'}"
         )
     problem = make_problem(rig, recording, workers=workers)
-    readings = problem.predict([rig])[0]
-    problem = problem.keeping_alike(residual_matrix(problem, readings))
-    before, rmse, held = _errors(problem, rig, readings)
+    before, rmse, held = _errors(problem, rig)
     first = _step(0, problem, rig, before, rmse, held)
     sites = [
         s for s in all_sites(rig) if s.effect.name == name and (place is None or s.place == place)

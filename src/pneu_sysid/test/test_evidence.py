@@ -57,7 +57,7 @@ def test_a_lead_has_a_sign() -> None:
 def known(name: str, place: str, change: np.ndarray) -> Known:
     """A candidate that changes the prediction in a given way."""
     effect = find_effect(name)
-    return Known(Site(effect, place, {}), effect.strength.lower, change)
+    return Known(Site(effect, place, {}), effect.strength.lower, np.inf, change)
 
 
 def test_one_of_each_kind_is_refitted() -> None:

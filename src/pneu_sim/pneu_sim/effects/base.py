@@ -84,6 +84,8 @@ class Effect(ABC):
             tried for all of it; its position is fitted all the same.
         curved: Whether what it changes is far from proportional to its strength: a small one looks
             unlike a large one, and it is tried at several strengths.
+        contains: Name of an effect that is a special case of this one; it is named instead, unless
+            this one explains more.
         next_experiment: Recording that shows this effect apart from its look-alikes.
     """
 
@@ -96,6 +98,7 @@ class Effect(ABC):
     order: ClassVar[int] = 5
     spread_out: ClassVar[bool] = False
     curved: ClassVar[bool] = False
+    contains: ClassVar[str | None] = None
     next_experiment: ClassVar[str]
 
     @property

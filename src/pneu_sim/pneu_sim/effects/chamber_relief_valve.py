@@ -14,6 +14,7 @@ class ChamberReliefValve(ReliefValve):
     name: ClassVar[str] = "chamber_relief_valve"
     title: ClassVar[str] = "chamber blows off above a pressure"
     where: ClassVar[str] = "chamber"
+    contains: ClassVar[str | None] = "chamber_leak"
     parameters: ClassVar[tuple[EffectParameter, ...]] = tuple(
         p for p in ReliefValve.parameters if p.name != POSITION
     )
