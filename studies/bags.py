@@ -26,7 +26,7 @@ from pneu_sysid.fit import fit_rig
 from pneu_sysid.learn import learn
 from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import record_for
-from studies.confusion import STRENGTH_WITHIN, Found, found_of, line_of, mark_of, share
+from studies.confusion import STRENGTH_WITHIN, Found, found_of, line_of, mark_of, share, table
 from studies.confusion_cases import Injection
 from studies.digest import digest_of, sources_digest
 
@@ -241,10 +241,7 @@ def page(digests: list[str], healthy: list[str], cases: dict[str, Found], failed
             f" recording's: {share(len(near), total)}",
             f"* healthy recordings accused: {share(wrong, len(cases) - len(faulty))}",
             "",
-            "| bag | hidden | felt | kept aside, x noise | verdict | found | not told from |"
-            " strength | wrong |",
-            "|---" * 9 + "|",
-            *(line_of(k, f) for k, f in cases.items()),
+            *table(cases),
             *failed,
             "",
         ]

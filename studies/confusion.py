@@ -208,15 +208,15 @@ def _nodes(rig: Rig, pipe: str) -> tuple[str, str]:
 
 
 class Store:
-    """What was found, one file for one version of code and settings.
+    """What was found, one file for one study and version of code and settings.
 
     Args:
-        key: What tells versions apart.
+        name: Name of the file: the study, and what tells versions apart.
     """
 
-    def __init__(self, key: str) -> None:
+    def __init__(self, name: str) -> None:
         STORE.mkdir(parents=True, exist_ok=True)
-        self._file = STORE / f"found_{key}.json"
+        self._file = STORE / f"{name}.json"
         self.cases: dict[str, Found] = {}
         if self._file.exists():
             for name, data in json.loads(self._file.read_text()).items():
@@ -262,7 +262,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     console = Console(width=170)
     key = key_of_sources()
-    store = Store(key)
+    store = Store(f"found_{key}")
     begun = time.monotonic()
     total = 0
     out_on = taken_out_on() if options.without else {}
@@ -338,6 +338,20 @@ def line_of(name: str, found: Found) -> str:
         f" {found.verdict} | {steps} | {', '.join(found.alike)} |"
         f" {'' if error is None else f'{100 * error:+.0f} %'} | {mark_of(name, found)} |"
     )
+
+
+def table(cases: dict[str, Found]) -> list[str]:
+    """Cases as the lines of a table.
+
+    Args:
+        cases: What was found, by name.
+    """
+    return [
+        "| recording | hidden | felt, x noise | kept aside, x noise | verdict | found | not told"
+        " from | strength | wrong |",
+        "|---" * 9 + "|",
+        *(line_of(k, f) for k, f in cases.items()),
+    ]
 
 
 def mark_of(name: str, found: Found) -> str:
@@ -421,13 +435,7 @@ def page(cases: dict[str, Found], planned: int) -> str:
             "* taken out of the catalogue, each on one rig: one of its kind named for it"
             f" {share(mates, len(marks))}, another for sure {share(sure, len(marks))}"
         )
-    lines += [
-        "",
-        "| recording | hidden | felt, x noise | kept aside, x noise | verdict | found | not told"
-        " from | strength | wrong |",
-        "|---" * 9 + "|",
-        *(line_of(k, f) for k, f in cases.items()),
-    ]
+    lines += ["", *table(cases)]
     return "\n".join(lines) + "\n"
 
 

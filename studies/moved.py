@@ -7,10 +7,8 @@ parameters stays told. Writes ``docs/moved.md``.
 """
 
 import argparse
-import json
 import sys
 import time
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +23,16 @@ from studies.calibration_rigs import draw_case
 from studies.confusion import (
     STORE,
     Found,
+    Store,
     found_of,
     key_of_sources,
     line_of,
     mark_of,
     recordings_folder,
     share,
+    table,
 )
-from studies.confusion_cases import RIGS, Injection, load_recording, recordings_of
+from studies.confusion_cases import RIGS, load_recording, recordings_of
 from studies.digest import sources_digest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -89,11 +89,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     console = Console(width=170)
     key = key_of_sources()
-    kept = STORE / f"moved_{key}.json"
-    cases: dict[str, Found] = {}
-    if kept.exists():
-        for name, data in json.loads(kept.read_text()).items():
-            cases[name] = Found(Injection(**data.pop("injection")), **data)
+    store = Store(f"moved_{key}")
     for shape, seed in RIGS:
         every = recordings_of(shape, seed, recordings_folder())
         faulty = [c for c in every if c[0].effect and c[0].felt > 0.0][:: options.every]
@@ -103,17 +99,14 @@ def main(arguments: list[str] | None = None) -> int:
         for scale, of in rigs.items():
             for rig, (injection, path) in zip(of, chosen, strict=True):
                 name = f"{injection.key}, {scale:g} s.e."
-                if name in cases:
+                if name in store.cases:
                     continue
                 started = time.monotonic()
                 learned = learn(rig, load_recording(path))
                 found = found_of(injection, rig, learned, time.monotonic() - started)
-                cases[name] = found
-                part = kept.with_suffix(".part")
-                part.write_text(json.dumps({k: asdict(v) for k, v in cases.items()}, indent=1))
-                part.replace(kept)
+                store.add(name, found)
                 console.print(line_of(name, found), soft_wrap=True)
-    (ROOT / "docs" / "moved.md").write_text(page(cases), encoding="utf-8")
+    (ROOT / "docs" / "moved.md").write_text(page(store.cases), encoding="utf-8")
     return 0
 
 
@@ -144,13 +137,7 @@ def page(cases: dict[str, Found]) -> str:
             f" strength and nothing besides {share(len(right), len(felt))}; healthy and clean"
             f" {share(len(clean), len(healthy))}"
         )
-    lines += [
-        "",
-        "| recording | hidden | felt, x noise | kept aside, x noise | verdict | found | not told"
-        " from | strength | wrong |",
-        "|---" * 9 + "|",
-        *(line_of(k, f) for k, f in cases.items()),
-    ]
+    lines += ["", *table(cases)]
     return "\n".join(lines) + "\n"
 
 

@@ -381,6 +381,23 @@ def test_relief_valve_of_a_chamber_is_an_orifice_when_wide_open(bottle: Rig) -> 
     assert 3e5 < settled[-1, END] < 3.005e5
 
 
+@pytest.mark.parametrize("name", [e.name for e in registry().values() if e.contains])
+def test_what_contains_another_can_be_it(bottle: Rig, name: str) -> None:
+    """At the least values of its other parameters, far above the room's pressure: the same run."""
+    effect = registry()[name]
+    special = registry()[str(effect.contains)]
+    place = next(p for p in effect.places(bottle) if p in ("tube", "bottle"))
+    at = {"position_m": 1.0} if effect.has_position else {}
+    at[effect.strength.name] = 3e-8
+    own = [p for p in effect.parameters if p.name not in at]
+    least = {p.name: effect.limits(p, bottle, place)[0] for p in own}
+    general = attach(bottle, name, place, **at, **least)
+    rigs = [general, attach(bottle, special.name, place, **at), bottle]
+    taps, _ = rig_a(rigs, np.full(100, 5.0), tube_pa=5e5)
+    assert np.max(np.abs(taps[1] - taps[2])) > 1e3
+    np.testing.assert_allclose(taps[0], taps[1], rtol=1e-12)
+
+
 def test_relief_valves_of_one_place_open_one_after_the_other() -> None:
     rig = filled_through_a_jet()
     valve = {"position_m": 0.4, "area_m2": 4e-8, "range_pa": 1e4}

@@ -139,8 +139,12 @@ class Problem:
         """(n_stretches,) which stretches are kept aside."""
         if self.aside is not None:
             return self.aside
-        k = self.of if len(self.recordings) >= HELD_OUT_EVERY else np.arange(self.stretches)
-        return np.asarray(k % HELD_OUT_EVERY == HELD_OUT_EVERY - 1)
+        return np.asarray(self._apart % HELD_OUT_EVERY == HELD_OUT_EVERY - 1)
+
+    @property
+    def _apart(self) -> Ints:
+        """(n_stretches,) what is kept aside as a whole: a recording if there are several."""
+        return self.of if len(self.recordings) >= HELD_OUT_EVERY else np.arange(self.stretches)
 
     def keeping_alike(self, residual: Floats) -> "Problem":
         """The same problem, what is kept aside as badly predicted as what is not.
@@ -151,7 +155,7 @@ class Problem:
         Args:
             residual: (n_stretches, m) in noise deviations.
         """
-        of = self.of if len(self.recordings) >= HELD_OUT_EVERY else np.arange(self.stretches)
+        of = self._apart
         groups = range(int(of.max()) + 1)
         count = np.isfinite(self.measured).sum(axis=(1, 2))
         square = np.sum(residual**2, axis=1)
