@@ -26,7 +26,16 @@ from pneu_sysid.fit import fit_rig
 from pneu_sysid.learn import learn
 from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import record_for
-from studies.confusion import STRENGTH_WITHIN, Found, found_of, line_of, mark_of, share, table
+from studies.confusion import (
+    STRENGTH_WITHIN,
+    Found,
+    found_of,
+    line_of,
+    mark_of,
+    places_line,
+    share,
+    table,
+)
 from studies.confusion_cases import Injection
 from studies.digest import digest_of, sources_digest
 
@@ -234,7 +243,7 @@ def page(digests: list[str], healthy: list[str], cases: dict[str, Found], failed
             "## What is missing",
             "",
             f"* first, or said not to be told from what is first: {share(len(tied), total)}",
-            f"* place right, of those: {share(sum(f.placed for f in located), len(located))}",
+            places_line(located),
             f"* strength within {100 * STRENGTH_WITHIN:.0f} %: {share(len(right), len(located))}",
             f"* with something superfluous: {share(len(beside), total)}",
             f"* error kept aside after adding within {AFTER_WITHIN:g} times the healthy"

@@ -124,6 +124,12 @@ class Found:
         return self.off_m is not None and self.off_m <= max(0.1, PLACE_WITHIN * self.length_m)
 
     @property
+    def within(self) -> bool:
+        """Whether it was found where it is, or within twice the error that is told of that."""
+        told_m = (self.at or {}).get("position_error_m") or 0.0
+        return self.placed or (self.off_m is not None and self.off_m <= 2.0 * told_m)
+
+    @property
     def strength_error(self) -> float | None:
         """Relative error of its strength."""
         step = self.at
@@ -151,6 +157,7 @@ def found_of(injection: Injection, rig: Rig, learned: Learned, seconds: float) -
                 "effect": step.added,
                 "place": effect.place,
                 "position_m": effect.parameters.get(POSITION),
+                "position_error_m": step.position_error_m,
                 "strength": step.strength,
                 "std_error": step.std_error,
             }
@@ -329,6 +336,7 @@ def line_of(name: str, found: Found) -> str:
     steps = " + ".join(
         f"{s['effect']}@{s['place']}"
         + (f":{s['position_m']:.2f}" if s["position_m"] is not None else "")
+        + (f"±{e:.2f}" if (e := s.get("position_error_m")) is not None and e < 10.0 else "")
         + f" {s['strength']:.3g}"
         for s in found.steps
     )
@@ -376,7 +384,7 @@ def mark_of(name: str, found: Found) -> str:
         wrong.append("OTHER" if found.steps else "MISSED")
     elif found.at is not None:
         if not found.placed:
-            wrong.append("PLACE")
+            wrong.append("place within its error" if found.within else "PLACE")
         if abs(found.strength_error or 0.0) > STRENGTH_WITHIN:
             wrong.append("STRENGTH")
     if found.superfluous and found.named:
@@ -392,6 +400,17 @@ def share(part: int, whole: int) -> str:
         whole: Of how many.
     """
     return f"{part} of {whole}" + (f" ({100 * part / whole:.0f} %)" if whole else "")
+
+
+def places_line(located: list[Found]) -> str:
+    """How many of those that were named were found where they are.
+
+    Args:
+        located: They.
+    """
+    right = share(sum(f.placed for f in located), len(located))
+    told = share(sum(f.within for f in located), len(located))
+    return f"* place right, of those: {right}, or within twice the error that is told of it {told}"
 
 
 def page(cases: dict[str, Found], planned: int) -> str:
@@ -424,7 +443,7 @@ def page(cases: dict[str, Found], planned: int) -> str:
         f"* run: {len(cases)} of {planned}" + ("" if len(cases) == planned else " (not all)"),
         f"* first, or said not to be told from what is first: {share(len(tied), len(felt))},"
         f" first {share(sum(f.named for f in felt), len(felt))}",
-        f"* place right, of those: {share(sum(f.placed for f in located), len(located))}",
+        places_line(located),
         f"* strength within {100 * STRENGTH_WITHIN:.0f} %: {share(len(right), len(located))}",
         f"* with something superfluous: {share(besides, len(felt))}",
         f"* healthy recordings accused: {share(accused, len(healthy))}",

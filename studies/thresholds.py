@@ -61,6 +61,7 @@ class Remembered:
         """As the refit."""
         site = candidate.site
         key = (site.part, *sorted(site.shape.items()), candidate.strength, rest[0].typical)
+        key += tuple(rest[2:])
         if key not in self._known:
             self._known[key] = self._work(problem, rig, base, candidate, *rest)
         return self._known[key]

@@ -160,6 +160,37 @@ def test_an_effect_that_a_few_steps_show_is_found(exact: Rig) -> None:
     assert top.strength == pytest.approx(3e-3, rel=0.2)
 
 
+def test_an_effect_far_stronger_than_usual_is_found(exact: Rig) -> None:
+    """A line that yields five times as much as lines do is another thing than one that yields."""
+    soft = AttachedEffect(
+        effect="wall_compliance", place="supply_line", parameters={"compliance_per_pa": 5e-7}
+    )
+    learned = learn(exact, synthetic(with_effects(exact, soft), SECONDS, 5, "soft"))
+    step = learned.steps[1]
+    assert (step.added, step.place) == ("wall_compliance", "supply_line")
+    assert step.strength == pytest.approx(5e-7, rel=0.2)
+
+
+def test_a_place_is_told_with_how_far_it_may_be_from_there(exact: Rig) -> None:
+    """A volume between two taps does nearly the same wherever it is; a leak does not."""
+    volume = AttachedEffect(
+        effect="dead_volume", place="tube", parameters={"volume_m3": 2e-6, "position_m": 0.7}
+    )
+    leak = AttachedEffect(
+        effect="leak", place="tube", parameters={"area_m2": 3e-8, "position_m": 1.8}
+    )
+    errors = {}
+    for hidden in (volume, leak):
+        learned = learn(exact, synthetic(with_effects(exact, hidden), SECONDS, 5, "somewhere"))
+        found, step = learned.rig.effects[-1], learned.steps[-1]
+        assert (found.effect, found.place) == (hidden.effect, hidden.place)
+        off_m = abs(found.parameters["position_m"] - hidden.parameters["position_m"])
+        errors[found.effect] = step.position_error_m
+        assert off_m <= 2.0 * step.position_error_m
+        assert f"± {step.position_error_m:.2f} m" in learned.sentence
+    assert errors["dead_volume"] > errors["leak"]
+
+
 @pytest.mark.parametrize("begin_s", [1.0, 2.5])
 def test_what_happens_once_is_not_nothing(exact: Rig, begin_s: float) -> None:
     """A sensor is jolted for a moment: no effect is named, and when it was is said."""

@@ -28,7 +28,10 @@ GRID_S = 5.0
 """So much of each recording tells whether the grid is fine enough."""
 REFIT_CELLS, SCORE_CELLS = 2.0, 4.0
 """Candidates are refitted and scored on cells so many times as long: only what they change of the
-prediction counts."""
+prediction counts..."""
+FAITHFUL = 0.3
+"""... as long as an effect changes what the longer cells get wrong by less than this share of the
+noise at every tap; else it is fitted on the rig's own. A volume on a few long cells is another."""
 
 
 @dataclass
@@ -45,6 +48,8 @@ class Bench:
         blocks: (n_stretches, m) block of time of each reading.
         thresholds: What decides.
         numerics: The check of the grid, once it is done.
+        grid_pa: (n_stretches, horizon, n_taps) what longer cells get wrong about the rig, Pa; None
+            where that was not needed so far.
     """
 
     rig: Rig
@@ -56,6 +61,7 @@ class Bench:
     blocks: Ints = field(repr=False)
     thresholds: Thresholds
     numerics: "Future[Numerics | None]" = field(repr=False)
+    grid_pa: Floats | None = field(default=None, repr=False)
 
     def residual(self, readings: Floats) -> Floats:
         """(n_stretches, m) residual in noise deviations, without what is uncertain anyway.
@@ -106,7 +112,34 @@ class Bench:
         """
         if rig.model != "pde":
             return self.problem
-        return self.problem.coarsened(rig, REFIT_CELLS, readings)
+        longer = self.problem.coarsened(rig, REFIT_CELLS, readings)
+        if rig is self.rig:
+            self.grid_pa = longer.grid_pa
+        return longer
+
+    def faithful(self, rig: Rig, readings: Floats) -> tuple[Problem, Floats]:
+        """The problem that effects of a rig are fitted on in the end: longer cells if they may be.
+
+        Args:
+            rig: The rig.
+            readings: What it predicts on its own cells.
+
+        Returns:
+            That, and (n_stretches, m) what the effects change of what longer cells get wrong, in
+            noise deviations: cells as long as the rig's get some of it wrong too.
+        """
+        none = np.zeros((self.problem.stretches, readings[0].size))
+        longer = self.coarser(rig, readings)
+        if longer.grid_pa is None:
+            return self.problem, none
+        if self.grid_pa is None:
+            self.coarser(self.rig, self.readings)
+        assert self.grid_pa is not None
+        wrong = (longer.grid_pa - self.grid_pa) / self.problem.noise_pa
+        wrong = np.where(np.isfinite(self.problem.measured), wrong, np.nan)
+        share = np.sqrt(np.nanmean(wrong**2, axis=(0, 1)))
+        chosen = longer if np.nanmax(share) < FAITHFUL else self.problem
+        return chosen, np.nan_to_num(wrong).reshape(none.shape)
 
     @property
     def held_out(self) -> NDArray[np.bool_]:
@@ -148,12 +181,12 @@ def bench_of(
     """
     tell("base", 0.0)
     problem = make_problem(rig, recording, workers=workers)
-    readings = problem.predict([rig])[0]
-    problem = problem.keeping_alike(residual_matrix(problem, readings))
     # The check of the grid is one long run; it fills what the search leaves of the processor.
     checking = ThreadPoolExecutor(1)
-    numerics = checking.submit(_grid, problem, rig, readings, refine)
+    numerics = checking.submit(_grid, problem, rig, refine)
     checking.shutdown(wait=False)
+    readings = problem.predict([rig])[0]
+    problem = problem.keeping_alike(residual_matrix(problem, readings))
     rough = problem
     if rig.model == "pde":
         rough = problem.coarsened(rig, SCORE_CELLS, readings)
@@ -177,17 +210,16 @@ def bench_of(
     )
 
 
-def _grid(problem: Problem, rig: Rig, readings: Floats, refine: bool) -> Numerics | None:
+def _grid(problem: Problem, rig: Rig, refine: bool) -> Numerics | None:
     """Whether the grid is fine enough, where that is asked and there is one.
 
     The beginning of long recordings tells it: shorter cells cost four times as much.
     """
     if not refine or rig.model != "pde":
         return None
-    if any(recording.end_s > GRID_S for recording in problem.recordings):
-        part = [recording.until(GRID_S) for recording in problem.recordings]
-        problem = make_problem(rig, part, workers=problem.workers)
-        readings = problem.predict([rig])[0]
+    part = [recording.until(min(GRID_S, recording.end_s)) for recording in problem.recordings]
+    problem = make_problem(rig, part, workers=problem.workers)
+    readings = problem.predict([rig])[0]
     compared = {
         tap: readings[:, :, k]
         for k, tap in enumerate(problem.taps)

@@ -211,30 +211,59 @@ def look(
     base = residual_matrix(bench.problem, readings)
     best = best_per_place(scores_of(base, bench.known, bench.project))
     first, others = to_refit(best, limits)
-    problem = bench.coarser(rig, readings) if first else bench.problem
+    # One that is much stronger than what was scored has a score that says little.
+    weaker = [s for s in best if s.explained > 0.0 and s not in first and s not in others]
+    coarser: list[Problem] = []
 
-    def refitted(chosen: list[Score]) -> list[Refit]:
+    def refitted(chosen: list[Score], ladder: bool) -> list[Refit]:
+        if not chosen:
+            return []
+        if not coarser:
+            coarser.append(bench.coarser(rig, readings))
         tally = Tally([1.0] * len(chosen), lambda f: tell("refits", f))
 
         def try_out(shared: Problem, item: tuple[int, Score]) -> Refit:
             k, candidate = item
-            found = work(shared, rig, base, candidate, limits, bench.project)
+            found = work(shared, rig, base, candidate, limits, bench.project, ladder)
             tally.reached(k, 1.0)
             return found
 
-        return each_of(list(enumerate(chosen)), problem, try_out)
+        return each_of(list(enumerate(chosen)), coarser[0], try_out)
 
-    refits = refitted(first)
+    refits = refitted(first, False)
     result = _judge(bench, base, refits, best, readings, taken)
-    if (
-        others
-        and refits
-        and result.left_over * bench.floor > bench.allowed(result.excess * bench.floor)
-    ):
-        # the best is not the answer: one that looks like it may be
-        refits += refitted(others[: limits.finalists])
-        result = _judge(bench, base, refits, best, readings, taken)
+    # As long as the best is not the answer: those that look like it, those that were scored lower,
+    # and the first again, from other strengths.
+    for more in (others[: limits.finalists], weaker[: limits.finalists], first):
+        if more and not _is_answer(result, bench):
+            parts = [score.site.part for score in more]
+            before = {r.site.part: r for r in refits if r.site.part in parts}
+            refits = [r for r in refits if r.site.part not in parts]
+            for again in refitted(more, True):
+                known = before.get(again.site.part)
+                refits.append(
+                    again if known is None or again.explained > known.explained else known
+                )
+            result = _judge(bench, base, refits, best, readings, taken)
     return result
+
+
+def _is_answer(result: Diagnosis, bench: Bench) -> bool:
+    """Whether nothing need be looked for that explains more than the best candidate.
+
+    It need not where that leaves what may be left, and besides most of the error is gone or nothing
+    more would be looked for; and where its strength is not as far as it goes.
+    """
+    limits, floor = bench.thresholds, bench.floor
+    if not result.believed:
+        return result.verdict == "nothing_missing"
+    top = result.finalists[0]
+    most = top.held_out >= limits.mostly or result.left_over <= limits.settled
+    return (
+        most
+        and not top.at_bound
+        and result.left_over * floor <= bench.allowed(result.excess * floor)
+    )
 
 
 def _believed(bench: Bench, r: Refit, base: Floats, before: float, taken: float) -> bool:

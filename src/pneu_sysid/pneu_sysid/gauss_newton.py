@@ -98,7 +98,7 @@ class Estimate:
 
 
 def jacobian(
-    residuals: Residuals, x: Floats, variables: Sequence[Variable]
+    residuals: Residuals, x: Floats, variables: Sequence[Variable], known: Floats | None = None
 ) -> tuple[Floats, Floats]:
     """Residuals and their forward-difference Jacobian, in one batched call.
 
@@ -106,11 +106,12 @@ def jacobian(
         residuals: Batched residual function.
         x: (P,) point.
         variables: Steps and bounds; a step that would leave the bounds is taken the other way.
+        known: (n_clusters, m) residuals at the point, where they were computed before.
 
     Returns:
         (n_clusters, m) residuals and (n_clusters, m, P) Jacobian.
     """
-    points = [x]
+    points = [x] if known is None else []
     steps = []
     for k, v in enumerate(variables):
         h = v.step if x[k] + v.step <= v.upper else -v.step
@@ -119,8 +120,8 @@ def jacobian(
         points.append(y)
         steps.append(h)
     r = residuals(points)
-    j = np.stack([(r[k + 1] - r[0]) / h for k, h in enumerate(steps)], axis=-1)
-    return r[0], j
+    here, there = (r[0], r[1:]) if known is None else (known, r)
+    return here, np.stack([(there[k] - here) / h for k, h in enumerate(steps)], axis=-1)
 
 
 def _weights(r: Floats, robust: bool) -> Floats:
@@ -251,7 +252,7 @@ def minimise(
             continue
         if left < 1:
             break
-        r, j = jacobian(residuals, x, variables)
+        r, j = jacobian(residuals, x, variables, r)
         fresh, left, reused = True, left - 1, 0
     gained = 1.0 - _cost(r, robust) / max(begun, 1e-300)
     return _summary(x, r, j, variables, precision, scale, history, gained, robust, tie_a)

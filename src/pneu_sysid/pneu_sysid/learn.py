@@ -13,6 +13,7 @@ from pneu_sim.effects.base import POSITION
 from pneu_sim.errors import InputError
 from pneu_sim.rig import save_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig
+from pneu_sysid.along import positions
 from pneu_sysid.bench import Bench
 from pneu_sysid.candidates import best_per_place, residual_matrix, scores_of, sensitivities
 from pneu_sysid.compare import findings_of
@@ -32,6 +33,8 @@ from pneu_sysid.words import strength_in_words
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
+SOMEWHERE_M = 10.0
+"""A place that is known no better is not told with its error."""
 MATES = 3
 """Look-alikes of an added effect that are tried again in its place after the next addition."""
 
@@ -142,6 +145,7 @@ def _step(
     held: dict[str, float],
     added: AttachedEffect | None = None,
     std_errors: Floats | None = None,
+    untold_m: float = 0.0,
 ) -> Step:
     effect = find_effect(added.effect) if added is not None else None
     place = None if added is None else _label(added).split("@", 1)[1]
@@ -156,7 +160,7 @@ def _step(
         strength=strength,
         unit=effect.strength.unit if effect is not None else None,
         std_error=None if std_errors is None else float(std_errors[0]),
-        position_error_m=_position_error(rig, added, std_errors),
+        position_error_m=_position_error(rig, added, std_errors, untold_m),
         rmse_pa=dict(rmse),
         held_out_rmse_pa=dict(held),
         total_times_noise=_rms(problem, residual, used),
@@ -165,13 +169,18 @@ def _step(
 
 
 def _position_error(
-    rig: Rig, added: AttachedEffect | None, std_errors: Floats | None
+    rig: Rig, added: AttachedEffect | None, std_errors: Floats | None, untold_m: float
 ) -> float | None:
-    """Standard error of an effect's position; the strength's leads, then what else is fitted."""
+    """Standard error of an effect's position; the strength's leads, then what else is fitted.
+
+    No less than the distance over which positions are not told apart.
+    """
     if added is None or std_errors is None:
         return None
     names = [p.name for p in find_effect(added.effect).fitted(rig, added.place)]
-    return float(std_errors[1 + names.index(POSITION)]) if POSITION in names else None
+    if POSITION not in names:
+        return None
+    return max(untold_m, float(std_errors[1 + names.index(POSITION)]))
 
 
 def learn(
@@ -240,6 +249,7 @@ def learn(
         if count:
             better, estimate, mates = _reconsider(bench, better, estimate, given, mates)
             better, estimate, mates = _needed(bench, better, estimate, given, mates)
+        better, estimate = _placed(bench, better, estimate, given)
         model = better
         state.steps = _steps(bench, state.steps, model, estimate, given)
         state.rig = model.rig
@@ -261,11 +271,15 @@ def learn(
 
 @dataclass
 class _Model:
-    """A rig, what it predicts, and what that leaves without what is uncertain anyway."""
+    """A rig, what it predicts, and what that leaves without what is uncertain anyway.
+
+    Where its last effect sits on a pipe, also how far from there it may be just as well.
+    """
 
     rig: Rig
     readings: Floats
     residual: Floats
+    untold_m: float = 0.0
 
 
 def _together(bench: Bench, rig: Rig, given: int, iterations: int = 4) -> tuple[_Model, Estimate]:
@@ -274,6 +288,29 @@ def _together(bench: Bench, rig: Rig, given: int, iterations: int = 4) -> tuple[
     fitted, estimate = refit_effects(bench.coarser(rig), rig, indices, iterations, bench.project)
     readings = bench.problem.predict([fitted])[0]
     return _Model(fitted, readings, bench.residual(readings)), estimate
+
+
+def _placed(bench: Bench, model: _Model, estimate: Estimate, given: int) -> tuple[_Model, Estimate]:
+    """Fits what was added last once more, on cells that are true to it, wherever on its pipe."""
+    problem, wrong = bench.faithful(model.rig, model.readings)
+    last = len(model.rig.effects) - 1
+    indices = list(range(given, last + 1))
+
+    def refitted(rig: Rig) -> tuple[_Model, Estimate]:
+        fitted, found = refit_effects(problem, rig, indices, 3, bench.project)
+        readings = bench.problem.predict([fitted])[0]
+        return _Model(fitted, readings, bench.residual(readings)), found
+
+    if problem is bench.problem and model.rig.model == "pde":
+        model, estimate = refitted(model.rig)
+    along = positions(problem, model.rig, last, bench.blocks, bench.project, wrong)
+    if along.better is not None:
+        other, found = refitted(along.better)
+        if bench.held_sum(other.residual) < bench.held_sum(model.residual):
+            model, estimate = other, found
+            along = positions(problem, model.rig, last, bench.blocks, bench.project, wrong)
+    model.untold_m = along.untold_m
+    return model, estimate
 
 
 def _without_effects(rig: Rig, given: int, recordings: list[str]) -> Rig:
@@ -321,7 +358,7 @@ def _steps(
                 continue
         swapped = True
         so_far = rig.model_copy(update={"effects": rig.effects[: given + k + 1]})
-        fitted, found = _together(bench, so_far, given)
+        fitted, found = _placed(bench, *_together(bench, so_far, given), given)
         out.append(_step_of(k + 1, bench, fitted, found))
     out.append(_step_of(count, bench, model, estimate))
     return out
@@ -335,7 +372,8 @@ def _step_of(number: int, bench: Bench, model: _Model, estimate: Estimate | None
         return _step(number, problem, model.rig, residual, rmse, held)
     index = len(model.rig.effects) - 1
     errors = estimate.std_errors[-len(effect_variables(model.rig, index)) :]
-    return _step(number, problem, model.rig, residual, rmse, held, model.rig.effects[index], errors)
+    added = model.rig.effects[index]
+    return _step(number, problem, model.rig, residual, rmse, held, added, errors, model.untold_m)
 
 
 def _label(effect: AttachedEffect) -> str:
@@ -415,7 +453,10 @@ def _conclude(
         strength = strength_in_words(
             step.strength or 0.0, step.std_error or float("nan"), step.unit or ""
         )
-        parts.append(f"{effect.title} at {step.place}, {strength}")
+        place = str(step.place)
+        if step.position_error_m is not None and step.position_error_m < SOMEWHERE_M:
+            place += f" ± {step.position_error_m:.2f} m"
+        parts.append(f"{effect.title} at {place}, {strength}")
     before, after = state.steps[0], state.steps[-1]
     state.verdict = "ambiguous" if alike else "effect"
     state.alike = alike

@@ -11,7 +11,7 @@ from pneu_sim.effects import find_effect
 from pneu_sim.effects.base import POSITION, EffectParameter
 from pneu_sim.rig import with_parameters
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.candidates import Project, Score, residual_matrix
+from pneu_sysid.candidates import Project, Score
 from pneu_sysid.evidence import share_explained
 from pneu_sysid.gauss_newton import Estimate, Variable, huber_cost, minimise
 from pneu_sysid.problem import Problem
@@ -25,9 +25,13 @@ ITERATIONS, TOLERANCE = 5, 1e-3
 AT_LEAST = 0.25
 """A strength is fitted from this fraction of the typical one at least: from zero there may be no
 slope."""
+LADDER = (3.0, 10.0, 30.0)
+"""Strengths, in typical ones, that are tried where none yet explains what is missing."""
 ELSEWHERE = 0.2
 """A place is tried with another strength too where that would be other by this share."""
 LOOKS = 5
+KEPT = 4
+"""So many of the best points are kept with their residuals; the estimate is nearly always one."""
 WORTH_ANOTHER = 1e-3
 """Places are looked at again, so many times at most, as long as the misfit falls by this share."""
 
@@ -62,16 +66,54 @@ class Refit:
     change: Floats = field(repr=False)
     rig: Rig = field(repr=False)
 
+    @property
+    def at_bound(self) -> bool:
+        """Whether the strength is as far as it may be from where the effect vanishes."""
+        strength = self.site.effect.strength
+        bounds = self.site.effect.limits(strength, self.rig, self.site.place)
+        return any(
+            bound != strength.absent and abs(self.strength - bound) <= 1e-6 * abs(bound)
+            for bound in bounds
+        )
 
-def _projected(
-    problem: Problem, rig_of: Callable[[Floats], Rig], project: Project | None
-) -> Callable[[Sequence[Floats]], Floats]:
-    """Batched residuals of what is not held out, without what is uncertain anyway."""
-    used = ~problem.held_out
-    if project is None:
-        return residual_function(problem, used, rig_of)
-    raw = residual_function(problem, np.ones_like(used), rig_of)
-    return lambda points: np.stack([project(r)[used] for r in raw(points)])
+
+class _Residuals:
+    """Batched residuals of what is not held out, without what is uncertain anyway.
+
+    Those of the best points, over all stretches, are kept: the estimate is asked for once more.
+
+    Args:
+        problem: The problem.
+        rig_of: Rig at a parameter vector.
+        project: Takes out of a residual what is uncertain anyway.
+    """
+
+    def __init__(
+        self, problem: Problem, rig_of: Callable[[Floats], Rig], project: Project | None
+    ) -> None:
+        self._used = ~problem.held_out
+        self._project = project
+        self._all = residual_function(problem, np.ones_like(self._used), rig_of)
+        self._best: list[tuple[float, bytes, Floats]] = []
+
+    def __call__(self, points: Sequence[Floats]) -> Floats:
+        """(K, n_used, m) residuals at points."""
+        whole = [r if self._project is None else self._project(r) for r in self._all(points)]
+        out = np.stack([r[self._used] for r in whole])
+        tried = [
+            (huber_cost(used), point.tobytes(), r)
+            for used, point, r in zip(out, points, whole, strict=True)
+        ]
+        self._best = sorted([*self._best, *tried], key=lambda entry: entry[0])[:KEPT]
+        return out
+
+    def at(self, point: Floats) -> Floats:
+        """(n_stretches, m) residual of all stretches at one point."""
+        for _, known, r in self._best:
+            if known == point.tobytes():
+                return r
+        r = self._all([point])[0]
+        return np.asarray(r if self._project is None else self._project(r))
 
 
 def refit(
@@ -81,6 +123,7 @@ def refit(
     candidate: Score,
     thresholds: Thresholds,
     project: Project | None = None,
+    ladder: bool = False,
 ) -> Refit:
     """Fits strength and position of one candidate on the part that is not held out.
 
@@ -91,6 +134,7 @@ def refit(
         candidate: The candidate with its one-step estimate.
         thresholds: What decides.
         project: Takes out of a residual what is uncertain anyway.
+        ladder: Whether far larger strengths are tried too.
     """
     site = candidate.site
     strength = site.effect.strength
@@ -108,9 +152,16 @@ def refit(
         values = {p.name: float(v) for p, v in zip(shape, x[1:], strict=True)}
         return Site(site.effect, site.place, {**site.shape, **values})
 
-    residuals = _projected(problem, lambda x: placed(x).attached(rig, float(x[0])), project)
+    residuals = _Residuals(problem, lambda x: placed(x).attached(rig, float(x[0])), project)
     # whatever else is wrong in the recording must not bend the estimate
     estimate = minimise(residuals, variables, ITERATIONS, TOLERANCE, robust=True)
+    if ladder:
+        at = _stronger(residuals, estimate, variables[0], strength)
+        if at is not None:
+            again = [replace(v, value=float(x)) for v, x in zip(variables, at, strict=True)]
+            other = minimise(residuals, again, ITERATIONS, TOLERANCE, robust=True)
+            if huber_cost(other.residual) < huber_cost(estimate.residual):
+                estimate = other
     own = (base if project is None else project(base))[~problem.held_out]
     for k, p in enumerate(shape, start=1):
         for _ in range(LOOKS if p.scanned else 0):
@@ -124,9 +175,9 @@ def refit(
     position = next((k for k, p in enumerate(shape, start=1) if p.name == POSITION), None)
     value, error = float(estimate.values[0]), float(estimate.std_errors[0])
     better = fitted.attached(rig, value)
-    residual = residual_matrix(problem, problem.simulate([better], strict=False).readings[0])
+    residual = residuals.at(estimate.values)
     if project is not None:
-        base, residual = project(base), project(residual)
+        base = project(base)
     used = ~problem.held_out
     return Refit(
         site=fitted,
@@ -141,6 +192,39 @@ def refit(
         change=base - residual,
         rig=better,
     )
+
+
+def _stronger(
+    residuals: Callable[[Sequence[Floats]], Floats],
+    estimate: Estimate,
+    bounds: Variable,
+    strength: EffectParameter,
+) -> Floats | None:
+    """The best point of far larger strengths, either way; None where they are all alike.
+
+    An effect that changes its kind with its strength, as a wall that yields so much that the line
+    becomes a vessel, has several valleys.
+
+    Args:
+        residuals: Batched residuals.
+        estimate: What was found so far; the strength is its first variable.
+        bounds: Bounds of the strength.
+        strength: The strength.
+    """
+    typical = abs(strength.typical - strength.absent)
+    tried: list[Floats] = []
+    for factor in LADDER:
+        for sign in (1.0, -1.0):
+            value = float(
+                np.clip(strength.absent + sign * factor * typical, bounds.lower, bounds.upper)
+            )
+            if value != strength.absent and all(value != point[0] for point in tried):
+                point = estimate.values.copy()
+                point[0] = value
+                tried.append(point)
+    if not tried:
+        return None
+    return tried[int(np.argmin([huber_cost(r) for r in residuals(tried)]))]
 
 
 def _elsewhere(
@@ -256,7 +340,7 @@ def refit_effects(
 
     # whatever else is wrong in the recording must not bend the estimate
     estimate = minimise(
-        _projected(problem, rig_of, project),
+        _Residuals(problem, rig_of, project),
         variables,
         iterations=iterations,
         tolerance=2e-3,

@@ -419,7 +419,7 @@ class Step(Result):
     std_error: Perhaps = None
     """Standard error of the strength."""
     position_error_m: Perhaps = None
-    """Standard error of its position along a pipe; null where it has none."""
+    """Standard error of its position, or as far as the recording does not tell; null for none."""
     rmse_pa: dict[str, Perhaps]
     """Per tap the error on the part that was used."""
     held_out_rmse_pa: dict[str, Perhaps]
