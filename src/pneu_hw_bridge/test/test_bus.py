@@ -9,9 +9,12 @@ import struct
 import threading
 import time
 import tty
-from contextlib import contextmanager
+from collections import deque
+from contextlib import contextmanager, suppress
+from itertools import pairwise
 
 import pytest
+from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.constants import ExcCodes
 from pymodbus.framer import FramerType
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
@@ -51,9 +54,14 @@ class Server:
 
     def __init__(self):
         self.written = []
+        self.volts = {}
         self.reads = []
         self.delay_s = 0.0
         self.refuse = None
+        self.refused = set()  # of these addresses writes alone are refused
+        self.mute = set()  # and of these they are not answered
+        self.hidden = set()  # these cannot be read
+        self.set_up_at = None  # a write here ends the refusals
         self.loop = asyncio.new_event_loop()
         self.server = None
         self.port = 0
@@ -62,7 +70,7 @@ class Server:
     def device(self):
         words = list(struct.unpack(">10H", struct.pack(">5f", *PRESSURES)))
         bits = SimData(0, values=[False] * 16, datatype=DataType.BITS)
-        holding = SimData(100, values=[0, 0], datatype=DataType.REGISTERS)
+        holding = SimData(100, values=[0] * 12, datatype=DataType.REGISTERS)
         inputs = SimData(0, values=words, datatype=DataType.REGISTERS)
         return SimDevice(1, ([bits], [bits], [holding], [inputs]), action=self.access)
 
@@ -71,9 +79,19 @@ class Server:
             await asyncio.sleep(self.delay_s)
         if self.refuse is not None:
             return self.refuse
+        if not written and address in self.hidden:
+            return ExcCodes.ILLEGAL_ADDRESS
+        if written and address == self.set_up_at:
+            self.refused.clear()
+        if written and address in self.mute:
+            await asyncio.sleep(0.5)
+            return ExcCodes.DEVICE_FAILURE
+        if written and address in self.refused:
+            return ExcCodes.DEVICE_FAILURE
         if written:
             volts = struct.unpack(">f", struct.pack(">2H", *written))[0]
             self.written.append((time.monotonic(), volts))
+            self.volts[address] = volts
         else:
             self.reads.append((function, address, count))
         return None
@@ -128,7 +146,9 @@ def test_reads_and_writes(server, wait_until):
     assert before_ns < stamp_ns < time.time_ns()
     assert steady_s < time.monotonic()
     assert owner.faults == [""]
-    assert set(server.reads) == {(4, 0, 10)}, "all taps come in one request"
+    assert set(server.reads) == {(4, 0, 10), (3, 100, 2)}, "all taps come in one request"
+    taps = sum(function == 4 for function, _, _ in server.reads)
+    assert len(server.reads) - taps < 0.5 * taps, "outputs are read back less often"
 
 
 def test_command_rate_and_latency(server, wait_until):
@@ -238,6 +258,134 @@ def test_unsafe_settings_are_refused(options):
         ModbusBus(load_register_map("generic_plc"), Owner(), **options)
 
 
+# Several valves
+
+TWO_VALVES = """
+pneu_registers: 1
+name: two_valves
+description: Two valves whose registers are apart.
+device: {transport: tcp, host: 127.0.0.1, port: PORT, unit: 1, watchdog_s: 0.1}
+channels:
+  left: {direction: write, table: holding, address: 100, type: float32, unit: V, range: [0, 10],
+         safe: 0.0}
+  right: {direction: write, table: holding, address: 110, type: float32, unit: V, range: [0, 10],
+          safe: 5.0}
+  end: {direction: read, table: input, address: 0, type: float32, unit: Pa, range: [1.0e4, 1.6e6]}
+"""
+SAFE = {100: 0.0, 110: 5.0}
+
+
+@pytest.fixture
+def two_valves(server, tmp_path):
+    """A bus that drives two valves, its owner, and the device."""
+    path = tmp_path / "two_valves.yaml"
+    path.write_text(TWO_VALVES.replace("PORT", str(server.port)))
+    owner = Owner()
+    owner.volts = {"left": 6.5, "right": 6.5}
+    bus = ModbusBus(load_register_map(str(path)), owner)
+    bus.start()
+    yield bus, owner, server
+    bus.stop()
+
+
+@pytest.mark.parametrize("how", ["refused", "mute"])
+@pytest.mark.parametrize("bad", [100, 110])
+def test_each_valve_is_made_safe_whatever_becomes_of_the_others(two_valves, wait_until, bad, how):
+    bus, owner, server = two_valves
+    good = 210 - bad
+    wait_until(lambda: server.volts == {100: 6.5, 110: 6.5} and owner.faults)
+    getattr(server, how).add(bad)
+    # One that is not in our hands has the other made safe, though its owner has not said so yet.
+    wait_until(lambda: server.volts[good] == SAFE[good], 1.0)
+    assert owner.faults[-1] or wait_until(lambda: owner.faults[-1], 1.0)
+    assert not bus.vent().verified
+    owner.volts = {"left": 0.0, "right": 5.0}
+    begun = len(server.written)
+    wait_until(lambda: len(server.written) > begun + 1)
+    assert {volts for _, volts in server.written[begun:]} == {SAFE[good]}
+    assert owner.applied[-1][0][{100: "right", 110: "left"}[bad]] == SAFE[good]
+    getattr(server, how).clear()
+    wait_until(lambda: server.volts == SAFE, 3.0)
+    wait_until(lambda: owner.faults[-1] == "", 3.0)
+    assert bus.vent().verified
+
+
+def test_venting_says_which_valve_is_not_safe(two_valves, wait_until):
+    bus, _, server = two_valves
+    wait_until(lambda: server.volts == {100: 6.5, 110: 6.5})
+    server.refused.add(100)
+    vented = bus.vent()
+    assert not vented.verified
+    assert "left 6.5 V" in vented.message
+    assert "right 5 V" in vented.message
+    assert server.volts == {100: 6.5, 110: 5.0}
+
+
+def test_a_device_whose_watchdog_acted_is_set_up_again(server, tmp_path, wait_until):
+    """It refuses outputs until then, as real couplers do."""
+    path = tmp_path / "coupler.yaml"
+    text = TWO_VALVES.replace("PORT", str(server.port))
+    path.write_text(text + "settings:\n- {table: holding, address: 104, type: float32, value: 3}\n")
+    owner = Owner()
+    owner.volts = {"left": 6.5, "right": 6.5}
+    bus = ModbusBus(load_register_map(str(path)), owner)
+    bus.start()
+    try:
+        wait_until(lambda: server.volts == {100: 6.5, 110: 6.5, 104: 3.0} and owner.faults)
+        del server.volts[104]
+        server.refused |= {100, 110}
+        server.set_up_at = 104
+        wait_until(lambda: owner.faults[-1] == "" and not server.refused, 2.0)
+        assert any("exception reply 4" in fault for fault in owner.faults)
+        assert bus.statistics.connects == 1 + bus.statistics.losses
+        assert 2 <= bus.statistics.settings < 6
+    finally:
+        bus.stop()
+
+
+def test_another_master_is_noticed_told_of_and_outvoted(server, wait_until):
+    """It writes 9 V every 5 ms to a valve that is to be safe."""
+    owner = Owner()
+    over = threading.Event()
+
+    async def rival():
+        other = AsyncModbusTcpClient("127.0.0.1", port=server.port)
+        await other.connect()
+        while not over.is_set():
+            high, low = struct.unpack(">2H", struct.pack(">f", 9.0))
+            await other.write_registers(100, [high, low], device_id=1)
+            await asyncio.sleep(0.005)
+        other.close()
+
+    with open_bus(server.port, owner) as bus:
+        wait_until(lambda: len(owner.samples) > 5)
+        thread = threading.Thread(target=lambda: asyncio.run(rival()), daemon=True)
+        thread.start()
+        wait_until(lambda: "somebody else writes" in owner.faults[-1], 2.0)
+        assert "voltage reads back 9 V where 0 V was written" in owner.faults[-1]
+        begun = len(server.written)
+        time.sleep(1.0)
+        told = server.written[begun:]
+        assert not bus.vent().verified or bus.statistics.foreign > 5
+        open_s = sum(b[0] - a[0] for a, b in pairwise(told) if a[1] == 9.0)
+        assert open_s < 0.5 * (told[-1][0] - told[0][0])
+        assert {volts for _, volts in told} == {0.0, 9.0}
+        over.set()
+        thread.join(2.0)
+        wait_until(lambda: owner.faults[-1] == "", 3.0)
+        assert bus.vent().verified
+
+
+def test_outputs_that_cannot_be_read_back_are_said_to_be_so(server, wait_until):
+    server.hidden.add(100)
+    owner = Owner()
+    with open_bus(server.port, owner) as bus:
+        wait_until(lambda: not bus.readable)
+        count = len(owner.samples)
+        wait_until(lambda: len(owner.samples) > count + 5)
+        assert not bus.vent().verified
+
+
 # Garbage
 
 
@@ -340,8 +488,13 @@ def test_ten_thousand_random_replies(wait_until, monkeypatch):
 
 
 @contextmanager
-def serial_pair():
-    """Two serial ports that are connected to each other."""
+def serial_pair(late_s=(0.0, 0.0)):
+    """Two serial ports that are connected to each other; what the first gets may come late.
+
+    Args:
+        late_s: Between how many seconds late each answer is.
+    """
+    rng = random.Random(5)
     ends = [os.openpty() for _ in range(2)]
     stop = threading.Event()
     for controller, terminal in ends:
@@ -349,11 +502,15 @@ def serial_pair():
         os.set_blocking(controller, False)
 
     def carry(source, target):
+        waiting = deque()
         while not stop.is_set():
-            try:
-                os.write(target, os.read(source, 4096))
-            except BlockingIOError:
-                time.sleep(0.0005)
+            now_s = time.monotonic()
+            with suppress(BlockingIOError):
+                late = rng.uniform(*late_s) if target == ends[0][0] else 0.0
+                waiting.append((now_s + late, os.read(source, 4096)))
+            while waiting and waiting[0][0] <= now_s:
+                os.write(target, waiting.popleft()[1])
+            time.sleep(0.0005)
 
     threads = [
         threading.Thread(target=carry, args=(ends[a][0], ends[1 - a][0]), daemon=True)
@@ -372,10 +529,11 @@ def serial_pair():
             os.close(terminal)
 
 
-def test_serial_line(wait_until):
+@contextmanager
+def serial_bus(owner, late_s=(0.0, 0.0), **options):
+    """A bus on a serial line, and the device at its other end."""
     server = Server()
-    owner = Owner()
-    with serial_pair() as (ours, theirs):
+    with serial_pair(late_s) as (ours, theirs):
 
         async def start():
             server.server = ModbusSerialServer(
@@ -391,20 +549,38 @@ def test_serial_line(wait_until):
         registers = load_register_map(
             "generic_plc", {"transport": "rtu", "serial_port": ours, "parity": "N"}
         )
-        bus = ModbusBus(registers, owner, period_s=0.02, timeout_s=0.2)
+        bus = ModbusBus(registers, owner, period_s=0.02, **options)
         bus.start()
         try:
-            wait_until(lambda: len(owner.samples) > 5)
-            owner.volts = {"voltage": 6.25}
-            bus.poke()
-            wait_until(lambda: server.written[-1][1] == 6.25)
-            assert bus.vent().verified
+            yield bus, server
         finally:
             bus.stop()
             server.close()
             server.end()
+
+
+def test_serial_line(wait_until):
+    owner = Owner()
+    with serial_bus(owner, timeout_s=0.2) as (bus, server):
+        wait_until(lambda: len(owner.samples) > 5)
+        owner.volts = {"voltage": 6.25}
+        bus.poke()
+        wait_until(lambda: server.written[-1][1] == 6.25)
+        assert bus.vent().verified
     assert list(owner.samples[-1][0].values()) == PRESSURES
     assert server.written[-1][1] in (0.0, 6.25)
+
+
+@pytest.mark.parametrize("late_s", [(0.3, 0.5), (0.12, 0.2), (0.7, 0.9)])
+def test_late_answers_on_a_serial_line_are_not_taken_for_others(late_s):
+    """They carry no number: each would pass for the answer to the next request."""
+    owner = Owner()
+    owner.volts = {"voltage": 5.5}
+    with serial_bus(owner, late_s, timeout_s=0.1) as (bus, server):
+        time.sleep(4.0)
+        assert bus.statistics.timeouts > 3
+        assert not owner.samples
+    assert {volts for _, volts in server.written} == {0.0}
 
 
 def test_missing_serial_port(wait_until):

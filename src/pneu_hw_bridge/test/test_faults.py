@@ -89,8 +89,12 @@ def check_fault(name, lab, profile, wait_until):
         time.sleep(0.6)
         judge(safe_since(lab)[0], begun_s)
         report = rig.link.report()
-        assert report.state is State.HOLDING
         assert report.reason
+        # Which number comes out is chance, or the end of what the registers hold: it may trip.
+        if name in ("word_order", "out_of_range") and report.state is State.TRIPPED:
+            wait_until(lambda: rig.link.reset() == "", 2.0)
+        else:
+            assert report.state is State.HOLDING
         wait_until(rig.follows, 4.0)
         wait_until(lambda: lab.volts() == 5.5)
 

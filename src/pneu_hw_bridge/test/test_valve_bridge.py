@@ -304,7 +304,7 @@ def test_life_cycle(healthy_lab, graph, wait_until):
         wait_until(lambda: lab.volts() == 7.0)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_end_by_a_signal(number, healthy_lab, graph, wait_until):
     lab = healthy_lab
     with running_bridge(lab.port, "autostart:=true") as bridge:

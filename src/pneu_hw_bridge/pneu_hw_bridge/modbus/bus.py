@@ -12,6 +12,7 @@ our clock.
 
 import asyncio
 import concurrent.futures
+import contextlib
 import logging
 import math
 import selectors
@@ -24,6 +25,7 @@ from typing import Any, Protocol
 
 from pneu_hw_bridge.device_clock import DeviceClock
 from pneu_hw_bridge.modbus.client import Client, RequestError
+from pneu_hw_bridge.modbus.in_step import InStep
 from pneu_hw_bridge.modbus.records import CommandReader, Record, SampleReader
 from pneu_hw_bridge.modbus.statistics import Statistics
 from pneu_hw_bridge.registers.batches import Batch, plan, plan_writes
@@ -35,6 +37,15 @@ LONGEST_TIMEOUT_S = 0.2
 
 KEEP_ALIVE_S = 0.02
 """Interval at which an unchanged voltage is written again."""
+
+SET_UP_AGAIN_S = 0.25
+"""A device that refuses is set up again this often."""
+
+LOOK_BACK_S = 0.02
+"""Interval at which outputs are read back."""
+
+FOREIGN_S = 1.0
+"""So long after another voltage was read back than was written somebody else is held to write."""
 
 FIRST_BACKOFF_S = 0.02
 LONGEST_BACKOFF_S = 1.0
@@ -150,6 +161,8 @@ class ModbusBus:
         self._records = self._plan_records()
         self._reads = plan(inputs, registers.batching)
         self._writes = plan_writes(registers.outputs)
+        serial = registers.device.transport != "tcp"
+        self._in_step = InStep(self._reads, self._writes, self._safe()) if serial else None
         self.statistics = Statistics()
         self.fault = "not connected yet"
         self._told: str | None = None
@@ -165,6 +178,12 @@ class ModbusBus:
         self._vent_deadline_s = 0.0
         self._written: dict[str, float] = {}
         self._written_s = -math.inf
+        self._set_up_s = -math.inf
+        self._looked_s = -math.inf
+        self._foreign = ""
+        self._foreign_s = -math.inf
+        self.readable = True
+        self._confirmed = self._safe()
         self._confirmed_ns: int | None = None
 
     def start(self) -> None:
@@ -256,15 +275,17 @@ class ModbusBus:
         """Cycles on one connection."""
         if self.clock is not None and self.clock.settled:
             self.clock.doubt()
-        for setting in self._registers.settings:
-            await client.write(setting.table, setting.address, setting.encode())
+        if self._in_step is not None:
+            await self._in_step.prove(client)
+        await self._set_up(client)
         tick_s = time.monotonic()
         while not self._stopping:
             if self._vent is not None:
                 await self._do_vent(client)
             try:
                 poked_s, self._poked_s = self._poked_s, None
-                await self._write(client, force=poked_s is not None)
+                foreign = time.monotonic() - self._foreign_s < FOREIGN_S
+                await self._write(client, force=foreign or poked_s is not None)
                 if poked_s is not None:
                     self.statistics.command.add(time.monotonic() - poked_s)
                 now_s = time.monotonic()
@@ -274,15 +295,31 @@ class ModbusBus:
                         # Ticks keep their phase, so that readings stand on one even grid of time.
                         tick_s += self._period_s * math.floor((now_s - tick_s) / self._period_s)
                     tick_s += self._period_s
+                    await self._look_back(client, foreign)
                     await self._read(client)
                     self.statistics.cycles += 1
-                    self._tell("")
+                    foreign = time.monotonic() - self._foreign_s < FOREIGN_S
+                    self._tell(self._foreign if foreign else "")
             except RequestError as error:
                 if not error.usable:
                     raise
                 self._tell(str(error))
+                if time.monotonic() > self._set_up_s + SET_UP_AGAIN_S:
+                    with contextlib.suppress(RequestError):
+                        await self._set_up(client)
                 tick_s = max(tick_s, time.monotonic() + self._period_s)
-            await self._until(tick_s, only=self._roused)
+            if not foreign:  # else the last word is to be ours as often as can be
+                await self._until(tick_s, only=self._roused)
+
+    async def _set_up(self, client: Client) -> None:
+        """Writes the settings of the map: at first, and to a device that refuses.
+
+        Couplers whose own watchdog has acted take no outputs before they are set up again.
+        """
+        self._set_up_s = time.monotonic()
+        for setting in self._registers.settings:
+            await client.write(setting.table, setting.address, setting.encode())
+            self.statistics.settings += 1
 
     async def _write(self, client: Client, force: bool) -> None:
         """Writes the owner's voltages where they changed or are due."""
@@ -294,26 +331,92 @@ class ModbusBus:
         self._written, self._written_s = values, now_s
 
     async def _send(self, client: Client, values: Mapping[str, float]) -> None:
-        """Writes voltages, and tells the owner with the middle of the exchange as their time."""
+        """Writes voltages, and tells the owner with the middle of the exchange as their time.
+
+        Where one output cannot be written all others get their safe voltages.
+
+        Raises:
+            RequestError: An output was not written.
+        """
         begun_s, begun_ns = time.monotonic(), self._clock_ns()
+        safe = self._safe()
+        written: dict[str, float] = {}
+        failed: dict[tuple[str, int], RequestError] = {}
         for batch in self._writes:
             try:
-                raw = batch.encode(values)
-            except ValueError:
-                # Limits lie within what the types hold, so this is a fault of ours: be safe.
-                self.statistics.unwritable += 1
-                raw = batch.encode(self._safe())
-            await client.write(batch.table, batch.address, raw)
+                await self._put(client, batch, safe if failed else values)
+            except RequestError as error:
+                failed[batch.table, batch.address] = error
+                if not (error.usable or client.usable):
+                    break
+                continue
+            written |= {name: (safe if failed else values)[name] for name, _ in batch.channels}
+        if failed:
+            for batch in self._writes:
+                names = [name for name, _ in batch.channels]
+                if any(written.get(name, safe[name]) != safe[name] for name in names):
+                    await self._put(client, batch, safe)
+                    written |= {name: safe[name] for name in names}
+            # The next connection begins with those that can be written.
+            self._writes.sort(key=lambda batch: (batch.table, batch.address) in failed)
+        if written:
+            half_s = 0.5 * (time.monotonic() - begun_s)
+            self._confirm({**self._confirmed, **written}, begun_ns + round(1e9 * half_s))
+        if failed:
+            raise next((e for e in failed.values() if not e.usable), next(iter(failed.values())))
+
+    async def _put(self, client: Client, batch: Batch, values: Mapping[str, float]) -> None:
+        """Writes the voltages of one request."""
+        try:
+            raw = batch.encode(values)
+        except ValueError:
+            # Limits lie within what the types hold, so this is a fault of ours: be safe.
+            self.statistics.unwritable += 1
+            raw = batch.encode(self._safe())
+        await client.write(batch.table, batch.address, raw)
+
+    def _confirm(self, values: dict[str, float], stamp_ns: int) -> None:
+        """Keeps what the device has confirmed, and tells the owner."""
+        self._confirmed = values
         if self._commands is not None:
             return  # the device itself will tell when it took them
-        half_s = 0.5 * (time.monotonic() - begun_s)
-        stamp_ns = begun_ns + round(1e9 * half_s)
         watchdog_s, before_ns = self._registers.device.watchdog_s, self._confirmed_ns
         if watchdog_s and before_ns is not None and stamp_ns - before_ns > 1e9 * watchdog_s:
             # Left alone for so long, the device had the safe voltages until now.
             self._owner.written(self._safe(), before_ns + round(1e9 * watchdog_s))
         self._confirmed_ns = stamp_ns
         self._owner.written(values, stamp_ns)
+
+    async def _look_back(self, client: Client, often: bool) -> None:
+        """Reads the outputs back: another master of the device may write to them.
+
+        Args:
+            client: The connection.
+            often: Whether at every call; else every `LOOK_BACK_S`.
+        """
+        now_s = time.monotonic()
+        if not self.readable or not (often or now_s >= self._looked_s + LOOK_BACK_S):
+            return
+        self._looked_s = now_s
+        safe = self._safe()
+        for batch in self._writes:
+            try:
+                found = batch.decode(await client.read(batch))
+            except RequestError as error:
+                if not error.usable:
+                    raise
+                self.readable = False  # told in the diagnostics: nobody would notice
+                return
+            for name, value in found.items():
+                nearest = min((self._confirmed[name], safe[name]), key=lambda v: abs(v - value))
+                # (safe after the device's own watchdog)
+                if not abs(value - nearest) <= self._registers.outputs[name].resolution:
+                    self.statistics.foreign += 1
+                    self._foreign_s = now_s
+                    self._foreign = (
+                        f"{name} reads back {value:g} V where {self._confirmed[name]:g} V was"
+                        " written: somebody else writes to the device"
+                    )
 
     async def _read(self, client: Client) -> None:
         """Reads all inputs and hands them over with the middle of the exchange as their time."""
@@ -388,32 +491,39 @@ class ModbusBus:
         return stamp_ns
 
     async def _do_vent(self, client: Client) -> None:
-        """Writes the safe voltages and reads them back."""
+        """Writes the safe voltages and reads them back, of each output whatever the others do."""
         safe = self._safe()
+        shown: dict[str, str] = {}
+        lost: RequestError | None = None
         try:
             await self._send(client, safe)
             self._written, self._written_s = safe, time.monotonic()
-            found: dict[str, float] = {}
-            for batch in self._writes:
-                found.update(batch.decode(await client.read(batch)))
         except RequestError as error:
-            if time.monotonic() >= self._vent_deadline_s:
-                self._finish_vent(False, str(error))
-            if error.usable:  # the device refused: ask again until the deadline
-                await asyncio.sleep(0.005)
-                return
-            raise
-        outputs = self._registers.outputs
-        wrong = [
-            name
-            for name, value in found.items()
-            if not abs(value - safe[name]) <= outputs[name].resolution
-        ]
-        shown = ", ".join(f"{name} {value:g} V" for name, value in found.items())
-        if not wrong:
-            self._finish_vent(True, f"read back {shown}")
+            lost = None if error.usable else error
+        verified = True
+        for batch in self._writes:
+            try:
+                if lost is not None and not client.usable:
+                    raise lost
+                found = batch.decode(await client.read(batch))
+            except RequestError as error:
+                lost = lost or (None if error.usable else error)
+                shown |= {name: f"{name} {error}" for name, _ in batch.channels}
+                verified = False
+                continue
+            shown |= {name: f"{name} {value:g} V" for name, value in found.items()}
+            for name, value in found.items():
+                if not abs(value - safe[name]) <= self._registers.outputs[name].resolution:
+                    verified = False
+        message = ", ".join(shown[name] for name in safe)
+        if verified:
+            self._finish_vent(True, f"read back {message}")
         elif time.monotonic() >= self._vent_deadline_s:
-            self._finish_vent(False, f"read back {shown}")
+            self._finish_vent(False, f"read back {message}")
+        if lost is not None:
+            raise lost
+        if not verified:
+            await asyncio.sleep(0.005)  # the device refused: ask again until the deadline
 
     def _finish_vent(self, verified: bool, message: str) -> None:
         future, self._vent = self._vent, None

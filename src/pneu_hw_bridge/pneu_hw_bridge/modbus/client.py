@@ -7,6 +7,9 @@ shows only as silence; a valve needs to know at once.
 """
 
 import asyncio
+import math
+import socket
+import struct
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -27,6 +30,9 @@ _FUNCTIONS = {
     "write_coils": 15,
     "write_registers": 16,
 }
+
+PATIENCE = 8.0
+"""A line that does not fall silent is given up after so many times the silence that is wanted."""
 
 
 class RequestError(Exception):
@@ -62,6 +68,7 @@ class Client:
         self._device = device
         self._timeout_s = timeout_s
         self._statistics = statistics
+        self._heard_s = -math.inf
         self._modbus: AsyncModbusTcpClient | AsyncModbusSerialClient
         if device.transport == "tcp":
             self._modbus = AsyncModbusTcpClient(
@@ -84,6 +91,7 @@ class Client:
                 retries=0,
                 reconnect_delay=0,
                 trace_connect=self._connection_changed,
+                trace_packet=self._heard,
             )
 
     async def connect(self) -> str:
@@ -101,11 +109,47 @@ class Client:
             self._statistics.connect_failures += 1
             return fault
         self._statistics.connects += 1
+        self._forget_when_closed()
         return ""
 
+    @property
+    def usable(self) -> bool:
+        """Whether another request may be sent after one that failed.
+
+        On a serial line an answer to the failed one could come late and pass for its answer.
+        """
+        return self._device.transport == "tcp" and bool(self._modbus.connected)
+
     def close(self) -> None:
-        """Closes the connection."""
+        """Closes the connection; what was not sent until now never will be."""
         self._modbus.close()
+
+    def _forget_when_closed(self) -> None:
+        """Has the kernel drop what waits to be sent once the connection ends, however it ends.
+
+        On a cable that is cut a command stays in the kernel's queue. Unless told otherwise the
+        kernel sends it when the cable is back, even long after this process was killed.
+        """
+        if self._device.transport != "tcp":
+            return
+        line = self._modbus.ctx.transport.get_extra_info("socket")
+        line.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+
+    async def silence(self, length_s: float) -> None:
+        """Waits until nothing has come for a while; only a serial line is listened to.
+
+        Args:
+            length_s: For how long.
+
+        Raises:
+            RequestError: Something always comes.
+        """
+        begun_s = now_s = time.monotonic()
+        while now_s < max(begun_s, self._heard_s) + length_s:
+            if now_s > begun_s + PATIENCE * length_s:
+                raise RequestError("the line is never silent")
+            await asyncio.sleep(max(begun_s, self._heard_s) + length_s - now_s)
+            now_s = time.monotonic()
 
     async def read(self, batch: Batch) -> list[int]:
         """Returns the registers or bits of a batch.
@@ -205,6 +249,12 @@ class Client:
             raise RequestError(f"{what}: answered with function {reply.function_code}")
         self._statistics.request.add(time.monotonic() - begun_s)
         return reply
+
+    def _heard(self, sending: bool, data: bytes) -> bytes:
+        """Takes note of when something came last."""
+        if not sending:
+            self._heard_s = time.monotonic()
+        return data
 
     def _connection_changed(self, connected: bool) -> None:
         """Ends a waiting request when the connection goes; pymodbus would sit out the timeout."""

@@ -53,6 +53,8 @@ class Statistics:
         timeouts: Requests without an answer in time.
         exceptions: Exception replies.
         malformed: Answers that made no sense, or were of the wrong length.
+        foreign: Outputs that read back as something else than was written.
+        settings: Times that the map's settings were written.
         unwritable: Outputs that the register's type could not hold.
         samples: Samples of a device with a clock that were taken, each once.
         samples_skipped: Samples that the device had forgotten before they were read.
@@ -72,6 +74,8 @@ class Statistics:
     timeouts: int = 0
     exceptions: int = 0
     malformed: int = 0
+    foreign: int = 0
+    settings: int = 0
     unwritable: int = 0
     samples: int = 0
     samples_skipped: int = 0

@@ -25,6 +25,7 @@ class Settings:
         sensor_timeout_s: How old a reading may be.
         slew_v_s: Fastest change of a voltage.
         clamp_margin_v: How far beyond its range a command is clamped rather than refused.
+        dwell_s: For how long nothing may be wrong before commands are followed again.
         frame_id: Frame of the set of readings.
         publish_clock: Whether the time of the newest sample is published on ``/clock``.
     """
@@ -38,6 +39,7 @@ class Settings:
     sensor_timeout_s: float
     slew_v_s: float
     clamp_margin_v: float
+    dwell_s: float
     frame_id: str
     publish_clock: bool
 
@@ -100,6 +102,13 @@ def declare_parameters(node: Node) -> None:
         "commands out of range by up to so much are clamped, beyond it refused",
         (0.0, 10.0),
     )
+    declare(
+        node,
+        "dwell_s",
+        1.0,
+        "after anything went wrong commands are followed again once nothing did for so long",
+        (0.0, 60.0),
+    )
     declare(node, "frame_id", "", "frame_id of taps/pressures")
     declare(
         node,
@@ -137,6 +146,7 @@ def read_parameters(node: Node) -> Settings:
         sensor_timeout_s=value("sensor_timeout_s"),
         slew_v_s=value("slew_v_s"),
         clamp_margin_v=value("clamp_margin_v"),
+        dwell_s=value("dwell_s"),
         frame_id=value("frame_id"),
         publish_clock=value("publish_clock"),
     )

@@ -9,6 +9,7 @@ vented; activate lets commands through; deactivate, an error, and the end of the
 writing to the bus and reading it back.
 """
 
+import signal
 import sys
 import time
 from typing import Any
@@ -132,6 +133,7 @@ class ValveBridge(LifecycleNode):
                 settings.sensor_timeout_s,
                 settings.slew_v_s,
                 settings.clamp_margin_v,
+                settings.dwell_s,
             )
             arrived = self.create_guard_condition(self._on_samples)
             self._entities.append((self.destroy_guard_condition, arrived))
@@ -308,7 +310,10 @@ class ValveBridge(LifecycleNode):
         if link is None:
             return
         # By its final name: counting expands a name, but does not remap it.
-        link.publishers(self.count_publishers(self.resolve_topic_name(COMMAND_TOPIC)))
+        count = self.count_publishers(self.resolve_topic_name(COMMAND_TOPIC))
+        link.publishers(count)
+        if count != 1:  # whoever comes next has a clock of its own
+            self._lateness = Lateness()
         self._say_clock()
         changes = link.take_changes()
         for state, reason in changes:
@@ -395,6 +400,7 @@ class ValveBridge(LifecycleNode):
         counts = bus.statistics
         values = {
             **counts.counters(),
+            "outputs can be read back": bus.readable,
             "request p50 [s]": counts.request.quantile(0.5),
             "request p99 [s]": counts.request.quantile(0.99),
             "command to confirmation p50 [s]": counts.command.quantile(0.5),
@@ -425,6 +431,15 @@ class ValveBridge(LifecycleNode):
         return status(level, f"{self.get_name()}: device clock", text, values, "modbus")
 
 
+def _end_with_the_terminal() -> None:
+    """Has SIGHUP end the process as SIGTERM does: rclpy leaves it, and it would kill at once.
+
+    Whoever ignores it on purpose (nohup) goes on doing so.
+    """
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
+        signal.signal(signal.SIGHUP, lambda *_: signal.raise_signal(signal.SIGTERM))
+
+
 def main(args: list[str] | None = None) -> None:
     """Runs the node.
 
@@ -434,6 +449,7 @@ def main(args: list[str] | None = None) -> None:
     node: ValveBridge | None = None
     try:
         with precedence(), initialised(args):
+            _end_with_the_terminal()
             try:
                 node = ValveBridge()
                 node.start_if_asked()

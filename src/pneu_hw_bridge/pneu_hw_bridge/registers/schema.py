@@ -143,13 +143,11 @@ class ChannelBase(Part):
     @property
     def resolution(self) -> float:
         """Largest error that sending a value through the registers makes, SI."""
-        if self.type is None:
-            return abs(self.scale)
         if self.type == "float64":
             return 1e-12 * max(abs(self.range[0]), abs(self.range[1]), abs(self.scale))
         if self.type == "float32":
             return 2.0**-22 * max(abs(self.range[0]), abs(self.range[1]), abs(self.offset))
-        return abs(self.scale)
+        return 0.51 * abs(self.scale)  # (rounded; and a bit that is on is not off)
 
 
 class Output(ChannelBase):

@@ -57,6 +57,7 @@ class Limits:
         sensor_timeout_s: How old the newest reading of a tap may be.
         slew_v_s: Fastest change of a voltage while commands are followed.
         clamp_margin_v: How far beyond its range a command is clamped; beyond that it is refused.
+        dwell_s: For how long nothing may be wrong before commands are followed again.
     """
 
     outputs: Mapping[str, OutputLimits]
@@ -65,6 +66,7 @@ class Limits:
     sensor_timeout_s: float = 0.1
     slew_v_s: float = 2000.0
     clamp_margin_v: float = 1.0
+    dwell_s: float = 1.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.watchdog_s <= LONGEST_WATCHDOG_S:
@@ -76,8 +78,10 @@ class Limits:
             value = getattr(self, name)
             if not (value > 0.0 and math.isfinite(value)):
                 raise InputError(f"{name}: found {value:g}, needed is a positive number")
-        if not (self.clamp_margin_v >= 0.0 and math.isfinite(self.clamp_margin_v)):
-            raise InputError(f"clamp_margin_v: found {self.clamp_margin_v:g}, must not be negative")
+        for name in ("clamp_margin_v", "dwell_s"):
+            value = getattr(self, name)
+            if not (value >= 0.0 and math.isfinite(value)):
+                raise InputError(f"{name}: found {value:g}, must not be negative")
         for name, output in self.outputs.items():
             if not output.lower_v <= output.safe_v <= output.upper_v:
                 raise InputError(f"command {name!r}: its safe voltage lies outside of its range")
@@ -89,6 +93,7 @@ def limits_of(
     sensor_timeout_s: float = 0.1,
     slew_v_s: float = 2000.0,
     clamp_margin_v: float = 1.0,
+    dwell_s: float = 1.0,
 ) -> Limits:
     """Limits of the device of a register map.
 
@@ -98,6 +103,7 @@ def limits_of(
         sensor_timeout_s: How old the newest reading of a tap may be, s.
         slew_v_s: Fastest change of a voltage, V/s.
         clamp_margin_v: How far beyond its range a command is clamped, V.
+        dwell_s: For how long nothing may be wrong before commands are followed again, s.
 
     Raises:
         InputError: A number is not allowed on hardware.
@@ -120,4 +126,5 @@ def limits_of(
         sensor_timeout_s=sensor_timeout_s,
         slew_v_s=slew_v_s,
         clamp_margin_v=clamp_margin_v,
+        dwell_s=dwell_s,
     )

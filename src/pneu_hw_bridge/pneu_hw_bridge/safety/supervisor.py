@@ -9,8 +9,8 @@ state      because                                     left by
 E_STOP     somebody called for it                      ``reset``
 TRIPPED    a pressure rose above its limit             ``reset``, once the pressure is below again
 DISABLED   the bridge is not active                    ``enable``
-HOLDING    no fresh command, several publishers, bus   by itself when the reason is gone and a new
-           down, sensor stale, frozen, out of range    command has come
+HOLDING    no fresh command, several publishers, bus   by itself when the reason has been gone for
+           down, sensor stale, frozen, out of range    the dwell and a new command has come
            or below its limit
 FOLLOWING  nothing is wrong
 =========  ==========================================  ===========================================
@@ -115,6 +115,8 @@ class Supervisor:
         self._output = self.safe()
         self._output_s: float | None = None
         self._followed = False
+        self._wait_from_s = -math.inf
+        self._waits_for = ""
 
     def safe(self) -> dict[str, float]:
         """Returns the safe voltages."""
@@ -125,6 +127,7 @@ class Supervisor:
     def enable(self) -> None:
         """Lets commands through from now on; older ones are forgotten."""
         self.enabled = True
+        self._wait_from_s = -math.inf
         self._forget_commands()
 
     def disable(self) -> None:
@@ -164,6 +167,8 @@ class Supervisor:
                         f"{name} is still at {sensor.value_pa:.0f} Pa, above"
                         f" {limit.trip_above_pa:.0f} Pa"
                     )
+        if self.latches.e_stop or self.latches.trip:
+            self._wait_from_s = -math.inf
         self.latches.e_stop = ""
         self.latches.trip = ""
         self._forget_commands()
@@ -176,7 +181,7 @@ class Supervisor:
             count: How many.
         """
         self._publishers = count
-        if count > 1:
+        if count != 1:  # where there is none any more, that no command comes is not wrong
             self._forget_commands()
 
     def bus(self, fault: str) -> None:
@@ -255,7 +260,10 @@ class Supervisor:
         if value_pa != sensor.value_pa:
             sensor.changed_s = now_s
         sensor.value_pa = value_pa
-        if sensor.good and value_pa > limit.trip_above_pa and not self.latches.trip:
+        # A sensor that has come to the end of its range shows an over-pressure all the same; beyond
+        # that by more than its span it shows nothing: the number was spoilt on its way.
+        most_pa = 2.0 * limit.upper_pa - limit.lower_pa
+        if limit.trip_above_pa < value_pa <= most_pa and not self.latches.trip:
             self.counters.trips += 1
             self.latches.trip = (
                 f"over-pressure: {name} rose to {value_pa:.0f} Pa, above"
@@ -294,6 +302,9 @@ class Supervisor:
                 found.append(f"command {name}: none yet")
             elif age_s > self.limits.watchdog_s:
                 found.append(f"command {name}: none for {age_s:.2f} s")
+        left_s = self._wait_from_s + self.limits.dwell_s - now_s
+        if left_s > 0.0:
+            found.append(f"waits {left_s:.1f} s after: {self._waits_for}")
         return found
 
     def state(self, now_s: float) -> State:
@@ -332,6 +343,7 @@ class Supervisor:
             now_s: Now; never before an earlier call.
         """
         if self.state(now_s) is not State.FOLLOWING:
+            self._dwell(now_s)
             if self._followed and any(
                 now_s - fresh_s > self.limits.watchdog_s and not math.isinf(fresh_s)
                 for fresh_s in self._fresh_s.values()
@@ -356,9 +368,27 @@ class Supervisor:
         self._output_s = now_s
         return dict(self._output)
 
+    def _dwell(self, now_s: float) -> None:
+        """Begins to wait anew, once commands were followed, as long as anything goes wrong.
+
+        Valves that flutter with a sensor or a controller would wear out, and nobody could read the
+        log. That no command has come yet is not wrong.
+        """
+        waiting = now_s < self._wait_from_s + self.limits.dwell_s
+        if not (self._followed or waiting):
+            return
+        wrong = [
+            r
+            for r in self.reasons(now_s)
+            if not r.startswith("waits ") and not r.endswith(": none yet")
+        ]
+        if wrong or self._followed:
+            self._wait_from_s = now_s
+            self._waits_for = "; ".join(wrong) or self._waits_for
+
     def _held_by_fault(self, now_s: float) -> bool:
-        """Whether anything but the lack of commands holds."""
-        return any(not reason.startswith("command ") for reason in self.reasons(now_s))
+        """Whether anything but the lack of commands, or the wait after a fault, holds."""
+        return any(not reason.startswith(("command ", "waits ")) for reason in self.reasons(now_s))
 
     def _forget_commands(self) -> None:
         for name in self._fresh_s:
