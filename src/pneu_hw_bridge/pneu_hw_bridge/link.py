@@ -137,6 +137,16 @@ class Link:
             self._supervisor.bus(fault)
             self._look(time.monotonic())
 
+    def takes(self, mostly_s: float, usually_s: float) -> None:
+        """Takes note of how long it takes from a decision until all outputs are written.
+
+        Args:
+            mostly_s: In 95 of 100 cases at most, s.
+            usually_s: In every other case at most, s.
+        """
+        with self._lock:
+            self._supervisor.takes(mostly_s, usually_s)
+
     def _look(self, now_s: float) -> None:
         """Notes where the state is another than before, and why."""
         state = self._supervisor.state(now_s)
@@ -200,6 +210,12 @@ class Link:
         """
         with self._lock:
             self._supervisor.publishers(count)
+
+    @property
+    def watchdog_s(self) -> float:
+        """How long a command is followed now."""
+        with self._lock:
+            return self._supervisor.watchdog_s
 
     def take(self) -> list[Sample]:
         """Returns the samples that are to be published."""

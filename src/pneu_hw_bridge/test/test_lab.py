@@ -417,6 +417,9 @@ def test_labjack_profile_against_the_lab(start_lab, tmp_path, wait_until):
         def written(self, values, stamp_ns):
             pass
 
+        def takes(self, mostly_s, usually_s):
+            pass
+
         def bus(self, fault):
             self.fault = fault
 

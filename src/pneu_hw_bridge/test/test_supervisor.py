@@ -190,6 +190,29 @@ def test_latches_outlive_a_new_supervisor():
     assert again.state(0.0) is State.E_STOP
 
 
+@pytest.mark.parametrize("write_s", [0.0, 0.03, 0.06, 0.1, 0.12])
+def test_commands_are_followed_for_so_long_that_all_is_safe_in_time(write_s):
+    bench = Bench()
+    bench.supervisor.takes(write_s, write_s)
+    assert bench.step(command=5.0)[0] == 5.0
+    silent_s = 0.0
+    while bench.step(0.001)[0] != SAFE_V:
+        silent_s += 0.001
+    assert silent_s + write_s < 0.151
+    assert silent_s > min(0.1, 0.15 - write_s) - 0.002, "and for no less"
+
+
+def test_a_device_that_is_too_slow_is_not_driven_and_this_is_said():
+    bench = Bench()
+    bench.supervisor.takes(0.2, 0.14)
+    assert bench.step(command=5.0)[0] == SAFE_V
+    assert "too slow: valves would be safe after 0.16 s at best" in bench.supervisor.explain(
+        bench.now
+    )
+    bench.supervisor.takes(0.2, 0.1)  # now and then only
+    assert bench.step(command=5.0)[0] == 5.0
+
+
 def test_two_publishers_vent_until_one_is_gone():
     bench = Bench()
     bench.step(command=7.0)

@@ -55,7 +55,12 @@ class RequestError(Exception):
 
 
 class Client:
-    """One connection to one device, used from one event loop."""
+    """One connection to one device, used from one event loop, by one request at a time.
+
+    Attributes:
+        in_step: Whether answers are those to the latest requests; on a serial line others prove it
+            (`pneu_hw_bridge.modbus.in_step`).
+    """
 
     def __init__(self, device: Device, timeout_s: float, statistics: Statistics) -> None:
         """Prepares the connection; `connect` makes it.
@@ -69,6 +74,9 @@ class Client:
         self._timeout_s = timeout_s
         self._statistics = statistics
         self._heard_s = -math.inf
+        self._turn = asyncio.Lock()
+        self._lost = ""
+        self.in_step = device.transport == "tcp"
         self._modbus: AsyncModbusTcpClient | AsyncModbusSerialClient
         if device.transport == "tcp":
             self._modbus = AsyncModbusTcpClient(
@@ -103,12 +111,9 @@ class Client:
             up = await self._modbus.connect()
         except Exception as error:
             # A serial port fails in the ways of its driver, which share no class of exception.
-            self._statistics.connect_failures += 1
             return f"{fault} ({error})"
         if not up:
-            self._statistics.connect_failures += 1
             return fault
-        self._statistics.connects += 1
         self._forget_when_closed()
         return ""
 
@@ -222,9 +227,18 @@ class Client:
         self, what: str, send: Callable[..., Any], *args: Any, **options: Any
     ) -> Any:
         """Sends one request and sorts out what came back."""
+        async with self._turn:
+            return await self._request_now(what, send, *args, **options)
+
+    async def _request_now(
+        self, what: str, send: Callable[..., Any], *args: Any, **options: Any
+    ) -> Any:
+        """Does so at once."""
         begun_s = time.monotonic()
         if not self._modbus.connected:
             raise RequestError(f"{what}: not connected")
+        if self._lost:
+            raise RequestError(f"{what}: {self._lost}")
         try:
             reply = await send(*args, **options)
         except (ModbusException, OSError) as error:
@@ -238,6 +252,8 @@ class Client:
             else:
                 reason = str(error)
                 self._statistics.malformed += 1
+            if self.in_step and not self.usable:
+                self._lost = reason  # whoever comes next might take the answer for its own
             raise RequestError(f"{what}: {reason}") from None
         if reply.isError():
             self._statistics.exceptions += 1
@@ -247,7 +263,9 @@ class Client:
         if reply.function_code != _FUNCTIONS[send.__name__]:
             self._statistics.malformed += 1
             raise RequestError(f"{what}: answered with function {reply.function_code}")
-        self._statistics.request.add(time.monotonic() - begun_s)
+        took_s = time.monotonic() - begun_s
+        self._statistics.request.add(took_s)
+        self._statistics.reply.add(took_s)
         return reply
 
     def _heard(self, sending: bool, data: bytes) -> bytes:

@@ -4,6 +4,9 @@
 from collections import deque
 from dataclasses import dataclass, field
 
+LATEST = 64
+"""Durations by which it is judged how quick a device is now."""
+
 RECENT = 2000
 """Durations that quantiles are taken over."""
 
@@ -61,6 +64,7 @@ class Statistics:
         reads_without_news: Reads that found no new sample.
         commands_skipped: Commands of which the device no longer told when it took them.
         request: Durations of single requests.
+        reply: The same of the latest few, by which replies are called slow.
         command: Durations from a command's arrival to its confirmation by the device.
     """
 
@@ -82,6 +86,7 @@ class Statistics:
     reads_without_news: int = 0
     commands_skipped: int = 0
     request: Durations = field(default_factory=Durations)
+    reply: Durations = field(default_factory=lambda: Durations(deque(maxlen=LATEST)))
     command: Durations = field(default_factory=Durations)
 
     def counters(self) -> dict[str, int]:

@@ -7,7 +7,7 @@ from typing import Any
 from rclpy.node import Node
 
 from pneu_hw_bridge.modbus.bus import LONGEST_TIMEOUT_S
-from pneu_hw_bridge.safety.limits import LONGEST_WATCHDOG_S
+from pneu_hw_bridge.safety.limits import LONGEST_WATCHDOG_S, SAFE_WITHIN_S
 from pneu_sim.nodes.common import declare
 
 
@@ -26,6 +26,7 @@ class Settings:
         slew_v_s: Fastest change of a voltage.
         clamp_margin_v: How far beyond its range a command is clamped rather than refused.
         dwell_s: For how long nothing may be wrong before commands are followed again.
+        safe_within_s: How soon the valves must be safe at the device.
         frame_id: Frame of the set of readings.
         publish_clock: Whether the time of the newest sample is published on ``/clock``.
     """
@@ -40,6 +41,7 @@ class Settings:
     slew_v_s: float
     clamp_margin_v: float
     dwell_s: float
+    safe_within_s: float
     frame_id: str
     publish_clock: bool
 
@@ -109,6 +111,14 @@ def declare_parameters(node: Node) -> None:
         "after anything went wrong commands are followed again once nothing did for so long",
         (0.0, 60.0),
     )
+    declare(
+        node,
+        "safe_within_s",
+        SAFE_WITHIN_S,
+        "so soon valves must be safe at the device; settings and devices that are slower are"
+        " refused, so raise it knowingly",
+        (0.05, 60.0),
+    )
     declare(node, "frame_id", "", "frame_id of taps/pressures")
     declare(
         node,
@@ -147,6 +157,7 @@ def read_parameters(node: Node) -> Settings:
         slew_v_s=value("slew_v_s"),
         clamp_margin_v=value("clamp_margin_v"),
         dwell_s=value("dwell_s"),
+        safe_within_s=value("safe_within_s"),
         frame_id=value("frame_id"),
         publish_clock=value("publish_clock"),
     )

@@ -9,9 +9,12 @@ vented; activate lets commands through; deactivate, an error, and the end of the
 writing to the bus and reading it back.
 """
 
+import functools
+import math
 import signal
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
@@ -32,6 +35,7 @@ from pneu_hw_bridge.nodes.readings import ReadingsPublisher
 from pneu_hw_bridge.nodes.settings import declare_parameters, read_parameters
 from pneu_hw_bridge.priority import precedence
 from pneu_hw_bridge.registers.load import load_register_map
+from pneu_hw_bridge.safety.bound import Bound, bound, check
 from pneu_hw_bridge.safety.lateness import Lateness
 from pneu_hw_bridge.safety.limits import limits_of
 from pneu_hw_bridge.safety.supervisor import Latches, State, Supervisor
@@ -56,6 +60,14 @@ LOOK_S = 0.05
 
 BEHIND_S = 0.1
 """A device's clock that has fallen behind by more is told of."""
+
+CYCLES_TO_TELL = 20
+"""After so many it is known how quick a device is."""
+
+NO_WATCHDOG = (
+    "its register map has no device.watchdog_s: if this bridge is killed or its line cut, the"
+    " valves STAY AS THEY ARE"
+)
 
 E_STOP_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -92,6 +104,8 @@ class ValveBridge(LifecycleNode):
         self._readings: ReadingsPublisher | None = None
         self._entities: list[tuple[Any, Any]] = []
         self._skipped = 0
+        self._bound: Callable[[float, float], Bound] | None = None
+        self._bound_told = False
         self._e_stop = self.create_publisher(Bool, "e_stop", E_STOP_QOS)
         self._applied = self.create_publisher(ValveCommand, topics.APPLIED_TOPIC, READINGS_QOS)
         self.create_service(Trigger, "~/e_stop", self._on_e_stop)
@@ -134,7 +148,9 @@ class ValveBridge(LifecycleNode):
                 settings.slew_v_s,
                 settings.clamp_margin_v,
                 settings.dwell_s,
+                settings.safe_within_s,
             )
+            check(registers, limits, 1.0 / settings.rate_hz, settings.timeout_s)
             arrived = self.create_guard_condition(self._on_samples)
             self._entities.append((self.destroy_guard_condition, arrived))
             self._link = Link(
@@ -144,6 +160,7 @@ class ValveBridge(LifecycleNode):
             )
             clock = self.get_clock()
             self._skipped = 0
+            self._bound_told = False
             self._bus = ModbusBus(
                 registers,
                 self._link,
@@ -166,6 +183,9 @@ class ValveBridge(LifecycleNode):
             (self.destroy_subscription, listener),
             (self.destroy_timer, look),
         ]
+        if registers.device.watchdog_s is None:
+            self.get_logger().error(f"{registers.name}: {NO_WATCHDOG}")
+        self._bound = functools.partial(bound, registers, limits, 1.0 / settings.rate_hz)
         self._bus.start()
         return super().on_configure(state)
 
@@ -315,6 +335,7 @@ class ValveBridge(LifecycleNode):
         if count != 1:  # whoever comes next has a clock of its own
             self._lateness = Lateness()
         self._say_clock()
+        self._say_bound(link)
         changes = link.take_changes()
         for state, reason in changes:
             text = f"{state.value}{': ' if reason else ''}{reason}"
@@ -326,6 +347,21 @@ class ValveBridge(LifecycleNode):
                 self.get_logger().info(text)
         if changes:
             self._diagnostics.publish()
+
+    def _say_bound(self, link: Link) -> None:
+        """Logs once how soon the valves are safe, as soon as that was measured."""
+        bus = self._bus
+        if self._bound_told or bus is None or bus.statistics.cycles < CYCLES_TO_TELL:
+            return
+        self._bound_told = True
+        found = self._worst(link, bus)
+        say = self.get_logger().info if math.isfinite(found.dead_s) else self.get_logger().warning
+        say(f"{found} ({bus.lines} connections)")
+
+    def _worst(self, link: Link, bus: ModbusBus) -> Bound:
+        """How soon the valves are safe, at worst, as replies are now."""
+        assert self._bound is not None
+        return self._bound(bus.takes_s(0.95), link.watchdog_s)
 
     def _say_clock(self) -> None:
         """Logs what became of the device's clock."""
@@ -398,8 +434,11 @@ class ValveBridge(LifecycleNode):
         }
         safety = status(level, f"{name}: safety", message, values, "modbus")
         counts = bus.statistics
+        worst = self._worst(link, bus)
         values = {
+            **{f"safe after {event} [s]": s for event, s in worst.by_event().items()},
             **counts.counters(),
+            "connections": bus.lines,
             "outputs can be read back": bus.readable,
             "request p50 [s]": counts.request.quantile(0.5),
             "request p99 [s]": counts.request.quantile(0.99),
@@ -407,7 +446,11 @@ class ValveBridge(LifecycleNode):
             "command to confirmation p99 [s]": counts.command.quantile(0.99),
         }
         level = DiagnosticStatus.ERROR if bus.fault else DiagnosticStatus.OK
-        lines = [safety, status(level, f"{name}: bus", bus.fault or "works", values, "modbus")]
+        text = bus.fault or "works"
+        if math.isinf(worst.dead_s):
+            level = max(level, DiagnosticStatus.WARN)
+            text = f"{text}; {NO_WATCHDOG}"
+        lines = [safety, status(level, f"{name}: bus", text, values, "modbus")]
         return lines if bus.clock is None else [*lines, self._report_clock(bus, bus.clock)]
 
     def _report_clock(self, bus: ModbusBus, clock: DeviceClock) -> DiagnosticStatus:

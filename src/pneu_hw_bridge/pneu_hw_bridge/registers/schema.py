@@ -32,6 +32,8 @@ class Device(Part):
         parity: ``N`` none, ``E`` even, ``O`` odd.
         stop_bits: Stop bits.
         unit: Modbus unit (slave) address.
+        connections: How many of the device's TCP connections the bridge may use: with two a command
+            never waits for a reading. Where the device serves one only, one is used.
         watchdog_s: After how long without a write the device itself goes to its safe state, s; None
             where it does not.
     """
@@ -44,6 +46,7 @@ class Device(Part):
     parity: Literal["N", "E", "O"] = "E"
     stop_bits: Literal[1, 2] = 1
     unit: int = Field(default=1, ge=0, le=247)
+    connections: Literal[1, 2] = 2
     watchdog_s: Positive | None = None
 
 

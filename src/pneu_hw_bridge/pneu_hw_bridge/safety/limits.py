@@ -11,6 +11,12 @@ from pneu_sim.errors import InputError
 LONGEST_WATCHDOG_S = 0.1
 """Longest time that hardware may run on without a new command."""
 
+SHORTEST_WATCHDOG_S = 0.02
+"""However slow a device is, commands may be so far apart; else none is followed."""
+
+SAFE_WITHIN_S = 0.15
+"""How soon valves are to be safe, unless somebody allows for more."""
+
 
 @dataclass(frozen=True)
 class OutputLimits:
@@ -58,6 +64,7 @@ class Limits:
         slew_v_s: Fastest change of a voltage while commands are followed.
         clamp_margin_v: How far beyond its range a command is clamped; beyond that it is refused.
         dwell_s: For how long nothing may be wrong before commands are followed again.
+        safe_within_s: How soon the valves must be safe at the device.
     """
 
     outputs: Mapping[str, OutputLimits]
@@ -67,6 +74,7 @@ class Limits:
     slew_v_s: float = 2000.0
     clamp_margin_v: float = 1.0
     dwell_s: float = 1.0
+    safe_within_s: float = SAFE_WITHIN_S
 
     def __post_init__(self) -> None:
         if not 0.0 < self.watchdog_s <= LONGEST_WATCHDOG_S:
@@ -74,7 +82,7 @@ class Limits:
                 f"watchdog_s: found {self.watchdog_s:g}, hardware needs more than 0 and at most"
                 f" {LONGEST_WATCHDOG_S:g} s"
             )
-        for name in ("sensor_timeout_s", "slew_v_s"):
+        for name in ("sensor_timeout_s", "slew_v_s", "safe_within_s"):
             value = getattr(self, name)
             if not (value > 0.0 and math.isfinite(value)):
                 raise InputError(f"{name}: found {value:g}, needed is a positive number")
@@ -94,6 +102,7 @@ def limits_of(
     slew_v_s: float = 2000.0,
     clamp_margin_v: float = 1.0,
     dwell_s: float = 1.0,
+    safe_within_s: float = SAFE_WITHIN_S,
 ) -> Limits:
     """Limits of the device of a register map.
 
@@ -104,6 +113,7 @@ def limits_of(
         slew_v_s: Fastest change of a voltage, V/s.
         clamp_margin_v: How far beyond its range a command is clamped, V.
         dwell_s: For how long nothing may be wrong before commands are followed again, s.
+        safe_within_s: How soon the valves must be safe at the device, s.
 
     Raises:
         InputError: A number is not allowed on hardware.
@@ -127,4 +137,5 @@ def limits_of(
         slew_v_s=slew_v_s,
         clamp_margin_v=clamp_margin_v,
         dwell_s=dwell_s,
+        safe_within_s=safe_within_s,
     )

@@ -23,7 +23,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from pneu_hw_bridge.safety.limits import Limits
+from pneu_hw_bridge.safety.limits import SHORTEST_WATCHDOG_S, Limits
 
 
 class State(enum.Enum):
@@ -117,6 +117,8 @@ class Supervisor:
         self._followed = False
         self._wait_from_s = -math.inf
         self._waits_for = ""
+        self._mostly_s = 0.0
+        self._usually_s = 0.0
 
     def safe(self) -> dict[str, float]:
         """Returns the safe voltages."""
@@ -183,6 +185,25 @@ class Supervisor:
         self._publishers = count
         if count != 1:  # where there is none any more, that no command comes is not wrong
             self._forget_commands()
+
+    def takes(self, mostly_s: float, usually_s: float) -> None:
+        """Takes note of how long it takes from a decision until all outputs are written.
+
+        Args:
+            mostly_s: In 95 of 100 cases at most, s; NaN where it is not known.
+            usually_s: In every other case at most, s; NaN where it is not known.
+        """
+        self._mostly_s = 0.0 if math.isnan(mostly_s) else mostly_s
+        self._usually_s = 0.0 if math.isnan(usually_s) else usually_s
+
+    @property
+    def watchdog_s(self) -> float:
+        """How long a command is followed: shorter where it takes long to write.
+
+        With what it takes to write the valves are safe within `Limits.safe_within_s`.
+        """
+        left_s = self.limits.safe_within_s - self._mostly_s
+        return min(self.limits.watchdog_s, max(left_s, SHORTEST_WATCHDOG_S))
 
     def bus(self, fault: str) -> None:
         """Takes note of the bus.
@@ -296,12 +317,21 @@ class Supervisor:
                 )
             elif sensor.seen_s - sensor.changed_s > limit.frozen_after_s:
                 found.append(f"sensor {name}: frozen at {sensor.value_pa:.0f} Pa")
+        within_s = self.limits.safe_within_s
+        if (at_best_s := SHORTEST_WATCHDOG_S + self._usually_s) > within_s:
+            found.append(
+                f"the device is too slow: valves would be safe after {at_best_s:.2f} s at best,"
+                f" allowed is {within_s:g} s (safe_within_s)"
+            )
+        watchdog_s = self.watchdog_s
         for name, fresh_s in self._fresh_s.items():
             age_s = now_s - fresh_s
             if math.isinf(age_s):
                 found.append(f"command {name}: none yet")
-            elif age_s > self.limits.watchdog_s:
-                found.append(f"command {name}: none for {age_s:.2f} s")
+            elif age_s > watchdog_s:
+                most = f", allowed {watchdog_s:.3f} s as the device is slow"
+                slow = watchdog_s < self.limits.watchdog_s
+                found.append(f"command {name}: none for {age_s:.2f} s{most if slow else ''}")
         left_s = self._wait_from_s + self.limits.dwell_s - now_s
         if left_s > 0.0:
             found.append(f"waits {left_s:.1f} s after: {self._waits_for}")
@@ -345,7 +375,7 @@ class Supervisor:
         if self.state(now_s) is not State.FOLLOWING:
             self._dwell(now_s)
             if self._followed and any(
-                now_s - fresh_s > self.limits.watchdog_s and not math.isinf(fresh_s)
+                now_s - fresh_s > self.watchdog_s and not math.isinf(fresh_s)
                 for fresh_s in self._fresh_s.values()
             ):
                 self.counters.watchdog += 1
