@@ -202,14 +202,15 @@ class Link:
         with self._lock:
             return self._supervisor.reset(time.monotonic())
 
-    def publishers(self, count: int) -> None:
+    def publishers(self, count: int, wrong: str = "") -> None:
         """Takes note of the publishers of the command topic.
 
         Args:
             count: How many.
+            wrong: Why they are not followed, whatever their number; empty where they may be.
         """
         with self._lock:
-            self._supervisor.publishers(count)
+            self._supervisor.publishers(count, wrong)
 
     @property
     def watchdog_s(self) -> float:

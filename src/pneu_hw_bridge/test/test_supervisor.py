@@ -272,6 +272,28 @@ def test_a_lost_bus_vents_and_forgets_commands():
     assert bench.follows_after_a_second(7.0)
 
 
+def test_a_command_of_nobody_who_is_known_is_not_followed():
+    bench = Bench()
+    bench.supervisor.publishers(0)
+    assert bench.step(command=7.0) == (SAFE_V, "nobody is known to publish commands")
+    bench.supervisor.publishers(1)
+    assert bench.step()[0] == SAFE_V, "nor is it later"
+    assert bench.step(command=7.0)[0] == 7.0
+    bench.supervisor.publishers(1, "the publisher on the command topic belongs to no node")
+    assert "belongs to no node" in bench.step(command=7.0)[1]
+    assert bench.step()[0] == SAFE_V
+
+
+def test_the_next_controller_has_not_to_wait_for_the_one_before():
+    bench = Bench()
+    bench.step(command=7.0)
+    bench.supervisor.publishers(0)
+    for _ in range(300):
+        assert bench.step()[0] == SAFE_V
+    bench.supervisor.publishers(1)
+    assert bench.step(command=6.0)[0] == 6.0
+
+
 def test_unknown_outputs_are_refused():
     bench = Bench()
     assert "this bridge has voltage" in bench.supervisor.command({"other": 1.0}, bench.now)
@@ -307,7 +329,7 @@ def test_under_any_stream_only_fresh_valid_commands_reach_the_valves(seed):
                 value = rng.choice([math.nan, math.inf, -math.inf, 50.0, -3.0])
             supervisor.command({"voltage": value}, now)
             valid = -1.0 <= value <= 11.0
-            if valid and enabled and publishers <= 1 and not e_stop and not tripped:
+            if valid and enabled and publishers == 1 and not e_stop and not tripped:
                 good_s = now
         elif event < 0.92:
             enabled, opened_s = rng.random() < 0.8, []
@@ -319,6 +341,8 @@ def test_under_any_stream_only_fresh_valid_commands_reach_the_valves(seed):
         elif event < 0.96:
             publishers = rng.choice([0, 1, 1, 1, 2])
             supervisor.publishers(publishers)
+            if publishers != 1:
+                good_s = -math.inf
         elif event < 0.965:
             supervisor.e_stop("test")
             e_stop, good_s = True, -math.inf

@@ -324,13 +324,30 @@ def test_end_by_a_signal(number, healthy_lab, graph, wait_until):
 def test_two_publishers(bridge, lab, graph, wait_until):
     follow(lab, graph, wait_until)
     judge = watch(lab, bridge).judge
+    since = len(lab.ask("history")["history"])
     other = graph.node.create_publisher(ValveCommand, "valve/command", COMMAND_QOS)
     begun_s = time.monotonic()
-    time.sleep(0.5)
+    for _ in range(250):
+        other.publish(ValveCommand(name=["voltage"], voltage_v=[9.5]))
+        time.sleep(0.002)
     judge(safe_since(lab)[0], begun_s)
+    written = [change["volts"]["voltage"] for change in lab.ask("history")["history"][since:]]
+    assert 9.5 not in written, "nothing of a rival ever gets to the valve"
     wait_until(lambda: "2 publishers" in graph.status().message)
     graph.node.destroy_publisher(other)
     wait_until(lambda: lab.volts() == 5.5)
+
+
+def test_only_the_node_that_is_named_may_command(healthy_lab, graph, wait_until):
+    graph.volts = 5.5
+    name = graph.node.get_fully_qualified_name()
+    with running_bridge(healthy_lab.port, "autostart:=true", "commander:=/lab/policy"):
+        wait_until(
+            lambda: graph.status() and f"{name} publishes commands" in graph.status().message, 20.0
+        )
+        assert healthy_lab.volts() == 0.0
+    with running_bridge(healthy_lab.port, "autostart:=true", f"commander:={name}"):
+        follow(healthy_lab, graph, wait_until)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e9, -50.0])

@@ -145,7 +145,7 @@ class Reader:
         """
         now_s = time.monotonic()
         due = self.foreign or now_s >= self._looked_s + LOOK_BACK_S
-        # Readings must not grow old for it while valves are open; while they are not it is all ours.
+        # Readings must not grow old for it while valves are open.
         slow = self._statistics.reply.quantile(0.95) > SLOW_S
         if not (self.readable and due) or (slow and not writer.is_safe):
             return

@@ -27,6 +27,7 @@ class Settings:
         clamp_margin_v: How far beyond its range a command is clamped rather than refused.
         dwell_s: For how long nothing may be wrong before commands are followed again.
         safe_within_s: How soon the valves must be safe at the device.
+        commander: The node that may command; empty for any.
         frame_id: Frame of the set of readings.
         publish_clock: Whether the time of the newest sample is published on ``/clock``.
     """
@@ -42,6 +43,7 @@ class Settings:
     clamp_margin_v: float
     dwell_s: float
     safe_within_s: float
+    commander: str
     frame_id: str
     publish_clock: bool
 
@@ -119,6 +121,12 @@ def declare_parameters(node: Node) -> None:
         " refused, so raise it knowingly",
         (0.05, 60.0),
     )
+    declare(
+        node,
+        "commander",
+        "",
+        "full name of the node that may command, such as /lab/policy; empty for any one node",
+    )
     declare(node, "frame_id", "", "frame_id of taps/pressures")
     declare(
         node,
@@ -158,6 +166,7 @@ def read_parameters(node: Node) -> Settings:
         clamp_margin_v=value("clamp_margin_v"),
         dwell_s=value("dwell_s"),
         safe_within_s=value("safe_within_s"),
+        commander=value("commander"),
         frame_id=value("frame_id"),
         publish_clock=value("publish_clock"),
     )

@@ -33,6 +33,7 @@ from pneu_hw_bridge.link import Link, Sample
 from pneu_hw_bridge.modbus.bus import ModbusBus
 from pneu_hw_bridge.nodes.readings import ReadingsPublisher
 from pneu_hw_bridge.nodes.settings import declare_parameters, read_parameters
+from pneu_hw_bridge.nodes.writers import wrong_writer
 from pneu_hw_bridge.priority import precedence
 from pneu_hw_bridge.registers.load import load_register_map
 from pneu_hw_bridge.safety.bound import Bound, bound, check
@@ -106,6 +107,10 @@ class ValveBridge(LifecycleNode):
         self._skipped = 0
         self._bound: Callable[[float, float], Bound] | None = None
         self._bound_told = False
+        self._writers = 0
+        self._commander = ""
+        # By its final name: counting expands a name, but does not remap it.
+        self._command_topic = self.resolve_topic_name(COMMAND_TOPIC)
         self._e_stop = self.create_publisher(Bool, "e_stop", E_STOP_QOS)
         self._applied = self.create_publisher(ValveCommand, topics.APPLIED_TOPIC, READINGS_QOS)
         self.create_service(Trigger, "~/e_stop", self._on_e_stop)
@@ -161,6 +166,7 @@ class ValveBridge(LifecycleNode):
             clock = self.get_clock()
             self._skipped = 0
             self._bound_told = False
+            self._commander = settings.commander
             self._bus = ModbusBus(
                 registers,
                 self._link,
@@ -295,6 +301,8 @@ class ValveBridge(LifecycleNode):
             link.malformed()
             refused = f"{len(names)} names and {len(voltages)} voltages, needed are pairs"
         else:
+            if self.count_publishers(self._command_topic) != self._writers:
+                self._count_writers(link)  # before anything of a new one is followed
             received_s = time.monotonic()
             sent_ns = info["source_timestamp"]  # 0 where the middleware does not tell
             late_s = self._lateness.of(1e-9 * sent_ns, received_s) if sent_ns > 0 else 0.0
@@ -329,11 +337,7 @@ class ValveBridge(LifecycleNode):
         link = self._link
         if link is None:
             return
-        # By its final name: counting expands a name, but does not remap it.
-        count = self.count_publishers(self.resolve_topic_name(COMMAND_TOPIC))
-        link.publishers(count)
-        if count != 1:  # whoever comes next has a clock of its own
-            self._lateness = Lateness()
+        self._count_writers(link)
         self._say_clock()
         self._say_bound(link)
         changes = link.take_changes()
@@ -347,6 +351,14 @@ class ValveBridge(LifecycleNode):
                 self.get_logger().info(text)
         if changes:
             self._diagnostics.publish()
+
+    def _count_writers(self, link: Link) -> None:
+        """Looks who may command: one node, and the one that is named where one is."""
+        found = self.get_publishers_info_by_topic(COMMAND_TOPIC)
+        self._writers = len(found)
+        if len(found) != 1:  # whoever comes next has a clock of its own
+            self._lateness = Lateness()
+        link.publishers(len(found), wrong_writer(found, self._commander))
 
     def _say_bound(self, link: Link) -> None:
         """Logs once how soon the valves are safe, as soon as that was measured."""

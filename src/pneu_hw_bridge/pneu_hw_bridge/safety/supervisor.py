@@ -45,7 +45,7 @@ class Counters:
         not_finite: Commands refused because a voltage was infinite.
         out_of_range: Commands refused because a voltage lay far outside its range.
         unknown: Commands refused because they named no output of this bridge, or were malformed.
-        competing: Commands refused because there was more than one publisher.
+        competing: Commands refused because of who publishes: several, or somebody who is not known.
         clamped: Voltages clamped to their range.
         slew_limited: Outputs held back by the slew limit.
         watchdog: Times the command watchdog ended following.
@@ -109,6 +109,7 @@ class Supervisor:
     def __post_init__(self) -> None:
         self._bus = "not connected yet"
         self._publishers = 0
+        self._wrong_publisher = ""
         self._target = {name: math.nan for name in self.limits.outputs}
         self._fresh_s = {name: -math.inf for name in self.limits.outputs}
         self._sensors = {name: _Sensor() for name in self.limits.sensors}
@@ -176,14 +177,17 @@ class Supervisor:
         self._forget_commands()
         return ""
 
-    def publishers(self, count: int) -> None:
-        """Takes note of how many publishers the command topic has.
+    def publishers(self, count: int, wrong: str = "") -> None:
+        """Takes note of the publishers of the command topic.
 
         Args:
-            count: How many.
+            count: How many; a command is not followed before there is one.
+            wrong: Why they are not followed, whatever their number; empty where they may be.
         """
-        self._publishers = count
-        if count != 1:  # where there is none any more, that no command comes is not wrong
+        if count > 1:
+            wrong = f"{count} publishers on the command topic, one is allowed"
+        self._publishers, self._wrong_publisher = count, wrong
+        if wrong or not count:  # where there is none any more, that no command comes is not wrong
             self._forget_commands()
 
     def takes(self, mostly_s: float, usually_s: float) -> None:
@@ -248,9 +252,9 @@ class Supervisor:
         if not taken:
             self.counters.not_finite += 1
             return "the command has no voltage but NaN"
-        if self._publishers > 1:
+        if self._wrong_publisher or not self._publishers:
             self.counters.competing += 1
-            return f"{self._publishers} publishers on the command topic, one is allowed"
+            return self._wrong_publisher or "nobody is known to publish commands"
         if self.latches.e_stop or self.latches.trip:
             return self.latches.e_stop or self.latches.trip
         if not self.enabled:
@@ -301,8 +305,8 @@ class Supervisor:
             now_s: Now.
         """
         found = [f"bus: {self._bus}"] if self._bus else []
-        if self._publishers > 1:
-            found.append(f"{self._publishers} publishers on the command topic, one is allowed")
+        if self._wrong_publisher:
+            found.append(self._wrong_publisher)
         for name, limit in self.limits.sensors.items():
             sensor = self._sensors[name]
             age_s = now_s - sensor.seen_s
