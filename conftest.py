@@ -5,8 +5,12 @@ An interrupt reaches the processes they start: a shell starts background jobs wi
 and children inherit that; tests that interrupt a node would then wait for it for ever.
 """
 
+import atexit
 import json
+import os
+import shutil
 import signal
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -14,6 +18,10 @@ from tests import measured
 from tests.parts import LONGEST, REALTIME
 
 ROOT = Path(__file__).parent
+# Bridges of tests do not meet those of their user, nor those of other workers.
+_BRIDGES = tempfile.mkdtemp(prefix="pneu-test-")
+atexit.register(shutil.rmtree, _BRIDGES, ignore_errors=True)
+os.environ.update(PNEU_STATE_DIR=f"{_BRIDGES}/state", PNEU_RUN_DIR=f"{_BRIDGES}/run")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 

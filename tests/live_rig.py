@@ -114,7 +114,8 @@ class LaunchedNodes(Processes):
         scratch = self.folder / f"plan{self._plans}"
         scratch.mkdir()
         words = {key: str(value) for key, value in {**self._arguments, **arguments}.items()}
-        plan = Plan(LAUNCH, words, dict(os.environ), scratch)
+        environment = {**os.environ, "PNEU_STATE_DIR": str(self.folder / "state")}
+        plan = Plan(LAUNCH, words, environment, scratch)
         for spec in plan.processes:
             (name,) = [w[8:] for w in spec.command if w.startswith("__node:=")]
             if not names or name in names:
@@ -258,9 +259,13 @@ class HardwareRig:
         """Releases a trip, which stays by design, and waits until the valves are followed."""
         status = self.graph.wait_until_told("bridge: safety", "", self.graph.mark())
         if "tripped" in status.message:
-            answer = self.graph.call(Trigger, "/lab/valve_bridge/reset_e_stop", Trigger.Request())
-            assert answer.success, answer.message
+            self.reset()
         self.follows()
+
+    def reset(self):
+        """Releases an emergency stop or a trip."""
+        answer = self.graph.call(Trigger, "/lab/valve_bridge/reset_e_stop", Trigger.Request())
+        assert answer.success, answer.message
 
     def watch(self, *others):
         """A watch for which the bridge, the lab, and other processes of the graph have to run."""

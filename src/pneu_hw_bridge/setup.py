@@ -26,5 +26,6 @@ setup(
     entry_points={
         "console_scripts": ["valve_bridge = pneu_hw_bridge.nodes.valve_bridge:main"],
         "pneu.commands": ["3-lab = pneu_hw_bridge.commands:register"],
+        "pneu.at_once": ["stop = pneu_hw_bridge.stop_command:at_once"],
     },
 )

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from pneu_hw_bridge import stop_command
 from pneu_hw_bridge.lab.asking import CONTROL_PORT, MODBUS_PORT, ask
 from pneu_hw_bridge.lab.faults import KINDS
 from pneu_sim.documents import read_json
@@ -44,6 +45,21 @@ def register(app: typer.Typer) -> None:
     lab.command("seal")(seal_effects)
     lab.command("reveal")(reveal)
     app.add_typer(lab, name="lab")
+    app.command("stop")(stop)
+
+
+def stop(
+    reason: Annotated[str, typer.Option(help="Who calls for it, for the log.")] = "pneu stop",
+    local: Annotated[
+        bool, typer.Option("--local", help="Only the bridges of this machine; do not look further.")
+    ] = False,
+) -> None:
+    """Stop: vent the valves of all bridges, of this machine at once, then of all on the graph.
+
+    They stay vented, over a restart too, until each is reset (service ~/reset_e_stop). Exit status
+    1 where one does not confirm that its valves are safe, or where there is no bridge.
+    """
+    raise typer.Exit(stop_command.stop(reason, local))
 
 
 def run(

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from contextlib import contextmanager
@@ -133,18 +134,34 @@ def graph():
 
 
 @contextmanager
-def running_bridge(port, *parameters):
-    """The node as a process."""
+def running_bridge(port, *parameters, state=None, remap=(), namespace=""):
+    """The node as a process, which remembers nothing unless it is told where."""
     command = [sys.executable, "-c", START, "--ros-args", "-p", f"port:={port}"]
     for parameter in parameters:
         command += ["-p", parameter]
-    process = subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True)
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.communicate(timeout=10)
+    for rule in (*remap, *([f"__ns:={namespace}"] if namespace else [])):
+        command += ["-r", rule]
+    with tempfile.TemporaryDirectory() as fresh:
+        environment = {**ENVIRONMENT, "PNEU_STATE_DIR": str(state or fresh)}
+        process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.kill()
+            process.communicate(timeout=10)
+
+
+def pneu_stop(*words):
+    """Runs `pneu stop` as a user does, who has pressed the key just before."""
+    program = "import sys; from pneu_runtime.entry import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", program, "stop", *words],
+        env=ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
 
 
 @pytest.fixture
@@ -276,6 +293,95 @@ def test_emergency_stop(bridge, lab, graph, wait_until):
     assert graph.call(Trigger, "valve_bridge/reset_e_stop").success
     wait_until(lambda: lab.volts() == 5.5)
     wait_until(lambda: not graph.stops[-1].data)
+
+
+def test_a_stop_from_the_shell(bridge, lab, graph, wait_until):
+    """All bridges of the machine, without waiting for the graph."""
+    follow(lab, graph, wait_until)
+    watched, begun_s = watch(lab, bridge), time.monotonic()
+    told = pneu_stop("--local")
+    took_s = time.monotonic() - begun_s
+    assert told.returncode == 0, told.stderr
+    assert told.stdout == "/valve_bridge: safe, read back voltage 0 V\n"
+    watched.judge(safe_since(lab)[0], begun_s, begun_s + took_s - 0.05, within_s=0.3)
+    wait_until(lambda: graph.stops[-1].data)
+    assert "pneu stop" in graph.status().message or wait_until(
+        lambda: "pneu stop" in graph.status().message
+    )
+    assert graph.call(Trigger, "valve_bridge/reset_e_stop").success
+    wait_until(lambda: lab.volts() == 5.5)
+
+
+def test_a_stop_from_the_shell_finds_bridges_of_other_machines(
+    healthy_lab, graph, wait_until, tmp_path, monkeypatch
+):
+    """This one's sockets cannot be seen: its service is called."""
+    with running_bridge(healthy_lab.port, "autostart:=true", namespace="/far"):
+        graph.publisher = graph.node.create_publisher(
+            ValveCommand, "/far/valve/command", COMMAND_QOS
+        )
+        follow(healthy_lab, graph, wait_until)
+        monkeypatch.setitem(ENVIRONMENT, "PNEU_RUN_DIR", str(tmp_path))
+        told = pneu_stop()
+        assert told.returncode == 0, told.stderr
+        assert told.stdout == "/far/valve_bridge: safe, read back voltage 0 V\n"
+        assert healthy_lab.volts() == 0.0
+        told = pneu_stop("--local")
+        assert (told.returncode, told.stdout) == (1, "no bridge found on this machine\n")
+
+
+def test_bridges_that_share_a_device_obey_one_stop(healthy_lab, graph, wait_until):
+    other = running_bridge(
+        healthy_lab.port, "autostart:=true", remap=["__node:=other_bridge"], namespace="/other"
+    )
+    with running_bridge(healthy_lab.port, "autostart:=true"), other:
+        stops = []
+        graph.node.create_subscription(Bool, "/other/e_stop", stops.append, LATCHED_QOS)
+        wait_until(lambda: stops and graph.stops, 20.0)
+        assert not stops[-1].data
+        assert graph.call(Trigger, "valve_bridge/e_stop").message
+        wait_until(lambda: stops[-1].data, 3.0)
+
+
+def test_a_bridge_obeys_the_stop_of_another_one_in_its_namespace(
+    healthy_lab, graph, wait_until, tmp_path, monkeypatch
+):
+    """Over the graph, as between two machines."""
+    monkeypatch.setitem(ENVIRONMENT, "PNEU_RUN_DIR", str(tmp_path / "one"))
+    with running_bridge(healthy_lab.port, "autostart:=true"):
+        follow(healthy_lab, graph, wait_until)
+        monkeypatch.setitem(ENVIRONMENT, "PNEU_RUN_DIR", str(tmp_path / "two"))
+        with running_bridge(1, "autostart:=true", remap=["__node:=other_bridge"]):
+            assert "no connection" in graph.call(Trigger, "other_bridge/e_stop").message
+            wait_until(lambda: healthy_lab.volts() == 0.0, 3.0)
+            wait_until(lambda: "another bridge of this namespace" in graph.status().message)
+
+
+@pytest.mark.parametrize("how", ["stopped", "tripped", "killed", "interrupted"])
+def test_a_restart_forgets_no_stop(how, healthy_lab, graph, wait_until, tmp_path):
+    lab, state = healthy_lab, tmp_path / "state"
+    with running_bridge(lab.port, "autostart:=true", state=state) as bridge:
+        follow(lab, graph, wait_until)
+        if how == "stopped":
+            assert graph.call(Trigger, "valve_bridge/e_stop").success
+        elif how == "tripped":
+            lab.ask("fault", name="out_of_range", channel="end", value=9.5e5)
+            wait_until(lambda: "tripped" in graph.status().message)
+            lab.ask("clear")
+            time.sleep(0.2)
+        bridge.send_signal(signal.SIGKILL if how == "killed" else signal.SIGTERM)
+        bridge.wait(10.0)
+    graph.health.clear()
+    with running_bridge(lab.port, "autostart:=true", state=state):
+        if how == "interrupted":  # it vented and said so
+            follow(lab, graph, wait_until)
+            return
+        said = {"stopped": "by service", "tripped": "over-pressure", "killed": "was killed"}[how]
+        wait_until(lambda: graph.status() and said in graph.status().message, 20.0)
+        time.sleep(0.5)
+        assert lab.volts() == 0.0
+        assert graph.call(Trigger, "valve_bridge/reset_e_stop").success
+        wait_until(lambda: lab.volts() == 5.5, 20.0)
 
 
 def test_life_cycle(healthy_lab, graph, wait_until):

@@ -133,6 +133,7 @@ class ModbusBus:
         self._wake: asyncio.Future[None] | None = None
         self._poked_s: float | None = None
         self._stopping = False
+        self._venting = threading.Lock()
         self._vent: concurrent.futures.Future[Vented] | None = None
         self._vent_begun_s = 0.0
         self._vent_deadline_s = 0.0
@@ -184,6 +185,11 @@ class ModbusBus:
         Returns:
             Whether the device holds them.
         """
+        with self._venting:
+            return self._vent_now(timeout_s)
+
+    def _vent_now(self, timeout_s: float) -> Vented:
+        """Does so; one at a time."""
         begun_s = time.monotonic()
         if self._thread is None or not self._thread.is_alive():
             return Vented(False, "the bus is not open", 0.0)

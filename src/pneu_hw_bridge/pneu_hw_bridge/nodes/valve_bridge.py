@@ -14,7 +14,8 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import rclpy
@@ -36,10 +37,13 @@ from pneu_hw_bridge.nodes.settings import declare_parameters, read_parameters
 from pneu_hw_bridge.nodes.writers import wrong_writer
 from pneu_hw_bridge.priority import precedence
 from pneu_hw_bridge.registers.load import load_register_map
+from pneu_hw_bridge.registers.schema import Device
 from pneu_hw_bridge.safety.bound import Bound, bound, check
 from pneu_hw_bridge.safety.lateness import Lateness
 from pneu_hw_bridge.safety.limits import limits_of
+from pneu_hw_bridge.safety.memory import Memory
 from pneu_hw_bridge.safety.supervisor import Latches, State, Supervisor
+from pneu_hw_bridge.stopping import StopListener, call_all
 from pneu_sim import topics
 from pneu_sim.errors import InputError
 from pneu_sim.nodes.common import (
@@ -58,6 +62,9 @@ COMMAND_TOPIC = "valve/command"
 
 LOOK_S = 0.05
 """How often publishers of the command topic are counted."""
+
+MOST_CALLS = 64
+"""Calls for a stop that the node has still to hear of."""
 
 BEHIND_S = 0.1
 """A device's clock that has fallen behind by more is told of."""
@@ -108,6 +115,7 @@ class ValveBridge(LifecycleNode):
         self._bound: Callable[[float, float], Bound] | None = None
         self._bound_told = False
         self._writers = 0
+        self._driving = False
         self._commander = ""
         # By its final name: counting expands a name, but does not remap it.
         self._command_topic = self.resolve_topic_name(COMMAND_TOPIC)
@@ -116,6 +124,16 @@ class ValveBridge(LifecycleNode):
         self.create_service(Trigger, "~/e_stop", self._on_e_stop)
         self.create_service(Trigger, "~/reset_e_stop", self._on_reset)
         self._diagnostics = Diagnostics(self, self._report)
+        self._memory: Memory | None = None
+        self._device = ""
+        self._calls: deque[Mapping[str, Any]] = deque(maxlen=MOST_CALLS)
+        self._called = self.create_guard_condition(self._on_called)
+        self._ear: StopListener | None = None
+        try:
+            self._ear = StopListener(self.get_fully_qualified_name(), self._on_call)
+        except OSError as error:
+            self.get_logger().error(f"'pneu stop' cannot reach this bridge: {error}")
+        self.create_subscription(Bool, "e_stop", self._on_stop_of_others, E_STOP_QOS)
         self._say_e_stop()
 
     def start_if_asked(self) -> None:
@@ -156,6 +174,7 @@ class ValveBridge(LifecycleNode):
                 settings.safe_within_s,
             )
             check(registers, limits, 1.0 / settings.rate_hz, settings.timeout_s)
+            self._recall(registers.device)
             arrived = self.create_guard_condition(self._on_samples)
             self._entities.append((self.destroy_guard_condition, arrived))
             self._link = Link(
@@ -203,6 +222,8 @@ class ValveBridge(LifecycleNode):
         """
         if self._link is not None:
             self._look_around()
+            self._driving = True
+            self._keep()  # before anything can move
             self._link.enable(True)
         return super().on_activate(state)
 
@@ -259,6 +280,8 @@ class ValveBridge(LifecycleNode):
             return True
         self._link.enable(False)
         vented = self._bus.vent()
+        self._driving = False
+        self._keep()
         if vented.verified:
             self.get_logger().info(
                 f"{why}: vented in {1e3 * vented.duration_s:.1f} ms, {vented.message}"
@@ -276,6 +299,8 @@ class ValveBridge(LifecycleNode):
             self.vent("end")
         finally:
             self._close()
+            if self._ear is not None:
+                self._ear.close()
 
     def _close(self) -> None:
         """Closes the bus and destroys what configuring created."""
@@ -350,6 +375,7 @@ class ValveBridge(LifecycleNode):
             else:
                 self.get_logger().info(text)
         if changes:
+            self._keep()
             self._diagnostics.publish()
 
     def _count_writers(self, link: Link) -> None:
@@ -381,20 +407,87 @@ class ValveBridge(LifecycleNode):
         while clock is not None and clock.told:
             self.get_logger().warning(f"{clock.told.popleft()}: the clocks are compared anew")
 
+    def _stop(self, reason: str) -> tuple[bool, str]:
+        """Stops until it is reset; returns whether the valves are known to be safe, and why.
+
+        From any thread.
+        """
+        link, bus = self._link, self._bus
+        if link is None or bus is None:
+            self._latches.e_stop = self._latches.e_stop or reason
+            return True, "latched; the bus is not open"
+        link.e_stop(reason)
+        vented = bus.vent()
+        return vented.verified, vented.message
+
     def _on_e_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         del request
-        reason = "called for by service"
-        if self._link is not None and self._bus is not None:
-            self._link.e_stop(reason)
-            vented = self._bus.vent()
-            response.success = vented.verified
-            response.message = vented.message
-        else:
-            self._latches.e_stop = self._latches.e_stop or reason
-            response.success = True
-            response.message = "latched; the bus is not open"
-        self._say_e_stop()
+        response.success, response.message = self._stop("called for by service")
+        self._after_stop()
         return response
+
+    def _on_call(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Stops on a word to the socket, in its thread; the node learns of it afterwards."""
+        device, space = asked.get("device"), asked.get("namespace")
+        shared = device is None and space is None  # all are meant
+        if not (shared or device == self._device or space == self.get_namespace()):
+            return {}
+        before = self._latches.e_stop
+        safe, message = self._stop(str(asked.get("reason") or "called for"))
+        self._calls.append({"passed": "by" in asked, "before": before})
+        self._called.trigger()
+        return {"bridge": self.get_fully_qualified_name(), "safe": safe, "message": message}
+
+    def _on_called(self) -> None:
+        while self._calls:
+            call = self._calls.popleft()
+            if not call["before"]:
+                self._after_stop(pass_on=not call["passed"])
+
+    def _on_stop_of_others(self, message: Bool) -> None:
+        """Obeys the stop of another bridge in the namespace."""
+        if message.data and not self._latches.e_stop:
+            self._stop("another bridge of this namespace was stopped")
+            self._after_stop()
+
+    def _after_stop(self, pass_on: bool = True) -> None:
+        """Tells all who have to know: the graph, the next start, whoever shares the device."""
+        self._say_e_stop()
+        self._keep()
+        if pass_on:
+            call_all(
+                {
+                    "reason": f"{self.get_fully_qualified_name()}: {self._latches.e_stop}",
+                    "by": self.get_fully_qualified_name(),
+                    "device": self._device,
+                    "namespace": self.get_namespace(),
+                },
+                but=self._ear.path if self._ear is not None else None,
+            )
+
+    def _recall(self, device: Device) -> None:
+        """Remembers what was latched when the bridge before ended."""
+        self._device = device.where
+        self._memory = Memory(self.get_fully_qualified_name(), self._device)
+        before = self._memory.recall()
+        if before.e_stop or before.trip:
+            self.get_logger().error(
+                f"stopped before this start, and not reset: {before.e_stop or before.trip}"
+            )
+        self._latches.e_stop = self._latches.e_stop or before.e_stop
+        self._latches.trip = self._latches.trip or before.trip
+        self._say_e_stop()
+
+    def _keep(self) -> None:
+        """Keeps for the next start what must not be forgotten."""
+        if self._memory is None:
+            return
+        try:
+            self._memory.keep(self._latches, self._driving)
+        except OSError as error:
+            self.get_logger().error(
+                f"a stop would be forgotten by a restart: {error}", throttle_duration_sec=10.0
+            )
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         del request
@@ -408,6 +501,7 @@ class ValveBridge(LifecycleNode):
             refused = self._link.reset()
         response.success = not refused
         response.message = refused or "released; the next command is followed"
+        self._keep()
         self._say_e_stop()
         return response
 

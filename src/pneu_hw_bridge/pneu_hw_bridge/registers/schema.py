@@ -49,6 +49,13 @@ class Device(Part):
     connections: Literal[1, 2] = 2
     watchdog_s: Positive | None = None
 
+    @property
+    def where(self) -> str:
+        """Where it is reached, for people and to compare."""
+        if self.transport == "tcp":
+            return f"{self.host}:{self.port} unit {self.unit}"
+        return f"{self.serial_port} unit {self.unit}"
+
 
 class Batching(Part):
     """How adjacent registers are read together.

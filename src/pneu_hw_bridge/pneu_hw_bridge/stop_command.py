@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The subcommand `pneu stop`. Imports little, and the command line itself goes by it: somebody waits."""
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from pneu_hw_bridge.stopping import stop_here
+
+DISCOVERY_S = 3.0
+ANSWER_S = 3.0
+
+
+def at_once(words: Sequence[str]) -> int | None:
+    """Runs the subcommand before the libraries of the command line are imported.
+
+    Args:
+        words: What follows on the command line.
+
+    Returns:
+        The exit status; None where the words need more than this understands.
+    """
+    if list(words) not in ([], ["--local"]):
+        return None
+    return stop("pneu stop", bool(words))
+
+
+def stop(reason: str, local: bool) -> int:
+    """Stops all bridges, those of this machine first; returns the exit status.
+
+    Args:
+        reason: Who calls for it.
+        local: Whether only those of this machine are meant.
+    """
+    answers, silent = stop_here(reason)
+    for answer in answers:
+        _show(answer)
+    if silent:
+        print(f"NOT CONFIRMED: {silent} bridges of this machine gave no answer")
+    if not local:
+        answers += _stop_on_graph({answer["bridge"] for answer in answers})
+    if not answers and not silent:
+        print("no bridge found" + (" on this machine" if local else ""))
+    return int(bool(silent) or not answers or not all(answer["safe"] for answer in answers))
+
+
+def _show(answer: dict[str, Any]) -> None:
+    state = "safe" if answer["safe"] else "NOT CONFIRMED"
+    print(f"{answer['bridge']}: {state}, {answer['message']}", flush=True)
+
+
+def _stop_on_graph(known: set[str]) -> list[dict[str, Any]]:
+    """Calls the service of all bridges on the graph but those that have answered."""
+    from pneu_runtime import hook
+
+    hook.install()
+    import rclpy
+
+    rclpy.init(args=[])
+    try:
+        return _call_services(rclpy.create_node("pneu_stop"), known)
+    finally:
+        rclpy.try_shutdown()
+
+
+def _call_services(node: Any, known: set[str]) -> list[dict[str, Any]]:
+    """Calls them while they are discovered."""
+    import rclpy
+    from std_srvs.srv import Trigger
+
+    asked: dict[str, Any] = {}
+    end_s = time.monotonic() + DISCOVERY_S
+    while time.monotonic() < end_s or not all(future.done() for future in asked.values()):
+        if time.monotonic() > end_s + ANSWER_S:
+            break
+        for name, kinds in node.get_service_names_and_types():
+            bridge = name.removesuffix("/e_stop")
+            if bridge in known | asked.keys() or name == bridge:
+                continue
+            client = node.create_client(Trigger, name)
+            if "std_srvs/srv/Trigger" in kinds and client.service_is_ready():
+                asked[bridge] = client.call_async(Trigger.Request())
+            else:
+                node.destroy_client(client)
+        rclpy.spin_once(node, timeout_sec=0.05)
+    found = []
+    for bridge, future in asked.items():
+        reply = future.result() if future.done() else None
+        message = "no answer" if reply is None else reply.message
+        safe = reply is not None and reply.success
+        found.append({"bridge": bridge, "safe": safe, "message": message})
+        _show(found[-1])
+    return found
