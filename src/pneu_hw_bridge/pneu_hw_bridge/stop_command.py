@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The subcommand `pneu stop`. Imports little, and the command line itself goes by it: somebody waits."""
+"""The subcommand `pneu stop`; it imports little, for somebody waits."""
 
 import time
 from collections.abc import Sequence

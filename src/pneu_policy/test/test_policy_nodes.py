@@ -4,6 +4,9 @@
 import math
 import os
 import re
+import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -55,6 +58,8 @@ class Plant:
     def __init__(self, graph, others=()):
         self.pressure_pa, self.target_pa = 200e3, 250e3
         self.readings = self.targets = True
+        self.noise_pa, self.frozen = 0.0, False
+        self.off_s = 0.0
         self.stalled = None  # a stamp that readings at the end keep
         self.ahead_pa = []  # what a target tells beyond the present
         self.others = dict.fromkeys(others, 300e3)
@@ -70,12 +75,14 @@ class Plant:
 
     def tick(self):
         now = self.probe.get_clock().now().to_msg()
+        self.noise_pa = 0.0 if self.frozen else 1e-3 - self.noise_pa
         if self.readings:
-            message = FluidPressure(fluid_pressure=self.pressure_pa)
-            message.header.stamp = self.stalled or now
+            message = FluidPressure(fluid_pressure=self.pressure_pa + self.noise_pa)
+            behind = common.from_stamp(now) + round(1e9 * self.off_s)
+            message.header.stamp = self.stalled or common.to_stamp(behind)
             self.pressure.publish(message)
         for tap, pressure_pa in list(self.others.items()):
-            message = FluidPressure(fluid_pressure=pressure_pa)
+            message = FluidPressure(fluid_pressure=pressure_pa + self.noise_pa)
             message.header.stamp = now
             self.publishers[tap].publish(message)
         if self.targets:
@@ -179,6 +186,116 @@ def test_life_cycle(graph):
     assert change(Transition.TRANSITION_CONFIGURE)
 
 
+@pytest.mark.parametrize("value", [1e30, 0.0, -5e5, 1e155, 1e308, -1e308])
+def test_readings_and_targets_that_cannot_be_are_none(graph, value):
+    """Not even those whose square is no number."""
+    graph.add(PidNode, autostart=True, **GAINS)
+    plant = Plant(graph)
+    plant.settles_at(5.5)
+    plant.pressure_pa = value
+    plant.settles_at(5.0)
+    assert "reading cannot be true" in graph.status("control").message
+    plant.pressure_pa = 200e3
+    plant.settles_at(5.5)
+    plant.target_pa = value
+    plant.settles_at(5.0)
+    assert "no target" in graph.status("control").message
+    plant.target_pa = 250e3
+    plant.settles_at(5.5)
+
+
+def test_a_frozen_tap_is_dead(graph):
+    """With new stamps, while the valve is driven: what is blown into changes."""
+    graph.add(PidNode, autostart=True, **GAINS)
+    plant = Plant(graph)
+    plant.settles_at(5.5)
+    plant.frozen = True
+    plant.settles_at(5.0)
+    assert "reading does not change" in graph.status("control").message
+    time.sleep(0.5)
+    assert {command.voltage_v[0] for command in plant.commands[-50:]} == {5.0}
+    plant.frozen = False
+    plant.settles_at(5.5)
+
+
+@pytest.mark.parametrize("off_s", [-3600.0, 3600.0, -20.0])
+def test_readings_of_another_time_are_none(graph, off_s):
+    graph.add(PidNode, autostart=True, **GAINS)
+    plant = Plant(graph)
+    plant.settles_at(5.5)
+    plant.off_s = off_s
+    plant.settles_at(5.0)
+    assert "reading is of another time" in graph.status("control").message
+    plant.off_s = 0.0
+    plant.settles_at(5.5)
+
+
+@pytest.mark.parametrize("factor", [100.0, 0.01])
+def test_simulated_time_that_is_out_of_its_mind_is_not_followed(graph, factor):
+    clock = graph.probe.create_publisher(Clock, "/clock", 1)
+    graph.add(PidNode, autostart=True, use_sim_time=True, kp_v_per_pa=1e-5, ki_v_per_pa_s=0.0)
+    commands = graph.listen(ValveCommand, "valve/command", common.COMMAND_QOS)
+    pressure = graph.probe.create_publisher(FluidPressure, "taps/end/pressure", 10)
+    target = graph.probe.create_publisher(PressureTarget, "target", common.COMMAND_QOS)
+    wait_for(lambda: clock.get_subscription_count() and pressure.get_subscription_count())
+    at_s = 100.0
+    for rate in (1.0, factor):
+        begin_s = before_s = time.monotonic()
+        count = 0
+        while time.monotonic() < begin_s + 1.0:
+            time.sleep(0.004)
+            now_s = time.monotonic()
+            at_s, before_s = at_s + rate * (now_s - before_s), now_s
+            stamp = common.to_stamp(round(at_s * 1e9))
+            count += 1
+            clock.publish(Clock(clock=stamp))
+            reading = FluidPressure(fluid_pressure=200e3 + count % 2 * 1e-3)
+            wanted = PressureTarget(tap="end", step_s=0.1, pressure_pa=[250e3])
+            reading.header.stamp = wanted.header.stamp = stamp
+            pressure.publish(reading)
+            target.publish(wanted)
+            if rate != 1.0 and now_s < begin_s + 0.5:
+                commands.clear()
+        told = {round(command.voltage_v[0], 3) for command in commands[-20:]}
+        assert told == ({5.5} if rate == 1.0 else {5.0} if rate > 1.0 else told & {5.0}), rate
+
+
+def test_a_controller_that_fails_goes_on_and_is_safe(graph):
+    class Failing(PidNode):
+        def _step(self, stamp_ns, pressures_pa):
+            if pressures_pa["end"] > 400e3:
+                raise OverflowError("too much")
+            return super()._step(stamp_ns, pressures_pa)
+
+    graph.add(Failing, autostart=True, **GAINS)
+    plant = Plant(graph)
+    plant.settles_at(5.5)
+    plant.pressure_pa = 500e3
+    plant.settles_at(5.0)
+    wait_for(lambda: "the controller failed" in graph.status("control").message)
+    plant.pressure_pa = 200e3
+    plant.settles_at(5.5)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_its_last_word_is_the_safe_voltage(graph, number):
+    program = (
+        "from pneu_runtime import hook; hook.install();"
+        "from pneu_policy.nodes.pid import main; import sys; main(sys.argv[1:])"
+    )
+    words = [f"{name}:={value}" for name, value in {**GAINS, "autostart": "true"}.items()]
+    command = [sys.executable, "-c", program, "--ros-args"]
+    process = subprocess.Popen([*command, *(w for word in words for w in ("-p", word))])
+    try:
+        plant = Plant(graph)
+        wait_for(lambda: plant.volts() == pytest.approx(5.5), 20.0)
+        process.send_signal(number)
+        assert process.wait(10.0) == 0
+    finally:
+        process.kill()
+    plant.settles_at(5.0)
+
+
 def test_a_clock_that_jumps_back_is_survived(graph):
     clock = graph.probe.create_publisher(Clock, "/clock", 1)
     graph.add(PidNode, autostart=True, use_sim_time=True, ki_v_per_pa_s=1e-4, kp_v_per_pa=1e-5)
@@ -191,7 +308,7 @@ def test_a_clock_that_jumps_back_is_survived(graph):
         for k in range(round(seconds / 0.004)):
             stamp = common.to_stamp(round((begin_s + k * 0.004) * 1e9))
             clock.publish(Clock(clock=stamp))
-            reading = FluidPressure(fluid_pressure=200e3)
+            reading = FluidPressure(fluid_pressure=200e3 + k % 2 * 1e-3)
             wanted = PressureTarget(tap="end", step_s=0.1, pressure_pa=[250e3])
             reading.header.stamp = wanted.header.stamp = stamp
             pressure.publish(reading)
@@ -199,7 +316,9 @@ def test_a_clock_that_jumps_back_is_survived(graph):
             time.sleep(0.004)
 
     run(100.0, 1.0)
-    assert commands[-1].voltage_v[0] == pytest.approx(6.5)  # the integral has grown to its limit
+    assert commands[-1].voltage_v[0] == pytest.approx(
+        6.5, abs=1e-6
+    )  # the integral has grown to its limit
     count = len(commands)
     run(1.0, 0.5)
     assert len(commands) > count + 50  # it goes on

@@ -10,7 +10,9 @@ the controller.
 import functools
 import math
 from abc import abstractmethod
+from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -26,8 +28,43 @@ from pneu_sim.nodes import common
 
 NO_READING = "no pressure reading"
 NO_NUMBER = "reading is no number"
+NO_PRESSURE = "reading cannot be true"
+FROZEN = "reading does not change"
+OLD_READING = "reading is of another time"
 NO_TARGET = "no target"
 SHORT_TARGET = "target too short"
+NO_CLOCK = "clock runs wrong"
+FAILED = "the controller failed"
+READINGS_LOST = (NO_READING, NO_NUMBER, NO_PRESSURE, FROZEN, OLD_READING)
+
+LAST_WORD_S = 0.2
+"""So long a node that ends waits for its last word to be heard, s."""
+AT_REST_V = 0.2
+"""With the valve so near to its safe voltage a pressure may well stay the same, V."""
+LEAP_S = 0.5
+"""Simulated time that goes on by more at once has jumped, s."""
+MOST_SEEN = 64
+CLOCK_WINDOW_S = 0.1
+"""The rate of simulated time is looked at over so long, s."""
+
+
+@dataclass
+class Reading:
+    """The newest reading of a tap.
+
+    Attributes:
+        stamp_ns: When it was taken, ns.
+        pressure_pa: What it says, Pa.
+        arrival_ns: When a reading with this stamp came first, by the clock that ages go by, ns.
+        changed_ns: When one that said something else came last, likewise, ns.
+        off_s: How much older it was than its arrival, by the node's clock, s.
+    """
+
+    stamp_ns: int
+    pressure_pa: float
+    arrival_ns: int
+    changed_ns: int
+    off_s: float
 
 
 class ControlNode(LifecycleNode):
@@ -128,6 +165,50 @@ class ControlNode(LifecycleNode):
             (-24.0, 24.0),
             read_only=True,
         )
+        low_pa = common.declare(
+            self,
+            "lowest_pa",
+            1e4,
+            "Lowest pressure, absolute, that a reading or a target can have, Pa.",
+            (0.0, 1e8),
+            read_only=True,
+        )
+        high_pa = common.declare(
+            self,
+            "highest_pa",
+            1.6e6,
+            "Highest pressure, absolute, that a reading or a target can have, Pa.",
+            (1.0, 1e8),
+            read_only=True,
+        )
+        if not low_pa < high_pa:
+            raise InputError(f"highest_pa: found {high_pa:g}, lowest_pa is {low_pa:g}")
+        self._range_pa = (low_pa, high_pa)
+        self._frozen_s = common.declare(
+            self,
+            "frozen_after_s",
+            0.25,
+            "A tap whose readings stay the same for so long while the valve is driven is dead, s; 0"
+            " believes it, as of a model without noise.",
+            (0.0, 10.0),
+            read_only=True,
+        )
+        self._stamp_s = common.declare(
+            self,
+            "stamp_tolerance_s",
+            10.0,
+            "By so much a reading's stamp may differ from the node's clock when it comes, s.",
+            (0.01, 1e6),
+            read_only=True,
+        )
+        self._clock_factor = common.declare(
+            self,
+            "clock_factor",
+            20.0,
+            "By so much simulated time may pass faster or slower than real time.",
+            (1.0, 1e6),
+            read_only=True,
+        )
         self._autostart = common.declare(
             self, "autostart", False, "Configure and activate at start.", read_only=True
         )
@@ -169,7 +250,9 @@ class ControlNode(LifecycleNode):
         self._timer = self.create_timer(self._period_s, self._tick)
         self._timer.cancel()
         threshold = JumpThreshold(
-            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
+            min_forward=Duration(seconds=LEAP_S),
+            min_backward=Duration(nanoseconds=-1),
+            on_clock_change=True,
         )
         self._jump = self.get_clock().create_jump_callback(threshold, post_callback=self._on_jump)
         return TransitionCallbackReturn.SUCCESS
@@ -245,8 +328,8 @@ class ControlNode(LifecycleNode):
     def _forget(self) -> None:
         """Forgets all that belongs to the past, as after a jump of the clock."""
         self._rest()
-        # Per tap stamp, Pa, arrival.
-        self._readings: dict[str, tuple[int, float, int]] = {}
+        self._readings: dict[str, Reading] = {}
+        self._clock_seen: deque[tuple[int, int]] = deque(maxlen=MOST_SEEN)
         self._target: tuple[int, float, tuple[float, ...], int] | None = None
         self._volts = self._safe_v
         self._error_square = self._error_count = 0.0
@@ -264,21 +347,33 @@ class ControlNode(LifecycleNode):
         self._forget()
 
     def _on_pressure(self, tap: str, message: FluidPressure) -> None:
-        if not (self.takes_nan or math.isfinite(message.fluid_pressure)):
+        pressure_pa = message.fluid_pressure
+        if not (self.takes_nan or math.isfinite(pressure_pa)):
             return
-        stamp = common.from_stamp(message.header.stamp)
+        stamp, now_ns = common.from_stamp(message.header.stamp), self._now_ns()
         before = self._readings.get(tap)
         # A sensor that stalls may be repeated on and on; that does not make its reading younger.
-        arrival = before[2] if before is not None and before[0] == stamp else self._now_ns()
-        self._readings[tap] = (stamp, message.fluid_pressure, arrival)
+        arrival = before.arrival_ns if before is not None and before.stamp_ns == stamp else now_ns
+        same = before is not None and before.pressure_pa == pressure_pa
+        self._readings[tap] = Reading(
+            stamp,
+            pressure_pa,
+            arrival,
+            before.changed_ns if before is not None and same else now_ns,
+            (int(self.get_clock().now().nanoseconds) - stamp) * 1e-9,
+        )
 
     def _on_target(self, message: PressureTarget) -> None:
         values = tuple(float(v) for v in message.pressure_pa)
-        usable = all(math.isfinite(v) and v > 0.0 for v in values) and values
-        if message.tap not in ("", self._tap) or not usable or not message.step_s > 0.0:
+        low_pa, high_pa = self._range_pa
+        usable = bool(values) and all(low_pa <= v <= high_pa for v in values)
+        step = math.isfinite(message.step_s) and message.step_s > 0.0
+        if message.tap not in ("", self._tap) or not usable or not step:
+            # What was heard before stands until it is too old.
+            extremes = f" of {min(values):g} to {max(values):g} Pa" if values else ""
             self.get_logger().warning(
-                f"target ignored: for tap {message.tap!r}, {len(values)} values,"
-                f" step {message.step_s} s",
+                f"target ignored: for tap {message.tap!r}, {len(values)} values{extremes}, step"
+                f" {message.step_s} s; possible are {low_pa:g} to {high_pa:g} Pa",
                 throttle_duration_sec=1.0,
             )
             return
@@ -301,15 +396,30 @@ class ControlNode(LifecycleNode):
 
     def _fault(self, now_ns: int) -> tuple[str, str] | None:
         """What keeps it from controlling, and the particulars."""
+        rate = self._clock_rate(now_ns)
+        if not 1.0 / self._clock_factor <= rate <= self._clock_factor:
+            return NO_CLOCK, f"simulated time passes {rate:.3g} times as fast as real time"
         for tap in self._taps:
             reading = self._readings.get(tap)
             if reading is None:
                 return NO_READING, f"never heard {self._where(tap)}"
-            if now_ns - reading[2] > self._sensor_timeout_s * 1e9:
+            if now_ns - reading.arrival_ns > self._sensor_timeout_s * 1e9:
                 age = f"for {self._sensor_timeout_s:g} s"
                 return NO_READING, f"{age} nothing new of {self._where(tap)}"
-            if not math.isfinite(reading[1]):
-                return NO_NUMBER, f"found {reading[1]} as {self._where(tap)}"
+            if not math.isfinite(reading.pressure_pa):
+                return NO_NUMBER, f"found {reading.pressure_pa} as {self._where(tap)}"
+            low_pa, high_pa = self._range_pa
+            if not low_pa <= reading.pressure_pa <= high_pa:
+                possible = f"possible are {low_pa:g} to {high_pa:g}"
+                return NO_PRESSURE, f"{reading.pressure_pa:g} Pa as {self._where(tap)}, {possible}"
+            drives = self._state == FROZEN or abs(self._volts - self._safe_v) > AT_REST_V
+            if self._frozen_s and drives and now_ns - reading.changed_ns > self._frozen_s * 1e9:
+                return FROZEN, f"{reading.pressure_pa:g} Pa for {self._frozen_s:g} s as" + (
+                    f" {self._where(tap)}"
+                )
+            if abs(reading.off_s) > self._stamp_s:
+                when = "old" if reading.off_s > 0.0 else "ahead"
+                return OLD_READING, f"{abs(reading.off_s):.3g} s {when} as {self._where(tap)}"
         if self._target is None or now_ns - self._target[3] > self._target_timeout_s * 1e9:
             topic = self.resolve_topic_name("target")
             if self._target is None:
@@ -320,20 +430,45 @@ class ControlNode(LifecycleNode):
             return SHORT_TARGET, f"it tells {known_s:g} s ahead, needed are {self._preview_s[-1]:g}"
         return None
 
+    def _clock_rate(self, now_ns: int) -> float:
+        """How much faster the clock of ages runs than the steady one, lately; 1 if not known."""
+        steady_ns = int(self._steady.now().nanoseconds)
+        seen = self._clock_seen
+        if not seen or steady_ns - seen[-1][0] > 1e9 * CLOCK_WINDOW_S / MOST_SEEN:
+            seen.append((steady_ns, now_ns))
+        passed_ns = steady_ns - seen[0][0]
+        if passed_ns < 1e9 * CLOCK_WINDOW_S:
+            return 1.0
+        while len(seen) > 1 and steady_ns - seen[1][0] >= 1e9 * CLOCK_WINDOW_S:
+            seen.popleft()
+        return (now_ns - seen[0][1]) / max(steady_ns - seen[0][0], 1)
+
     def _where(self, tap: str) -> str:
         return f"{tap!r} on {self.resolve_topic_name(f'taps/{tap}/pressure')}"
 
     def _tick(self) -> None:
-        fault = self._fault(self._now_ns())
-        if fault is not None:
-            self._lose(*fault)
-        else:
-            self._control()
+        try:
+            fault = self._fault(self._now_ns())
+            if fault is not None:
+                self._lose(*fault)
+            else:
+                self._control()
+            if not math.isfinite(self._volts):
+                self._lose(FAILED, f"it wants {self._volts} V")
+        except Exception as error:  # nothing ends a node that holds a valve but its own end
+            self._forget()
+            self._lose(FAILED, f"{type(error).__name__}: {error}")
         self._publish(self._volts)
+
+    def end(self) -> None:
+        """Says the safe voltage as the last word, at the end of the process."""
+        if self._state != "inactive":
+            self._publish(self._safe_v)
+            self._publisher.wait_for_all_acked(Duration(seconds=LAST_WORD_S))
 
     def _lose(self, what: str, detail: str) -> None:
         if self._state != what:
-            self._sensor_losses += what in (NO_READING, NO_NUMBER)
+            self._sensor_losses += what in READINGS_LOST
             self._target_losses += what in (NO_TARGET, SHORT_TARGET)
             self._rest()
         if (self._state, self._detail) != (what, detail):
@@ -345,8 +480,9 @@ class ControlNode(LifecycleNode):
         if self._state != "tracking":
             self.get_logger().info("tracking")
             self._state, self._detail = "tracking", ""
-        stamp_ns, pressure_pa, _ = self._readings[self._tap]
-        volts = self._step(stamp_ns, {tap: self._readings[tap][1] for tap in self._taps})
+        newest = self._readings[self._tap]
+        stamp_ns, pressure_pa = newest.stamp_ns, newest.pressure_pa
+        volts = self._step(stamp_ns, {t: self._readings[t].pressure_pa for t in self._taps})
         if volts is None:
             return
         self._volts = volts

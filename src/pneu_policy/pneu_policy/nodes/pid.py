@@ -11,6 +11,7 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 
 from pneu_policy.nodes.control import ControlNode
+from pneu_policy.nodes.running import run_controller
 from pneu_policy.pid import Gains, Pid
 from pneu_sim.errors import InputError
 from pneu_sim.nodes import common
@@ -109,7 +110,7 @@ def main(args: list[str] | None = None) -> None:
     Args:
         args: Command line; None is the process's own.
     """
-    common.run_node(PidNode, args)
+    run_controller(PidNode, args)
 
 
 if __name__ == "__main__":

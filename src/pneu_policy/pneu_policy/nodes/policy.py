@@ -11,6 +11,7 @@ from typing import Any
 
 from pneu_policy.controllers import Controller, PolicyController, load_controller
 from pneu_policy.nodes.control import ControlNode
+from pneu_policy.nodes.running import run_controller
 from pneu_sim.errors import InputError
 from pneu_sim.nodes import common
 from pneu_sim.rig import load_rig
@@ -96,7 +97,7 @@ def main(args: list[str] | None = None) -> None:
     Args:
         args: Command line; None is the process's own.
     """
-    common.run_node(PolicyNode, args)
+    run_controller(PolicyNode, args)
 
 
 if __name__ == "__main__":
