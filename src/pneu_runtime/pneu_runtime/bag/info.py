@@ -3,7 +3,7 @@
 
 import time
 
-from pneu_runtime.bag.metadata import NOTHING_YET_NS
+from pneu_runtime.bag.metadata import LOST_KEY, NOTHING_YET_NS
 from pneu_runtime.bag.reader import BagReader
 
 
@@ -34,6 +34,9 @@ def info_text(bag: BagReader) -> str:
             ],
         ),
     ]
+    lost = metadata.custom_data.get(LOST_KEY)
+    if lost:
+        lines.append(_labelled("Lost on the way", lost.split(", ")))
     lines += [
         _labelled(
             "Without index", [f"{file.path.name}{f' ({file.damage})' if file.damage else ''}"]

@@ -14,6 +14,9 @@ VERSION = 9
 FILE_NAME = "metadata.yaml"
 ROS_DISTRO = "jazzy"
 
+LOST_KEY = "pneu_lost"
+"""Under this name the custom data tell what was lost on the way to the recorder."""
+
 NOTHING_YET_NS = 2**63 - 1
 """Starting time that rosbag2 writes before the first message, ns."""
 

@@ -14,9 +14,9 @@ import time
 from collections.abc import Callable
 
 from pneu_runtime.bag.bag_writer import Attachment, BagWriter
-from pneu_runtime.bag.metadata import Topic
+from pneu_runtime.bag.metadata import LOST_KEY, Topic
 
-FLUSH_PERIOD_S = 0.5
+FLUSH_PERIOD_S = 0.05
 """How often the chunk in progress reaches the disk: what a kill can cost at most, s."""
 
 _Message = tuple[str, bytes, int, int]
@@ -132,6 +132,15 @@ class Recording:
             return
         self._bytes_in += len(data)
         self._queue.put((topic, data, log_time_ns, publish_time_ns))
+
+    def tell_lost(self, lost: dict[str, int]) -> None:
+        """Has the bag's description say what was lost on the way to the recorder.
+
+        Args:
+            lost: Messages by topic.
+        """
+        text = ", ".join(f"{topic} {count}" for topic, count in sorted(lost.items()))
+        self._queue.put(lambda: self._writer.metadata.custom_data.update({LOST_KEY: text}))
 
     def split(self, timeout_s: float = 5.0) -> str:
         """Begins a new file.

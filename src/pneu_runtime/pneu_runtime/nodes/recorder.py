@@ -8,8 +8,10 @@ told to attach (the rig file), the parameters of every node, and the revision of
 Services: ``~/snapshot``, ``~/split`` (std_srvs/Trigger). /diagnostics tells how it goes.
 """
 
+import contextlib
 import dataclasses
 import functools
+import math
 import re
 import sys
 import time
@@ -24,19 +26,23 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from pneu_runtime.bag.bag_writer import Attachment, BagWriter
+from pneu_runtime.bag.losses import Losses
 from pneu_runtime.bag.metadata import Topic
 from pneu_runtime.bag.qos import OfferedQos, adapt_to_publishers
 from pneu_runtime.bag.recording import Recording
 from pneu_runtime.nodes.parameter_collector import ParameterCollector
 from pneu_runtime.nodes.provenance import provenance
 from pneu_runtime.nodes.type_support import definition_text, interface_class, type_hash
+from pneu_runtime.transport.sent import TOPIC, decode
 from pneu_sim.errors import InputError
 from pneu_sim.nodes.lifetime import initialised
 
-HISTORY_DEPTH = 1000
+HISTORY_DEPTH = 10_000
 """Messages a subscription holds while the executor is busy."""
 
 LATE_S = 2.0
@@ -66,7 +72,9 @@ class Recorder(Node):
         self._rec_sim_time = self._value("use_sim_time")
         self._rec_subscriptions_by_topic: dict[str, Any] = {}
         self._rec_left_out: set[str] = set()
-        self._rec_dropped_before = 0
+        self._rec_missing_before = 0
+        self._rec_losses = Losses()
+        self._rec_alone: set[str] = set()
         uri = self._value("uri") or time.strftime("rosbag2_%Y_%m_%d-%H_%M_%S")
         attachments = [_attachment(path) for path in self._value("attachments") if path]
         writer = BagWriter(
@@ -85,6 +93,9 @@ class Recorder(Node):
         group = MutuallyExclusiveCallbackGroup()
         self._rec_collector = ParameterCollector(self, self._rec_recording.attach)
         self._rec_diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_subscription(
+            String, TOPIC, self._on_counts, QoSProfile(depth=1000), callback_group=group
+        )
         self._discover()
         self.create_timer(
             self._value("polling_interval"), self._discover, callback_group=group, clock=steady
@@ -102,15 +113,20 @@ class Recorder(Node):
         """Ends the bag.
 
         Returns:
-            Whether everything was written.
+            Whether everything that was sent was written.
         """
+        lost = self._rec_losses.by_topic(math.inf)
+        if lost:
+            self._rec_recording.tell_lost(lost)
         faults = self._rec_recording.close()
         status = self._rec_recording.status()
         for fault in faults:
             print(f"[recorder] {fault}", file=sys.stderr)
         if status.dropped:
             print(f"[recorder] {status.dropped} messages were lost", file=sys.stderr)
-        return not faults
+        for topic, count in sorted(lost.items()):
+            print(f"[recorder] {topic}: {count} messages never came", file=sys.stderr)
+        return not (faults or lost or status.dropped)
 
     def _report(self, sentence: str) -> None:
         self.get_logger().error(sentence)
@@ -177,6 +193,8 @@ class Recorder(Node):
             known = topic in self._rec_subscriptions_by_topic or topic in self._rec_left_out
             if not known and self._wanted(topic):
                 self._take_up(topic, types)
+        topics = self._rec_subscriptions_by_topic
+        self._rec_alone = {topic for topic in topics if self.count_publishers(topic) == 1}
         self._rec_collector.look()
 
     def _take_up(self, topic: str, types: list[str]) -> None:
@@ -212,8 +230,13 @@ class Recorder(Node):
         )
         self.get_logger().info(f"subscribed to {topic}")
 
+    def _on_counts(self, message: String) -> None:
+        """Takes note of what a participant tells of its publications."""
+        with contextlib.suppress(ValueError):
+            self._rec_losses.told(decode(message.data), time.monotonic())
+
     def _receiver(self, topic: str) -> Callable[[bytes, Any], None]:
-        write = self._rec_recording.write
+        write, seen = self._rec_recording.write, self._rec_losses.seen
         clock = self.get_clock() if self._rec_sim_time else None
 
         def receive(data: bytes, info: Any) -> None:
@@ -221,7 +244,18 @@ class Recorder(Node):
                 log_time_ns = info["received_timestamp"] or time.time_ns()
             else:
                 log_time_ns = clock.now().nanoseconds
-            write(topic, data, log_time_ns, info["source_timestamp"] or log_time_ns)
+            source_ns = info["source_timestamp"] or log_time_ns
+            sender = info.get("publisher_gid")
+            number = info.get("publication_sequence_number")
+            # (without knowing whose it is, a number tells something of one publisher only)
+            alone = sender is not None or topic in self._rec_alone
+            seen(
+                topic,
+                bytes(sender["data"]).hex() if sender else "",
+                source_ns,
+                number if alone and isinstance(number, int) else None,
+            )
+            write(topic, data, log_time_ns, source_ns)
 
         return receive
 
@@ -232,15 +266,22 @@ class Recorder(Node):
 
     def _diagnose(self) -> None:
         status = self._rec_recording.status()
+        lost = self._rec_losses.by_topic(time.monotonic())
+        missing = status.dropped + sum(lost.values())
         level, message = DiagnosticStatus.OK, "recording"
         if status.fault:
             level, message = DiagnosticStatus.ERROR, f"cannot write: {status.fault}"
-        elif status.dropped > self._rec_dropped_before:
+        elif missing > self._rec_missing_before:
             level, message = DiagnosticStatus.WARN, "messages were lost"
         elif status.lag_s > LATE_S:
             level, message = DiagnosticStatus.WARN, "the disk is slow"
-        self._rec_dropped_before = status.dropped
-        values = {**dataclasses.asdict(status), "topics": len(self._rec_subscriptions_by_topic)}
+        self._rec_missing_before = missing
+        told = {f"never came of {topic}": count for topic, count in sorted(lost.items())}
+        values = {
+            **dataclasses.asdict(status),
+            **told,
+            "topics": len(self._rec_subscriptions_by_topic),
+        }
         array = DiagnosticArray()
         array.header.stamp = self.get_clock().now().to_msg()
         array.status = [

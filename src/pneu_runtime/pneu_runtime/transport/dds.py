@@ -83,6 +83,7 @@ create_reader = _function(
 )
 delete = _function(_releasing, "dds_delete", _I32, Entity)
 write = _function(_releasing, "dds_write", _I32, Entity, ct.POINTER(Blob))
+write_at = _function(_releasing, "dds_write_ts", _I32, Entity, ct.POINTER(Blob), _I64)
 wait_for_acks = _function(_releasing, "dds_wait_for_acks", _I32, Entity, _I64)
 waitset_wait = _function(
     _releasing, "dds_waitset_wait", _I32, Entity, ct.POINTER(ct.c_ssize_t), _SIZE, _I64

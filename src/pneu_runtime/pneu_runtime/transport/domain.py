@@ -27,7 +27,12 @@ _SIOCGIFADDR = 0x8915
 
 # How long the removal of a writer waits for readers that have not confirmed everything; the
 # library's own 1 s adds up, one writer after another, when a peer was killed.
-_INTERNAL = "<Internal><WriterLingerDuration>200 ms</WriterLingerDuration></Internal>"
+# What comes while a process does not run waits in the kernel: as much as a stall of some seconds
+# brings, where the machine allows for so much (net.core.rmem_max).
+_INTERNAL = (
+    "<Internal><WriterLingerDuration>200 ms</WriterLingerDuration>"
+    '<SocketReceiveBufferSize min="default" max="8 MB"/></Internal>'
+)
 
 # A participant that was killed is given up after so long; the library's own 10 s are long for a
 # controller that is started anew, and is one of two until then.

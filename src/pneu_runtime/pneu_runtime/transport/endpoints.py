@@ -173,11 +173,14 @@ class Writer(_Endpoint):
             TransportError: It is closed, or the bytes are not of the type.
         """
         data += _PADS[len(data) & 3]
-        code = dds.write(self._entity, ct.byref(dds.Blob(data, len(data))))
+        code = self._write(dds.Blob(data, len(data)))
         if code < 0:
             if not self._entity:
                 raise TransportError("The publication is closed.")
             dds.checked(code, f"a message of type {self.type_name}")
+
+    def _write(self, blob: dds.Blob) -> int:
+        return dds.write(self._entity, ct.byref(blob))
 
     def matched_count(self) -> int:
         """Returns how many subscriptions receive what is published."""
@@ -249,7 +252,27 @@ class Reader(_Endpoint):
 
 
 class Publication(Writer):
-    """A publisher's end of a topic."""
+    """A publisher's end of a topic. It counts what it sends, so that losses can be told."""
+
+    def _after_create(self) -> None:
+        self._count_lock = threading.Lock()
+        self._sent = (0, 0)
+
+    @property
+    def sent(self) -> tuple[int, int]:
+        """How many messages were sent so far, and the source timestamp of the last one, ns."""
+        return self._sent
+
+    def _write(self, blob: dds.Blob) -> int:
+        with self._count_lock:
+            count, before_ns = self._sent
+            # Later by more than the wire's resolution, so that none is counted twice or not at all.
+            stamp_ns = max(time.time_ns(), before_ns + 2)
+            self._sent = (count + 1, stamp_ns)
+        return dds.write_at(self._entity, ct.byref(blob), stamp_ns)
+
+    def _before_delete(self) -> None:
+        self.session.publication_ends(self)
 
 
 class Subscription(Reader):

@@ -35,6 +35,8 @@ from pneu_runtime.transport.qos import (
     read_user_data,
     resolve,
 )
+from pneu_runtime.transport.sent import TOPIC as SENT_TOPIC
+from pneu_runtime.transport.sent import Teller
 from pneu_runtime.transport.services import ClientEnd, ServerEnd
 from pneu_runtime.transport.waiter import Waiter
 
@@ -136,6 +138,7 @@ class Session:
         self.gid = dds.guid_of(self.participant)
         self._lock = threading.RLock()
         self._closed = False
+        self._teller = Teller(self)
         self._nodes: list[NodeHandle] = []
         self._endpoint_count = 0
         self._known_peers: dict[int, Peer] = {}
@@ -218,7 +221,17 @@ class Session:
             type_name: Full name of the message.
             qos: An `EndpointQos` or an object with the attributes of `rclpy.qos.QoSProfile`.
         """
-        return Publication(self, node, *self._topic(topic, type_name, qos, writer=True))
+        made = Publication(self, node, *self._topic(topic, type_name, qos, writer=True))
+        self._teller.begins(made)
+        return made
+
+    def publication_ends(self, publication: Publication) -> None:
+        """Takes note of a publication that is closed.
+
+        Args:
+            publication: It.
+        """
+        self._teller.ends(publication)
 
     def create_subscription(
         self,
@@ -419,7 +432,9 @@ class Session:
             while (sample := self._discovery_reader.take()) is not None:
                 self._hear_nodes(sample.data)
             changed = self._graph.version != before
+            listeners = self._graph.count_subscribers(SENT_TOPIC) if changed else 0
         if changed:
+            self._teller.heard_of_listeners(listeners)
             self._trigger_graph_sources()
 
     def _take_participants(self, reader: int) -> None:
@@ -464,6 +479,8 @@ class Session:
 
     def close(self) -> None:
         """Leaves the graph; closes what was made with it. Further calls do nothing."""
+        if not self._closed:
+            self._teller.close()
         with self._lock:
             if self._closed:
                 return
