@@ -15,7 +15,7 @@ BENCH_VENV := .venv-bench
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: help demo test bench lint format bags folder-is-named exact calibration thinned confusion \
-	thresholds moved fuzz study-pressure clean clean-kernels
+	thresholds moved faults fuzz study-pressure clean clean-kernels
 
 help:  ## list the targets
 	@$(PYTHON) tools/make_help.py $(firstword $(MAKEFILE_LIST))
@@ -62,6 +62,9 @@ thresholds: $(VENV)/.ready-run  ## slow: what decides verdicts, halved and doubl
 
 moved: $(VENV)/.ready-run  ## slow: verdicts with calibrations moved on purpose (after confusion)
 	@$(RUN) -m studies.moved
+
+faults: $(VENV)/.ready-run  ## slow: what a bridge has to survive, idle and busy, at the device
+	@$(RUN) -m studies.faults
 
 fuzz: $(VENV)/.ready-dev  ## slow: mutated rig files, bags, CSVs and command lines
 	@$(RUN) -m studies.fuzz

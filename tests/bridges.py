@@ -1,16 +1,69 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bus and supervisor in front of a device, with a controller, and when the valves were safe."""
+"""Bus and supervisor in front of a lab, with a controller, and when the valves were safe."""
 
+import json
 import os
+import subprocess
+import sys
 import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
 
 from tests.measured import Watch
 
+from pneu_hw_bridge.lab.asking import ask
 from pneu_hw_bridge.link import Link
 from pneu_hw_bridge.modbus.bus import ModbusBus
 from pneu_hw_bridge.registers.load import load_register_map
 from pneu_hw_bridge.safety.limits import limits_of
 from pneu_hw_bridge.safety.supervisor import State, Supervisor
+
+ROOT = Path(__file__).parents[1]
+RIG = ROOT / "rigs" / "lab.yaml"
+
+
+def wait_until(condition, timeout_s=5.0, pause_s=0.002):
+    """Waits until something is true; returns how long that took."""
+    begun = time.monotonic()
+    while not condition():
+        if time.monotonic() - begun > timeout_s:
+            raise TimeoutError(f"not within {timeout_s} s")
+        time.sleep(pause_s)
+    return time.monotonic() - begun
+
+
+class RunningLab:
+    """A lab process and its ports."""
+
+    def __init__(self, process, ports):
+        self.process = process
+        self.port = ports["modbus_port"]
+        self.control_port = ports["control_port"]
+
+    def ask(self, what, **details):
+        return ask(self.control_port, {"do": what, **details})
+
+    def volts(self):
+        return self.ask("status")["volts"]["voltage"]
+
+
+@contextmanager
+def running_lab(folder, *options):
+    """Runs `pneu lab` as a user does."""
+    ready = folder / f"ready{time.monotonic_ns()}.json"
+    command = [sys.executable, "-m", "pneu_sim.cli", "lab", "--rig", str(RIG)]
+    command += ["--port", "0", "--control-port", "0", "--dx", "0.1", "--ready-file", str(ready)]
+    process = subprocess.Popen(
+        [*command, *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        wait_until(lambda: ready.exists() or process.poll() is not None, 120.0, 0.05)
+        assert process.poll() is None, process.stderr.read()
+        yield RunningLab(process, json.loads(ready.read_text()))
+    finally:
+        process.terminate()
+        process.communicate(timeout=10)
 
 
 def watch(lab):

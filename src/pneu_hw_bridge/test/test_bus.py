@@ -492,11 +492,12 @@ def test_ten_thousand_random_replies(wait_until, monkeypatch):
 
 
 @contextmanager
-def serial_pair(late_s=(0.0, 0.0)):
+def serial_pair(late_s=(0.0, 0.0), spoilt=0.0):
     """Two serial ports that are connected to each other; what the first gets may come late.
 
     Args:
         late_s: Between how many seconds late each answer is.
+        spoilt: Share of what is sent of which a byte is changed.
     """
     rng = random.Random(5)
     ends = [os.openpty() for _ in range(2)]
@@ -511,7 +512,10 @@ def serial_pair(late_s=(0.0, 0.0)):
             now_s = time.monotonic()
             with suppress(BlockingIOError):
                 late = rng.uniform(*late_s) if target == ends[0][0] else 0.0
-                waiting.append((now_s + late, os.read(source, 4096)))
+                told = bytearray(os.read(source, 4096))
+                if rng.random() < spoilt:
+                    told[rng.randrange(len(told))] ^= 1 << rng.randrange(8)
+                waiting.append((now_s + late, bytes(told)))
             while waiting and waiting[0][0] <= now_s:
                 os.write(target, waiting.popleft()[1])
             time.sleep(0.0005)
@@ -534,10 +538,10 @@ def serial_pair(late_s=(0.0, 0.0)):
 
 
 @contextmanager
-def serial_bus(owner, late_s=(0.0, 0.0), **options):
+def serial_bus(owner, late_s=(0.0, 0.0), spoilt=0.0, **options):
     """A bus on a serial line, and the device at its other end."""
     server = Server()
-    with serial_pair(late_s) as (ours, theirs):
+    with serial_pair(late_s, spoilt) as (ours, theirs):
 
         async def start():
             server.server = ModbusSerialServer(
@@ -585,6 +589,25 @@ def test_late_answers_on_a_serial_line_are_not_taken_for_others(late_s):
         assert bus.statistics.timeouts > 3
         assert not owner.samples
     assert {volts for _, volts in server.written} == {0.0}
+
+
+def test_spoilt_frames_on_a_serial_line_are_asked_for_again(wait_until):
+    """One in fifty, of requests and of answers: no fault worth a vent."""
+    owner = Owner()
+    with serial_bus(owner, spoilt=0.02, timeout_s=0.15) as (bus, server):
+        wait_until(lambda: len(owner.samples) > 5, 10.0)
+        begun, told = len(owner.samples), len(owner.faults)
+        for k in range(200):
+            owner.volts = {"voltage": k / 32.0}  # exact in float32
+            bus.poke()
+            time.sleep(0.03)
+        assert bus.statistics.repeats > 3
+        assert sum(fault != "" for fault in owner.faults[told:]) <= 2
+        assert len(owner.samples) > begun + 150
+        owner.volts = {"voltage": 6.25}
+        wait_until(lambda: server.written[-1][1] == 6.25, 3.0)
+    assert all(list(values.values()) == PRESSURES for values, _, _ in owner.samples)
+    assert {volts for _, volts in server.written} <= {k / 32.0 for k in range(201)}
 
 
 def test_missing_serial_port(wait_until):

@@ -269,6 +269,7 @@ class ModbusBus:
         if self._in_step is not None:
             await self._in_step.prove(client)
             client.in_step = True
+            client.questions = self._in_step.questions
         await self._set_up(client)
 
     async def _second(self, client: Client) -> Client | None:

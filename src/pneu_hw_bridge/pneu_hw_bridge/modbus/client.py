@@ -35,6 +35,10 @@ PATIENCE = 8.0
 """A line that does not fall silent is given up after so many times the silence that is wanted."""
 
 
+LEAST_PATIENCE_S = 0.03
+"""An answer on a serial line is missed after four times the usual, but not before this, s."""
+
+
 class RequestError(Exception):
     """A request that failed.
 
@@ -60,6 +64,7 @@ class Client:
     Attributes:
         in_step: Whether answers are those to the latest requests; on a serial line others prove it
             (`pneu_hw_bridge.modbus.in_step`).
+        questions: What may be asked on a serial line to learn whether a frame was spoilt.
     """
 
     def __init__(self, device: Device, timeout_s: float, statistics: Statistics) -> None:
@@ -76,6 +81,7 @@ class Client:
         self._heard_s = -math.inf
         self._turn = asyncio.Lock()
         self._lost = ""
+        self.questions: Sequence[Batch] = ()
         self.in_step = device.transport == "tcp"
         self._modbus: AsyncModbusTcpClient | AsyncModbusSerialClient
         if device.transport == "tcp":
@@ -165,19 +171,39 @@ class Client:
         Raises:
             RequestError: It could not be read.
         """
+        reply = await self._request(
+            f"read of {batch.count} at {batch.table} {batch.address}",
+            self._asks(batch.table),
+            batch.address,
+            count=batch.count,
+            device_id=self._device.unit,
+        )
+        return self._registers_of(batch, reply)
+
+    async def _ask(self, batch: Batch) -> None:
+        """Reads a batch, while it is one's turn."""
+        what = f"read of {batch.count} at {batch.table} {batch.address}"
+        reply = await self._request_now(
+            what,
+            self._asks(batch.table),
+            batch.address,
+            count=batch.count,
+            device_id=self._device.unit,
+        )
+        self._registers_of(batch, reply)
+
+    def _asks(self, table: str) -> Callable[..., Any]:
+        """What reads a table."""
         ask: dict[str, Callable[..., Any]] = {
             "holding": self._modbus.read_holding_registers,
             "input": self._modbus.read_input_registers,
             "coil": self._modbus.read_coils,
             "discrete": self._modbus.read_discrete_inputs,
         }
-        reply = await self._request(
-            f"read of {batch.count} at {batch.table} {batch.address}",
-            ask[batch.table],
-            batch.address,
-            count=batch.count,
-            device_id=self._device.unit,
-        )
+        return ask[table]
+
+    def _registers_of(self, batch: Batch, reply: Any) -> list[int]:
+        """The registers or bits in a reply, as many as were asked for."""
         if batch.table in ("coil", "discrete"):
             raw = [int(bit) for bit in reply.bits]
             fits = batch.count <= len(raw) < batch.count + 8  # replies are padded to whole bytes
@@ -228,7 +254,37 @@ class Client:
     ) -> Any:
         """Sends one request and sorts out what came back."""
         async with self._turn:
-            return await self._request_now(what, send, *args, **options)
+            aside = self._aside(send, options.get("count"))
+            if aside is None:
+                return await self._request_now(what, send, *args, **options)
+            usual_s = self._statistics.reply.quantile(0.95)
+            patience_s = max(4.0 * usual_s, LEAST_PATIENCE_S)
+            if not patience_s < 0.5 * self._timeout_s:
+                return await self._request_now(what, send, *args, **options)
+            try:
+                async with asyncio.timeout(patience_s):
+                    return await self._request_now(what, send, *args, **options)
+            except TimeoutError:
+                # Spoilt on its way, or late? A device answers in turn: if it answers this, which no
+                # late answer fits, nothing more will come to what was asked before.
+                self._statistics.repeats += 1
+                self._modbus.ctx.recv_buffer = b""
+                await self._ask(aside)
+                return await self._request_now(what, send, *args, **options)
+
+    def _aside(self, send: Callable[..., Any], count: int | None) -> Batch | None:
+        """A question whose answer cannot be mistaken for that to a request; None if there is none.
+
+        Args:
+            send: The request.
+            count: How many registers it reads; None where it writes.
+        """
+        if self._device.transport == "tcp" or not self.in_step:
+            return None
+        for batch in self.questions:
+            if count is None or batch.table not in send.__name__ or batch.count != count:
+                return batch
+        return None
 
     async def _request_now(
         self, what: str, send: Callable[..., Any], *args: Any, **options: Any

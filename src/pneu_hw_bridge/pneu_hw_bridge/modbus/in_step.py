@@ -23,7 +23,11 @@ QUESTIONS = 2
 
 
 class InStep:
-    """Proves it, and sends but safe voltages until then."""
+    """Proves it, and sends but safe voltages until then.
+
+    Attributes:
+        questions: What is asked, each of another length.
+    """
 
     def __init__(
         self, reads: Sequence[Batch], writes: Sequence[Batch], safe: Mapping[str, float]
@@ -47,7 +51,8 @@ class InStep:
                 part = Batch(batch.table, batch.address, count, batch.channels[:k])
                 found.setdefault((batch.table, size), part)
         self._silent_s = SILENT_S if len(found) > QUESTIONS else LONG_SILENT_S
-        self._questions = cycle(found.values())
+        self.questions = tuple(found.values())
+        self._next = cycle(self.questions)
 
     async def prove(self, client: Client) -> None:
         """Asks until answers belong to requests.
@@ -63,4 +68,4 @@ class InStep:
                 await client.write(batch.table, batch.address, batch.encode(self._safe))
         await client.silence(self._silent_s)
         for _ in range(QUESTIONS):
-            await client.read(next(self._questions))
+            await client.read(next(self._next))

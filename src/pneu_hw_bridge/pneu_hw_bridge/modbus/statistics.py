@@ -54,6 +54,7 @@ class Statistics:
         writes: Writes that were confirmed.
         reads: Reads that were answered well.
         timeouts: Requests without an answer in time.
+        repeats: Requests on a serial line that were asked again, spoilt as they were.
         exceptions: Exception replies.
         malformed: Answers that made no sense, or were of the wrong length.
         foreign: Outputs that read back as something else than was written.
@@ -76,6 +77,7 @@ class Statistics:
     writes: int = 0
     reads: int = 0
     timeouts: int = 0
+    repeats: int = 0
     exceptions: int = 0
     malformed: int = 0
     foreign: int = 0

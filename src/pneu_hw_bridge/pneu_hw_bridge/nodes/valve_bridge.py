@@ -114,6 +114,7 @@ class ValveBridge(LifecycleNode):
         self._skipped = 0
         self._bound: Callable[[float, float], Bound] | None = None
         self._bound_told = False
+        self._unwatched: list[str] = []
         self._writers = 0
         self._driving = False
         self._commander = ""
@@ -210,6 +211,14 @@ class ValveBridge(LifecycleNode):
         ]
         if registers.device.watchdog_s is None:
             self.get_logger().error(f"{registers.name}: {NO_WATCHDOG}")
+        self._unwatched = [
+            name for name, tap in registers.taps.items() if tap.frozen_after_s is None
+        ]
+        if self._unwatched:
+            self.get_logger().warning(
+                f"{registers.name}: no frozen_after_s for {', '.join(self._unwatched)}: nobody"
+                " would notice a sensor that always says the same"
+            )
         self._bound = functools.partial(bound, registers, limits, 1.0 / settings.rate_hz)
         self._bus.start()
         return super().on_configure(state)
@@ -537,6 +546,7 @@ class ValveBridge(LifecycleNode):
             **{f"{one} [SI]": value for one, value in report.readings.items()},
             **report.counters,
             "samples dropped": report.dropped,
+            "not watched for being frozen": ", ".join(self._unwatched) or "none",
         }
         safety = status(level, f"{name}: safety", message, values, "modbus")
         counts = bus.statistics
