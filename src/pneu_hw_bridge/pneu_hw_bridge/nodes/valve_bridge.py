@@ -66,6 +66,9 @@ LOOK_S = 0.05
 MOST_CALLS = 64
 """Calls for a stop that the node has still to hear of."""
 
+SWITCH_S = 5e-4
+"""So long a thread may keep another one waiting that wants to run Python."""
+
 BEHIND_S = 0.1
 """A device's clock that has fallen behind by more is told of."""
 
@@ -115,7 +118,7 @@ class ValveBridge(LifecycleNode):
         self._bound: Callable[[float, float], Bound] | None = None
         self._bound_told = False
         self._unwatched: list[str] = []
-        self._writers = 0
+        self._writers: list[bytes] = []
         self._driving = False
         self._commander = ""
         # By its final name: counting expands a name, but does not remap it.
@@ -335,7 +338,7 @@ class ValveBridge(LifecycleNode):
             link.malformed()
             refused = f"{len(names)} names and {len(voltages)} voltages, needed are pairs"
         else:
-            if self.count_publishers(self._command_topic) != self._writers:
+            if not self._is_known(info.get("publisher_gid")):
                 self._count_writers(link)  # before anything of a new one is followed
             received_s = time.monotonic()
             sent_ns = info["source_timestamp"]  # 0 where the middleware does not tell
@@ -387,10 +390,16 @@ class ValveBridge(LifecycleNode):
             self._keep()
             self._diagnostics.publish()
 
+    def _is_known(self, gid: dict[str, Any] | None) -> bool:
+        """Whether a command is of the one writer that was there when they were last counted."""
+        if gid is None:  # (where the middleware does not tell of whom it is)
+            return self.count_publishers(self._command_topic) == len(self._writers)
+        return [bytes(gid["data"])] == self._writers
+
     def _count_writers(self, link: Link) -> None:
         """Looks who may command: one node, and the one that is named where one is."""
         found = self.get_publishers_info_by_topic(COMMAND_TOPIC)
-        self._writers = len(found)
+        self._writers = [bytes(one.endpoint_gid) for one in found]
         if len(found) != 1:  # whoever comes next has a clock of its own
             self._lateness = Lateness()
         link.publishers(len(found), wrong_writer(found, self._commander))
@@ -607,6 +616,8 @@ def main(args: list[str] | None = None) -> None:
     """
     node: ValveBridge | None = None
     try:
+        # The thread of the bus gets its turn soon, however busy that of the node is.
+        sys.setswitchinterval(SWITCH_S)
         with precedence(), initialised(args):
             _end_with_the_terminal()
             try:
