@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What holds for all tests: their order, what runs against the clock, and what is told at the end.
 
-An interrupt reaches the processes they start: a shell starts background jobs with SIGINT ignored,
-and children inherit that; tests that interrupt a node would then wait for it for ever.
+An interrupt reaches the processes they start, and so does the end of a terminal: a shell starts
+background jobs with SIGINT ignored, nohup others with SIGHUP, and children inherit that; tests that
+interrupt a node would then wait for it for ever.
 """
 
 import atexit
@@ -24,6 +25,8 @@ atexit.register(shutil.rmtree, _BRIDGES, ignore_errors=True)
 os.environ.update(PNEU_STATE_DIR=f"{_BRIDGES}/state", PNEU_RUN_DIR=f"{_BRIDGES}/run")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # under nohup
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def _name(item):

@@ -36,6 +36,7 @@ from studies.digest import digest_of, sources_digest
 
 ROOT = Path(__file__).resolve().parent.parent
 STORE = ROOT / "out" / "confusion"
+KEPT = ROOT / "docs" / "found"
 STRENGTH_WITHIN = 0.2
 PLACE_WITHIN = 0.1
 """Of the length of its pipe, or 10 cm if that is more."""
@@ -217,6 +218,9 @@ def _nodes(rig: Rig, pipe: str) -> tuple[str, str]:
 class Store:
     """What was found, one file for one study and version of code and settings.
 
+    Beside it goes what the repository keeps of this version, in ``docs/found``: a study that takes
+    hours may go on on another machine.
+
     Args:
         name: Name of the file: the study, and what tells versions apart.
     """
@@ -225,10 +229,12 @@ class Store:
         STORE.mkdir(parents=True, exist_ok=True)
         self._file = STORE / f"{name}.json"
         self.cases: dict[str, Found] = {}
-        if self._file.exists():
-            for name, data in json.loads(self._file.read_text()).items():
+        for file in (KEPT / f"{name}.json", self._file):
+            if not file.exists():
+                continue
+            for case, data in json.loads(file.read_text()).items():
                 injection = Injection(**data.pop("injection"))
-                self.cases[name] = Found(injection, **data)
+                self.cases[case] = Found(injection, **data)
 
     def add(self, name: str, found: Found) -> None:
         """Keeps a case; the file is whole at any time.

@@ -30,6 +30,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
+            "pneu = pneu_runtime.entry:main",
             "player = pneu_runtime.nodes.player:main",
             "recorder = pneu_runtime.nodes.recorder:main",
         ],

@@ -25,7 +25,6 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "pneu = pneu_sim.cli:main",
             "simulator = pneu_sim.nodes.simulator:main",
         ],
         "pneu.commands": ["1-sim = pneu_sim.commands:register"],

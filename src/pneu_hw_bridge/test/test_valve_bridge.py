@@ -245,7 +245,7 @@ def test_a_device_with_a_clock(start_lab, tmp_path, graph, wait_until):
     assert {b - a for a, b in pairwise(told)} == {2_000_000}
     assert {ns(one.clock) for one in clock} & set(told)
     since = [(ns(one.header.stamp) - told[0]) % 1_000_000 for one in taken]
-    assert max(since) <= 1 and 6.0 in {one.voltage_v[0] for one in taken}
+    assert max(since) < 10 and 6.0 in {one.voltage_v[0] for one in taken}
 
 
 def ns(stamp):

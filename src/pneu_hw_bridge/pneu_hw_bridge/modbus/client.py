@@ -11,7 +11,7 @@ import math
 import socket
 import struct
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
@@ -180,17 +180,16 @@ class Client:
         )
         return self._registers_of(batch, reply)
 
-    async def _ask(self, batch: Batch) -> None:
+    async def _ask(self, batch: Batch) -> list[int]:
         """Reads a batch, while it is one's turn."""
-        what = f"read of {batch.count} at {batch.table} {batch.address}"
         reply = await self._request_now(
-            what,
+            f"read of {batch.count} at {batch.table} {batch.address}",
             self._asks(batch.table),
             batch.address,
             count=batch.count,
             device_id=self._device.unit,
         )
-        self._registers_of(batch, reply)
+        return self._registers_of(batch, reply)
 
     def _asks(self, table: str) -> Callable[..., Any]:
         """What reads a table."""
@@ -254,37 +253,51 @@ class Client:
     ) -> Any:
         """Sends one request and sorts out what came back."""
         async with self._turn:
-            aside = self._aside(send, options.get("count"))
-            if aside is None:
+            asides = self._asides(send, options.get("count"))
+            patience_s = max(4.0 * self._statistics.reply.quantile(0.95), LEAST_PATIENCE_S)
+            if not (asides and patience_s < 0.5 * self._timeout_s):
                 return await self._request_now(what, send, *args, **options)
-            usual_s = self._statistics.reply.quantile(0.95)
-            patience_s = max(4.0 * usual_s, LEAST_PATIENCE_S)
-            if not patience_s < 0.5 * self._timeout_s:
-                return await self._request_now(what, send, *args, **options)
-            try:
-                async with asyncio.timeout(patience_s):
-                    return await self._request_now(what, send, *args, **options)
-            except TimeoutError:
-                # Spoilt on its way, or late? A device answers in turn: if it answers this, which no
-                # late answer fits, nothing more will come to what was asked before.
+            end_s = time.monotonic() + self._timeout_s
+            while True:
+                reply = await self._within(
+                    patience_s, self._request_now(what, send, *args, **options)
+                )
+                if reply is not None:
+                    return reply
+                # Spoilt on its way, or late? A device answers in turn: if it answers a question
+                # that no late answer fits, nothing more will come to what was asked before.
                 self._statistics.repeats += 1
-                self._modbus.ctx.recv_buffer = b""
-                await self._ask(aside)
-                return await self._request_now(what, send, *args, **options)
+                answered = False
+                while asides and not answered and time.monotonic() < end_s:
+                    answered = bool(await self._within(patience_s, self._ask(asides.pop(0))))
+                if not answered or time.monotonic() > end_s:
+                    self._statistics.timeouts += 1
+                    self._lost = f"no good answer within {self._timeout_s:g} s"
+                    raise RequestError(f"{what}: {self._lost}")
 
-    def _aside(self, send: Callable[..., Any], count: int | None) -> Batch | None:
-        """A question whose answer cannot be mistaken for that to a request; None if there is none.
+    async def _within(self, patience_s: float, asking: Coroutine[Any, Any, Any]) -> Any:
+        """Waits for an answer for a while; None where none came."""
+        try:
+            async with asyncio.timeout(patience_s):
+                return await asking
+        except TimeoutError:
+            self._modbus.ctx.recv_buffer = b""
+            return None
+
+    def _asides(self, send: Callable[..., Any], count: int | None) -> list[Batch]:
+        """Questions whose answers cannot be mistaken for that to a request, nor for one another's.
 
         Args:
             send: The request.
             count: How many registers it reads; None where it writes.
         """
         if self._device.transport == "tcp" or not self.in_step:
-            return None
-        for batch in self.questions:
-            if count is None or batch.table not in send.__name__ or batch.count != count:
-                return batch
-        return None
+            return []
+        return [
+            batch
+            for batch in self.questions
+            if count is None or batch.table not in send.__name__ or batch.count != count
+        ]
 
     async def _request_now(
         self, what: str, send: Callable[..., Any], *args: Any, **options: Any
