@@ -88,10 +88,10 @@ class Proxy:
         return self._server.sockets[0].getsockname()[1]
 
     async def _serve(self, reader, writer):
-        while len(self._lines) >= self.most:
-            await asyncio.sleep(0.01)
-        self._lines.add(writer)
         try:
+            while len(self._lines) >= self.most:
+                await asyncio.sleep(0.01)
+            self._lines.add(writer)
             device = await asyncio.open_connection("127.0.0.1", self.device_port)
             ways = [
                 asyncio.ensure_future(self._carry(reader, device[1], replies=False)),
@@ -103,7 +103,7 @@ class Proxy:
                 for way in ways:
                     way.cancel()
                 device[1].close()
-        except OSError:
+        except (OSError, asyncio.CancelledError):  # (streams log it if it is cancelled)
             pass
         finally:
             self._lines.discard(writer)
