@@ -61,12 +61,13 @@ class Watch:
             at_s: Steady time at which it was done.
             begun_s: Steady time before what happened.
             known_s: Steady time after it, where that is known.
-            within_s: How soon it must be done, s.
+            within_s: How soon it must be done, s; with a bound beyond `SAFE_WITHIN_S`, as slow replies
+                give, the time is judged and not listed among those.
         """
         took_s = at_s - begun_s
         if took_s <= within_s:
             noted = properties.get()
-            if noted is not None:
+            if noted is not None and within_s <= SAFE_WITHIN_S:
                 noted.append((PROPERTY, took_s))
             return
         stalled_s = self.stalled_s(begun_s, at_s, known_s)

@@ -53,3 +53,25 @@ def test_each_publication_is_counted_by_itself():
     losses.told({"01": (14, 1000), "02": (55, 900)}, 1.0)
     assert losses.by_topic(0.5) == {}
     assert losses.by_topic(math.inf) == {"/a": 4}
+
+
+@pytest.mark.parametrize("taken", [7, 8, 9, 10])
+def test_what_is_on_its_way_at_the_end_is_not_lost(taken):
+    """The last count may be taken before the messages that it is of; of those before it is known."""
+    losses = Losses()
+    for k in range(taken):
+        if k != 5:
+            losses.seen("/a", "01", 100 * k, None)
+        if k == 3:
+            losses.told({"01": (4, 300)}, 0.0)
+    losses.told({"01": (9, 800)}, 1.2)
+    missed = {"/a": 1} if taken == 10 else {}  # one came that is later than what was told
+    assert losses.by_topic(1.3, ended=True) == missed
+
+
+def test_the_last_ones_are_lost_if_they_had_time_to_come():
+    losses = Losses()
+    losses.seen("/a", "01", 100, None)
+    losses.told({"01": (1, 100)}, 0.0)
+    losses.told({"01": (3, 300)}, 0.5)
+    assert losses.by_topic(0.5 + GRACE_S, ended=True) == {"/a": 2}

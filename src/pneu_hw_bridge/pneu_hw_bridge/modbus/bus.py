@@ -141,6 +141,7 @@ class ModbusBus:
         self._faults = {"write": self.fault, "read": self.fault}
         self._refused = False
         self._ending = False
+        self._over = False
         self._short_lived = 0
 
     @property
@@ -303,7 +304,7 @@ class ModbusBus:
         Raises:
             RequestError: A connection failed.
         """
-        self._ending = False
+        self._ending = self._over = False
         write = self._loop.create_task(self._write_on(client))
         read = self._loop.create_task(self._read_on(reading))
         try:
@@ -315,6 +316,9 @@ class ModbusBus:
                 self._rouse()
                 await asyncio.wait((write,), timeout=self._timeout_s)
         finally:
+            # (cancelling alone is not enough: up to Python 3.11 `asyncio.wait_for` forgets it where
+            # an answer comes at the same time, and the other loop would go on by itself for ever)
+            self._over = True
             for task in (write, read):
                 task.cancel()
             found = await asyncio.gather(read, write, return_exceptions=True)
@@ -325,7 +329,7 @@ class ModbusBus:
     async def _write_on(self, client: Client) -> None:
         """Writes what the owner says, on one connection."""
         tick_s = time.monotonic()
-        while not (self._stopping or self._ending):
+        while not (self._stopping or self._ending or self._over):
             if self._vent is not None:
                 await self._do_vent(client)
             foreign = self._reader.foreign
@@ -353,7 +357,7 @@ class ModbusBus:
     async def _read_on(self, client: Client) -> None:
         """Reads at the rhythm of the period, on one connection."""
         tick_s = time.monotonic()
-        while not self._stopping:
+        while not (self._stopping or self._over):
             now_s = time.monotonic()
             if now_s > tick_s + self._period_s:
                 self.statistics.late_cycles += 1

@@ -66,16 +66,23 @@ class Losses:
             if one is not None and not (one.told and one.told[-1][1:] == (count, at_ns)):
                 one.told.append((now_s, count, at_ns))
 
-    def by_topic(self, now_s: float) -> dict[str, int]:
+    def by_topic(self, now_s: float, ended: bool = False) -> dict[str, int]:
         """Returns how many messages of each topic were lost, of those that lost any.
 
         Args:
-            now_s: Steady time; infinite where no message can come any more.
+            now_s: Steady time.
+            ended: No message is taken any more. What is told of a sender's messages up to a time is
+                then compared if a later one of its messages was taken: the last ones may have been
+                on their way when the taking ended, and are not lost but after the end.
         """
         found: dict[str, int] = {}
         for one in self._senders.values():
-            while one.told and one.told[0][0] + GRACE_S <= now_s:
-                _, count, at_ns = one.told.popleft()
+            newest_ns = max(one.unseen_ns, default=0)
+            while one.told:
+                told_s, count, at_ns = one.told[0]
+                if told_s + GRACE_S > now_s and not (ended and newest_ns > at_ns + ROUNDED_NS):
+                    break
+                one.told.popleft()
                 _compare(one, count, at_ns)
             if one.lost:
                 found[one.topic] = found.get(one.topic, 0) + one.lost

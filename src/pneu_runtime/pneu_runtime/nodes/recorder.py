@@ -11,7 +11,6 @@ Services: ``~/snapshot``, ``~/split`` (std_srvs/Trigger). /diagnostics tells how
 import contextlib
 import dataclasses
 import functools
-import math
 import re
 import sys
 import time
@@ -115,7 +114,7 @@ class Recorder(Node):
         Returns:
             Whether everything that was sent was written.
         """
-        lost = self._rec_losses.by_topic(math.inf)
+        lost = self._rec_losses.by_topic(time.monotonic(), ended=True)
         if lost:
             self._rec_recording.tell_lost(lost)
         faults = self._rec_recording.close()
