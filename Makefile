@@ -63,7 +63,7 @@ thresholds: $(VENV)/.ready-run  ## slow: what decides verdicts, halved and doubl
 moved: $(VENV)/.ready-run  ## slow: verdicts with calibrations moved on purpose (after confusion)
 	@$(RUN) -m studies.moved
 
-faults: $(VENV)/.ready-run  ## slow: what a bridge has to survive, idle and busy, at the device
+faults: $(VENV)/.ready-dev  ## slow: what a bridge has to survive, idle and busy, at the device
 	@$(RUN) -m studies.faults
 
 fuzz: $(VENV)/.ready-dev  ## slow: mutated rig files, bags, CSVs and command lines

@@ -4,11 +4,13 @@
 A bridge with a controller that holds the valve open, a proxy and the emulated lab; each fault is
 tried several times, on an idle machine and beside four busy processes. What is told is from the
 fault to the first safe voltage that the device then keeps, how often valves went from safe to open
-within a second, and whether anything older than a command may be was ever applied. Nothing is
-subtracted for a machine that was busy. Writes ``docs/faults.md``.
+within a second. Then faults of whole processes (`process_faults`), and of the line, where it counts
+whether anything is applied that must not be (`line_faults`). Nothing is subtracted for a machine
+that was busy. Writes ``docs/faults.md``.
 """
 
 import argparse
+import math
 import os
 import signal
 import statistics
@@ -23,12 +25,15 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import pytest
 from rich.console import Console
 from rich.progress import track
 from tests.bridges import Rig, running_lab, safe_since
+from tests.cables import ENDS, pull_and_plug
 from tests.proxy import LIES, Proxy
 
 from pneu_hw_bridge.safety.limits import SAFE_WITHIN_S
+from studies import line_faults, process_faults
 from studies.digest import digest_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -36,6 +41,7 @@ PAGE = ROOT / "docs" / "faults.md"
 TRIES = 6
 BUSY = 4
 OPEN_V = 5.5
+PULLED_S, AFTERWARDS_S = 5.0, 7.0
 LOOK_S = 0.8
 """So long after a fault it is looked at what the device has."""
 
@@ -80,11 +86,63 @@ class Outcome:
         seconds: From the fault to safe valves; infinite where they never were.
         changes: Most changes from safe to open within a second.
         faults: What went wrong besides.
+        within_s: The mark; infinite where there is none.
     """
 
     seconds: list[float] = field(default_factory=list)
     changes: int = 0
     faults: list[str] = field(default_factory=list)
+    within_s: float = SAFE_WITHIN_S
+
+    @property
+    def late(self) -> bool:
+        """Whether a try missed the mark, or there was none."""
+        return max(self.seconds, default=math.inf) > self.within_s
+
+
+@dataclass
+class Applied:
+    """What must not happen, over all tries of one fault.
+
+    Attributes:
+        what: What is counted.
+        most: The most that is allowed.
+        found: Of each try.
+        fault: Why it could not be tried.
+    """
+
+    what: str
+    most: float
+    found: list[float] = field(default_factory=list)
+    fault: str = ""
+
+    @property
+    def missed(self) -> bool:
+        """Whether the mark was missed."""
+        return bool(self.fault) or max(self.found, default=math.inf) > self.most
+
+
+@dataclass
+class Results:
+    """What was found at one load.
+
+    Attributes:
+        at_device: Of each fault at the device.
+        of_processes: Of each fault of a process.
+        of_line: Of each fault of the line.
+    """
+
+    at_device: dict[str, Outcome] = field(default_factory=dict)
+    of_processes: dict[str, Outcome] = field(default_factory=dict)
+    of_line: dict[str, Applied] = field(default_factory=dict)
+
+    @property
+    def missed(self) -> bool:
+        """Whether a mark was missed, or a fault could not be tried."""
+        timed = (*self.at_device.values(), *self.of_processes.values())
+        return any(one.late or one.changes > 1 or one.faults for one in timed) or any(
+            one.missed for one in self.of_line.values()
+        )
 
 
 def lab_fault(name: str, **details: Any) -> Callable[[Bench], Any]:
@@ -259,60 +317,127 @@ def busy(count: int) -> Iterator[None]:
             other.wait()
 
 
-def page(found: dict[int, dict[str, Outcome]], tries: int) -> str:
+def processes(folder: Path, tries: int) -> Iterator[tuple[str, Outcome]]:
+    """Tries the faults of processes.
+
+    Args:
+        folder: For files.
+        tries: How often each.
+
+    Yields:
+        The fault and what became of it.
+    """
+    folder.mkdir()
+    for fault, seconds, wrong in process_faults.tries_of(folder, tries):
+        outcome = Outcome(seconds, faults=[wrong] if wrong else [])
+        if fault.within_s is not None:
+            outcome.within_s = fault.within_s
+        yield fault.name, outcome
+    for name, seconds, wrong in process_faults.launches(folder / "launches", tries):
+        yield name, Outcome(seconds, faults=[wrong] if wrong else [])
+
+
+def lines_of(folder: Path, tries: int) -> Iterator[tuple[str, Applied]]:
+    """Tries the faults of lines.
+
+    Args:
+        folder: For files.
+        tries: How often each.
+
+    Yields:
+        The fault and what became of it.
+    """
+    for fault in line_faults.FAULTS:
+        applied = Applied(fault.counts, fault.most)
+        try:
+            applied.found += [fault.once() for _ in range(tries)]
+        except AssertionError as error:
+            applied.fault = str(error)
+        yield fault.name, applied
+    of_cables = {
+        f"a cable is out for {PULLED_S:g} s, its bridge {how}": Applied("old commands applied", 0.0)
+        for how in ENDS
+    }
+    for k in range(tries):
+        part = folder / f"cables{k}"
+        part.mkdir(parents=True)
+        try:
+            found = pull_and_plug(part, ENDS, PULLED_S, AFTERWARDS_S)
+        except (pytest.skip.Exception, TimeoutError) as error:
+            for applied in of_cables.values():
+                applied.fault = str(error)
+            break
+        for applied, opened in zip(of_cables.values(), found.values(), strict=True):
+            applied.found.append(float(len(opened)))
+    yield from of_cables.items()
+
+
+def page(found: dict[int, Results], tries: int) -> str:
     """The results as a page.
 
     Args:
-        found: By load and name of a fault what became of it.
+        found: By load what became of each fault.
         tries: How often each was tried.
     """
     source = digest_of([ROOT / "src" / "pneu_hw_bridge" / "pneu_hw_bridge"])
-    allowed_ms = 1e3 * SAFE_WITHIN_S
     lines = [
         "# Faults, at the device",
         "",
         f"Made by `make faults`: each fault {tries} times, on an idle machine of {os.cpu_count()}"
-        " processors and beside four busy processes. Milliseconds from the fault to the safe"
-        f" voltage that the device then keeps; the mark is {allowed_ms:.0f} ms, nothing is"
+        f" processors and beside {BUSY} busy processes. Milliseconds from the fault to the safe"
+        f" voltage that the device then keeps; the mark is {1e3 * SAFE_WITHIN_S:.0f} ms, nothing is"
         " subtracted. A device whose line or bridge is dead has its own watchdog of 100 ms."
         " Openings: the most within a second afterwards; one is allowed.",
         f"Made from the bridge's sources {source}.",
         "",
     ]
-    bounds = {fault.name: fault.bound for fault in FAULTS}
-    for load, outcomes in found.items():
-        late = [
-            name
-            for name, one in outcomes.items()
-            if bounds[name] and max(one.seconds, default=float("inf")) > SAFE_WITHIN_S
-        ]
-        flutter = [name for name, one in outcomes.items() if one.changes > 1]
-        failed = [name for name, one in outcomes.items() if one.faults]
+    for load, results in found.items():
+        lines += [f"## {'Idle' if not load else f'{load} busy processes'}", ""]
+        lines += _timed("faults at the device", results.at_device)
+        lines += _timed("faults of processes", results.of_processes)
+        failed = [f"{name}: {one.fault}" for name, one in results.of_line.items() if one.fault]
+        missed = [name for name, one in results.of_line.items() if one.missed]
         lines += [
-            f"## {'Idle' if not load else f'{load} busy processes'}",
+            f"* {len(results.of_line)} faults of the line; beyond the mark or not tried:"
+            f" {len(missed)}{_named(failed or missed)}",
             "",
-            f"* {len(outcomes)} faults; beyond the mark: {len(late)}"
-            + (f" ({'; '.join(late)})" if late else ""),
-            f"* more than one opening a second: {len(flutter)}"
-            + (f" ({'; '.join(flutter)})" if flutter else ""),
-            f"* could not be tried: {len(failed)}" + (f" ({'; '.join(failed)})" if failed else ""),
-            "",
-            "| fault | tries | min | median | max | openings a second |",
-            "|---|---|---|---|---|---|",
+            "| fault | tries | most | of | allowed |",
+            "|---|---|---|---|---|",
         ]
-        for name, one in outcomes.items():
-            shown = "| - | - | - "
-            if one.seconds:
-                low, middle, high = (
-                    min(one.seconds),
-                    statistics.median(one.seconds),
-                    max(one.seconds),
-                )
-                shown = "".join(f"| {1e3 * s:.0f} " for s in (low, middle, high))
-            remark = "" if bounds[name] else " (no bound)"
-            lines.append(f"| {name}{remark} | {len(one.seconds)} {shown}| {one.changes} |")
+        for name, applied in results.of_line.items():
+            most = f"{max(applied.found):.3g}" if applied.found else "-"
+            row = (name, len(applied.found), most, applied.what, f"{applied.most:g}")
+            lines.append(f"| {' | '.join(map(str, row))} |")
         lines.append("")
     return "\n".join(lines)
+
+
+def _named(names: list[str]) -> str:
+    return f" ({'; '.join(names)})" if names else ""
+
+
+def _timed(what: str, outcomes: dict[str, Outcome]) -> list[str]:
+    """What is told of faults after which valves have to be safe."""
+    late = [name for name, one in outcomes.items() if one.late]
+    flutter = [name for name, one in outcomes.items() if one.changes > 1]
+    failed = [f"{name}: {one.faults[0]}" for name, one in outcomes.items() if one.faults]
+    lines = [
+        f"* {len(outcomes)} {what}; beyond the mark: {len(late)}{_named(late)}",
+        f"* more than one opening a second: {len(flutter)}{_named(flutter)}",
+        f"* could not be tried, or went wrong besides: {len(failed)}{_named(failed)}",
+        "",
+        "| fault | tries | min | median | max | openings a second |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, one in outcomes.items():
+        shown = "| - | - | - "
+        if one.seconds:
+            of = (min(one.seconds), statistics.median(one.seconds), max(one.seconds))
+            shown = "".join(f"| {1e3 * s:.0f} " for s in of)
+        remark = "" if one.within_s == SAFE_WITHIN_S else f" (mark {1e3 * one.within_s:.0f} ms)"
+        remark = " (no bound)" if math.isinf(one.within_s) else remark
+        lines.append(f"| {name}{remark} | {len(one.seconds)} {shown}| {one.changes} |")
+    return [*lines, ""]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -320,30 +445,33 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tries", type=int, default=TRIES)
     parser.add_argument("--loads", type=int, nargs="*", default=[0, BUSY])
-    parser.add_argument("--only", default="", help="a part of the names of faults")
+    parser.add_argument("--only", default="", help="a part of the names of faults at the device")
     options = parser.parse_args(arguments)
     console = Console()
-    found: dict[int, dict[str, Outcome]] = {}
+    found: dict[int, Results] = {}
     with tempfile.TemporaryDirectory() as name, running_lab(Path(name)) as lab:
         for load in options.loads:
-            found[load] = {}
+            results = found[load] = Results()
             chosen = [fault for fault in FAULTS if options.only in fault.name]
             with busy(load):
                 for fault in track(chosen, f"{load} busy processes", console=console):
-                    outcome = found[load][fault.name] = Outcome()
+                    outcome = results.at_device[fault.name] = Outcome()
+                    outcome.within_s = SAFE_WITHIN_S if fault.bound else math.inf
                     for _ in range(options.tries):
                         attempt(fault, Path(name), lab, outcome)
+                if options.only:
+                    continue
+                count = len(process_faults.FAULTS) + len(process_faults.LAUNCHES)
+                some = processes(Path(name) / f"processes{load}", options.tries)
+                results.of_processes.update(track(some, "processes", count, console=console))
+                some_lines = lines_of(Path(name) / f"lines{load}", options.tries)
+                count = len(line_faults.FAULTS) + len(ENDS)
+                results.of_line.update(track(some_lines, "lines", count, console=console))
     text = page(found, options.tries)
     console.print(text, soft_wrap=True)
     if not options.only:
         PAGE.write_text(text, encoding="utf-8")
-    missed = any(
-        max(one.seconds, default=float("inf")) > SAFE_WITHIN_S or one.changes > 1 or one.faults
-        for outcomes in found.values()
-        for name, one in outcomes.items()
-        if {fault.name: fault.bound for fault in FAULTS}[name]
-    )
-    return int(missed)
+    return int(any(results.missed for results in found.values()))
 
 
 if __name__ == "__main__":

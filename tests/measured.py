@@ -61,8 +61,8 @@ class Watch:
             at_s: Steady time at which it was done.
             begun_s: Steady time before what happened.
             known_s: Steady time after it, where that is known.
-            within_s: How soon it must be done, s; with a bound beyond `SAFE_WITHIN_S`, as slow replies
-                give, the time is judged and not listed among those.
+            within_s: How soon it must be done, s; beyond `SAFE_WITHIN_S` the time is judged and not
+                listed among those.
         """
         took_s = at_s - begun_s
         if took_s <= within_s:

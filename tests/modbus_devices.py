@@ -113,6 +113,16 @@ class Server:
         self.loop.call_soon_threadsafe(self.loop.stop)
 
 
+@contextmanager
+def open_bus(port, owner, **options):
+    bus = ModbusBus(load_register_map("generic_plc", {"port": port}), owner, **options)
+    bus.start()
+    try:
+        yield bus
+    finally:
+        bus.stop()
+
+
 async def rival(port, over):
     """Another Modbus master, which writes 9 V every 5 ms until an event is set."""
     other = AsyncModbusTcpClient("127.0.0.1", port=port)

@@ -7,12 +7,12 @@ import socket
 import struct
 import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from itertools import pairwise
 
 import pytest
 from pymodbus.constants import ExcCodes
-from tests.modbus_devices import PRESSURES, Owner, Server, rival, serial_bus
+from tests.modbus_devices import PRESSURES, Owner, Server, open_bus, rival, serial_bus
 
 from pneu_hw_bridge.modbus.bus import ModbusBus
 from pneu_hw_bridge.registers.load import load_register_map
@@ -26,16 +26,6 @@ def server():
     yield one
     one.close()
     one.end()
-
-
-@contextmanager
-def open_bus(port, owner, **options):
-    bus = ModbusBus(load_register_map("generic_plc", {"port": port}), owner, **options)
-    bus.start()
-    try:
-        yield bus
-    finally:
-        bus.stop()
 
 
 def test_reads_and_writes(server, wait_until):

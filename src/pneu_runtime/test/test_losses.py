@@ -57,7 +57,7 @@ def test_each_publication_is_counted_by_itself():
 
 @pytest.mark.parametrize("taken", [7, 8, 9, 10])
 def test_what_is_on_its_way_at_the_end_is_not_lost(taken):
-    """The last count may be taken before the messages that it is of; of those before it is known."""
+    """The last count may be taken before the messages that it is of; those before are counted."""
     losses = Losses()
     for k in range(taken):
         if k != 5:
