@@ -371,6 +371,25 @@ def test_ten_thousand_random_replies(wait_until, monkeypatch):
     assert all(len(values) == 5 for values, _, _ in owner.samples)
 
 
+def test_of_an_exchange_that_was_held_up_nobody_knows_when_it_was(server, wait_until):
+    """Half a second in a machine that stood still is half a bar in a tube."""
+    owner = Owner()
+    with open_bus(server.port, owner, timeout_s=0.2) as bus:
+        wait_until(lambda: len(owner.samples) > 100)
+        assert all(stamp_ns is not None for _, _, stamp_ns in owner.samples[50:100])
+        owner.volts = {"voltage": 3.0}
+        server.delay_s = 0.08
+        begun_s = time.monotonic()
+        wait_until(lambda: bus.statistics.unclear > 1)
+        wait_until(lambda: server.written[-1][1] == 3.0)
+        server.delay_s = 0.0
+        wait_until(lambda: owner.applied[-1][0] == owner.volts)
+        count = len(owner.samples)
+        wait_until(lambda: len(owner.samples) > count + 50)
+    unclear = [at_s for _, at_s, stamp_ns in owner.samples if stamp_ns is None and at_s > begun_s]
+    assert unclear and all(stamp_ns is not None for _, _, stamp_ns in owner.samples[-20:])
+
+
 def test_reading_does_not_go_on_alone(server, wait_until, monkeypatch):
     """Where asyncio forgets that it was cancelled, because an answer came at the same time."""
 

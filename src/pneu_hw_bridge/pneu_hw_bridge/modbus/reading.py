@@ -167,6 +167,8 @@ class Reader:
     async def read(self, client: Client) -> None:
         """Reads all inputs and hands them over with the middle of the exchange as their time.
 
+        Of an exchange that took far longer than usual that is not known.
+
         Args:
             client: The connection.
 
@@ -180,7 +182,14 @@ class Reader:
         if self._samples is not None:
             await self._read_records(client, self._samples, values)
             return
-        half_s = 0.5 * (time.monotonic() - begun_s)
+        took_s = time.monotonic() - begun_s
+        if not self._statistics.tells_when(took_s, len(self.batches)):
+            # The machine or the line stood still: only the supervisor learns of it, as of an old
+            # one. In a recording it would stand at a time at which the pressure was another one.
+            self._statistics.unclear += 1
+            self._owner.readings(values, begun_s, None)
+            return
+        half_s = 0.5 * took_s
         self._owner.readings(values, begun_s + half_s, begun_ns + round(1e9 * half_s))
 
     def _plan_records(self) -> list[Batch]:

@@ -4,6 +4,9 @@
 from collections import deque
 from dataclasses import dataclass, field
 
+LONG_S = 0.01
+"""An exchange that takes no longer tells well enough when it was: half of it is unknown."""
+
 LATEST = 64
 """Durations by which it is judged how quick a device is now."""
 
@@ -59,6 +62,7 @@ class Statistics:
         malformed: Answers that made no sense, or were of the wrong length.
         foreign: Outputs that read back as something else than was written.
         settings: Times that the map's settings were written.
+        unclear: Readings of which nobody knows when they were taken, as the exchange took so long.
         unwritable: Outputs that the register's type could not hold.
         samples: Samples of a device with a clock that were taken, each once.
         samples_skipped: Samples that the device had forgotten before they were read.
@@ -82,6 +86,7 @@ class Statistics:
     malformed: int = 0
     foreign: int = 0
     settings: int = 0
+    unclear: int = 0
     unwritable: int = 0
     samples: int = 0
     samples_skipped: int = 0
@@ -90,6 +95,15 @@ class Statistics:
     request: Durations = field(default_factory=Durations)
     reply: Durations = field(default_factory=lambda: Durations(deque(maxlen=LATEST)))
     command: Durations = field(default_factory=Durations)
+
+    def tells_when(self, took_s: float, requests: int) -> bool:
+        """Whether the middle of an exchange is when it was: not where something held it up.
+
+        Args:
+            took_s: How long it took, s.
+            requests: Of how many requests it was.
+        """
+        return not took_s > requests * max(LONG_S, 4.0 * self.reply.quantile(0.5))
 
     def counters(self) -> dict[str, int]:
         """Returns all counters by name."""
