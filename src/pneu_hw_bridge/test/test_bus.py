@@ -205,6 +205,31 @@ def test_each_valve_is_made_safe_whatever_becomes_of_the_others(two_valves, wait
     assert bus.vent().verified
 
 
+@pytest.mark.parametrize("step_s", [5.0, -5.0])
+def test_a_clock_that_is_set_puts_no_safe_voltages_into_the_record(
+    server, tmp_path, wait_until, step_s
+):
+    """They were written all the time, though by the clock of the day nothing was for 5 s."""
+    path = tmp_path / "two_valves.yaml"
+    path.write_text(TWO_VALVES.replace("PORT", str(server.port)))
+    owner, ahead_ns = Owner(), [0]
+    owner.volts = {"left": 6.5, "right": 6.5}
+    bus = ModbusBus(
+        load_register_map(str(path)), owner, clock_ns=lambda: time.time_ns() + ahead_ns[0]
+    )
+    bus.start()
+    try:
+        wait_until(lambda: len(owner.applied) > 5)
+        begun = len(owner.applied)
+        ahead_ns[0] = round(1e9 * step_s)
+        wait_until(lambda: len(owner.applied) > begun + 10)
+        longest_s = bus.statistics.request.quantile(1.0)
+    finally:
+        bus.stop()
+    if longest_s < 0.05:  # else the machine stood still, and the device had vented
+        assert all(values == owner.volts for values, _ in owner.applied[begun:])
+
+
 def test_venting_says_which_valve_is_not_safe(two_valves, wait_until):
     bus, _, server = two_valves
     wait_until(lambda: server.volts == {100: 6.5, 110: 6.5})

@@ -80,7 +80,7 @@ class Writer:
         self._written: dict[str, float] = {}
         self._written_s = -math.inf
         self._confirmed = self.safe()
-        self._confirmed_ns: int | None = None
+        self._confirmed_s = -math.inf
         self._sent: deque[_Sent] = deque([_Sent(self.safe(), -math.inf)], maxlen=MOST_SENT)
 
     def safe(self) -> dict[str, float]:
@@ -155,8 +155,10 @@ class Writer:
             took_s = time.monotonic() - begun_s
             # (of one that was held up it is known that it has them at the end)
             held_up = not self._statistics.tells_when(took_s, len(self.batches))
-            at_ns = begun_ns + round(1e9 * (took_s if held_up else 0.5 * took_s))
-            self._confirm({**self._confirmed, **written}, at_ns)
+            after_s = took_s if held_up else 0.5 * took_s
+            self._confirm(
+                {**self._confirmed, **written}, begun_s + after_s, begun_ns + round(1e9 * after_s)
+            )
         if failed:
             raise next((e for e in failed.values() if not e.usable), next(iter(failed.values())))
         sent.confirmed_s = time.monotonic()
@@ -189,16 +191,17 @@ class Writer:
         self._sent.append(sent)
         return sent
 
-    def _confirm(self, values: dict[str, float], stamp_ns: int) -> None:
+    def _confirm(self, values: dict[str, float], steady_s: float, stamp_ns: int) -> None:
         """Keeps what the device has confirmed, and tells the owner."""
         self._confirmed = values
         if self._device_tells:
             return
-        watchdog_s, before_ns = self._registers.device.watchdog_s, self._confirmed_ns
-        if watchdog_s and before_ns is not None and stamp_ns - before_ns > 1e9 * watchdog_s:
-            # Left alone for so long, the device had the safe voltages until now.
-            self._owner.written(self.safe(), before_ns + round(1e9 * watchdog_s))
-        self._confirmed_ns = stamp_ns
+        alone_s, self._confirmed_s = steady_s - self._confirmed_s, steady_s
+        watchdog_s = self._registers.device.watchdog_s
+        if watchdog_s and watchdog_s < alone_s < math.inf:
+            # Left alone for so long, the device had the safe voltages until now. (How long, only
+            # the steady clock knows: the other one may have been set.)
+            self._owner.written(self.safe(), stamp_ns - round(1e9 * (alone_s - watchdog_s)))
         self._owner.written(values, stamp_ns)
 
     def foreign(self, found: Mapping[str, float], asked_s: float) -> str:
