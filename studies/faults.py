@@ -317,12 +317,13 @@ def busy(count: int) -> Iterator[None]:
             other.wait()
 
 
-def processes(folder: Path, tries: int) -> Iterator[tuple[str, Outcome]]:
+def processes(folder: Path, tries: int, load: int) -> Iterator[tuple[str, Outcome]]:
     """Tries the faults of processes.
 
     Args:
         folder: For files.
         tries: How often each.
+        load: Busy processes beside; a process that has to begin first has a mark without them only.
 
     Yields:
         The fault and what became of it.
@@ -331,7 +332,7 @@ def processes(folder: Path, tries: int) -> Iterator[tuple[str, Outcome]]:
     for fault, seconds, wrong in process_faults.tries_of(folder, tries):
         outcome = Outcome(seconds, faults=[wrong] if wrong else [])
         if fault.within_s is not None:
-            outcome.within_s = fault.within_s
+            outcome.within_s = math.inf if load else fault.within_s
         yield fault.name, outcome
     for name, seconds, wrong in process_faults.launches(folder / "launches", tries):
         yield name, Outcome(seconds, faults=[wrong] if wrong else [])
@@ -462,7 +463,7 @@ def main(arguments: list[str] | None = None) -> int:
                 if options.only:
                     continue
                 count = len(process_faults.FAULTS) + len(process_faults.LAUNCHES)
-                some = processes(Path(name) / f"processes{load}", options.tries)
+                some = processes(Path(name) / f"processes{load}", options.tries, load)
                 results.of_processes.update(track(some, "processes", count, console=console))
                 some_lines = lines_of(Path(name) / f"lines{load}", options.tries)
                 count = len(line_faults.FAULTS) + len(ENDS)

@@ -83,6 +83,7 @@ from pneu_hw_bridge.safety.supervisor import Supervisor
 
 silent = threading.Event()
 signal.signal(signal.SIGUSR1, lambda *_: silent.set())
+signal.signal(signal.SIGINT, signal.default_int_handler)  # (a shell may have had it ignored)
 registers = load_register_map("generic_plc", {"host": sys.argv[1], "port": int(sys.argv[2])})
 link = Link(Supervisor(limits_of(registers)), lambda: None)
 bus = ModbusBus(registers, link)

@@ -15,6 +15,7 @@ from pymodbus.constants import ExcCodes
 from tests.modbus_devices import PRESSURES, Owner, Server, open_bus, rival, serial_bus
 
 from pneu_hw_bridge.modbus.bus import ModbusBus
+from pneu_hw_bridge.modbus.client import Client
 from pneu_hw_bridge.registers.load import load_register_map
 from pneu_sim.errors import InputError
 
@@ -413,6 +414,23 @@ def test_of_an_exchange_that_was_held_up_nobody_knows_when_it_was(server, wait_u
         wait_until(lambda: len(owner.samples) > count + 50)
     unclear = [at_s for _, at_s, stamp_ns in owner.samples if stamp_ns is None and at_s > begun_s]
     assert unclear and all(stamp_ns is not None for _, _, stamp_ns in owner.samples[-20:])
+
+
+def test_a_device_that_hangs_up_while_the_line_is_set_up(server, wait_until, monkeypatch):
+    """It ended the thread of the bus, and nothing was written any more."""
+    left = iter([OSError(9, "Bad file descriptor"), AttributeError("no transport")])
+    whole = Client._forget_when_closed
+
+    def forget(self):
+        for error in left:
+            raise error
+        whole(self)
+
+    monkeypatch.setattr(Client, "_forget_when_closed", forget)
+    owner = Owner()
+    with open_bus(server.port, owner) as bus:
+        wait_until(lambda: owner.samples, 5.0)
+        assert bus.statistics.connect_failures == 2
 
 
 def test_reading_does_not_go_on_alone(server, wait_until, monkeypatch):

@@ -120,7 +120,11 @@ class Client:
             return f"{fault} ({error})"
         if not up:
             return fault
-        self._forget_when_closed()
+        try:
+            self._forget_when_closed()
+        except (OSError, AttributeError) as error:  # a device that hangs up at once has left none
+            self._modbus.close()
+            return f"{fault} ({error})"
         return ""
 
     @property
