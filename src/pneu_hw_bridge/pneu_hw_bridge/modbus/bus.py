@@ -367,6 +367,8 @@ class ModbusBus:
             try:
                 await self._reader.look_back(client, self._writer)
                 await self._reader.read(client)
+                if self.lines == 2:
+                    await self._writer.overtake(client)
                 self.statistics.cycles += 1
                 self._works("read", "")
             except RequestError as error:

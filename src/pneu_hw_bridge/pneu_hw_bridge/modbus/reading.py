@@ -24,7 +24,11 @@ LOOK_BACK_S = 0.02
 """Interval at which outputs are read back."""
 
 SLOW_S = 0.03
-"""With slower replies outputs are read back only while the valves are safe."""
+"""With slower replies outputs are read back only while the valves are safe, and rarely: the next
+reading comes so late for it that it may count as stale, and valves that are not followed for a
+second after that would else never be followed again."""
+SLOW_LOOK_BACK_S = 3.0
+"""Interval of that."""
 
 FOREIGN_S = 1.0
 """So long after another voltage was read back than was written somebody else is held to write."""
@@ -144,10 +148,12 @@ class Reader:
             RequestError: The connection cannot be used any more.
         """
         now_s = time.monotonic()
-        due = self.foreign or now_s >= self._looked_s + LOOK_BACK_S
-        # Readings must not grow old for it while valves are open.
         slow = self._statistics.reply.quantile(0.95) > SLOW_S
-        if not (self.readable and due) or (slow and not writer.is_safe):
+        if slow and not writer.is_safe:
+            self._looked_s = now_s
+            return
+        due_s = self._looked_s + (SLOW_LOOK_BACK_S if slow else LOOK_BACK_S)
+        if not (self.readable and (self.foreign or now_s >= due_s)):
             return
         self._looked_s = now_s
         for batch in list(writer.batches):

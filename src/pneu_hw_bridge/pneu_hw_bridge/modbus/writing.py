@@ -82,6 +82,7 @@ class Writer:
         self._confirmed = self.safe()
         self._confirmed_s = -math.inf
         self._sent: deque[_Sent] = deque([_Sent(self.safe(), -math.inf)], maxlen=MOST_SENT)
+        self._busy = False
 
     def safe(self) -> dict[str, float]:
         """Returns the safe voltages."""
@@ -113,8 +114,28 @@ class Writer:
         now_s = time.monotonic()
         values = dict(self._owner.output(now_s))
         if force or values != self._written or now_s >= self.due_s():
-            await self.send(client, values)
+            self._busy = True
+            try:
+                await self.send(client, values)
+            finally:
+                self._busy = False
             self._written, self._written_s = values, now_s
+
+    async def overtake(self, client: Client) -> None:
+        """Writes the safe voltages at once where another write is still being answered.
+
+        So that a reading that calls for them does not wait for a slow device to confirm what was
+        right before. The next `write` repeats them, in case the device takes the two in another
+        order.
+
+        Args:
+            client: Another connection than that of `write`.
+
+        Raises:
+            RequestError: An output was not written.
+        """
+        if self._busy and not self.is_safe and self._owner.output(time.monotonic()) == self.safe():
+            await self.send(client, self.safe())
 
     async def send(self, client: Client, values: Mapping[str, float]) -> None:
         """Writes voltages, and tells the owner with the middle of the exchange as their time.
@@ -133,7 +154,7 @@ class Writer:
         written: dict[str, float] = {}
         failed: dict[tuple[str, int], RequestError] = {}
         sent = self._note(values)
-        for batch in self.batches:
+        for batch in list(self.batches):
             try:
                 await self._put(client, batch, safe if failed else values)
             except RequestError as error:
@@ -144,7 +165,7 @@ class Writer:
                 continue
             written |= {name: (safe if failed else values)[name] for name, _ in batch.channels}
         if failed:
-            for batch in self.batches:
+            for batch in list(self.batches):
                 names = [name for name, _ in batch.channels]
                 if any(written.get(name, safe[name]) != safe[name] for name in names):
                     await self._put(client, batch, safe)
@@ -243,7 +264,7 @@ class Writer:
         except RequestError as error:
             lost = None if error.usable else error
         verified = True
-        for batch in self.batches:
+        for batch in list(self.batches):
             try:
                 if lost is not None and not client.usable:
                     raise lost
