@@ -15,7 +15,7 @@ from benchmarks.report import ROOT, Table
 BAG = ROOT / "data" / "bags" / "a_leak"
 RIG = ROOT / "rigs" / "rig_a_fitted.yaml"
 THIN_PLATE = ROOT / "rigs" / "rig_a_thin_plate.yaml"
-PNEU = [sys.executable, "-c", "from pneu_sim.cli import main; main()"]
+PNEU = [sys.executable, "-c", "from pneu_common.cli import main; main()"]
 # In a small process of its own: Linux counts the memory of the process that starts a command as the
 # command's, and this one has measured other subjects before.
 LAUNCHER = """

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from pneu_sim.cli import build_app, show_log
+from pneu_common.cli import build_app, show_log
 
 ROOT = Path(__file__).resolve().parent.parent
 HEALTHY = "data/bags/a_healthy_2"

@@ -88,7 +88,7 @@ def pneu(*words: str, log: Path) -> Iterator[subprocess.Popen[bytes]]:
     """
     with log.open("wb") as stream:
         process = subprocess.Popen(
-            [sys.executable, "-m", "pneu_sim.cli", *words],
+            [sys.executable, "-m", "pneu_common.cli", *words],
             stdout=stream,
             stderr=subprocess.STDOUT,
             start_new_session=True,
@@ -193,7 +193,9 @@ def run(console: Console, *words: str) -> None:
         *words: Its arguments.
     """
     console.print(f"$ pneu {' '.join(words)}", style="cyan")
-    status = subprocess.run([sys.executable, "-m", "pneu_sim.cli", *words], check=False).returncode
+    status = subprocess.run(
+        [sys.executable, "-m", "pneu_common.cli", *words], check=False
+    ).returncode
     if status:
         raise SystemExit(status)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pneu_sim import layout
 from pneu_sim.effects import Effect, EffectParameter, position_along_pipe
-from pneu_sim.rig.build import Model
+from pneu_sim.rig.model import Model
 from pneu_sim.rig.schema import Rig
 
 

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 from rich.console import Console
 
+from pneu_common.errors import InputError
 from pneu_sim.effects import registry
 from pneu_sim.effects.base import POSITION
-from pneu_sim.errors import InputError
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.compare import compare

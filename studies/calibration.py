@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from pneu_sim.progress import progress
+from pneu_common.progress import progress
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.opening import opening_at
 from pneu_sim.rig.parameters import get_parameter

@@ -25,7 +25,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from pneu_sim.progress import progress
+from pneu_common.progress import progress
 
 ROOT = Path(__file__).resolve().parent.parent
 KEPT = ROOT / "out" / "fuzz"
@@ -41,7 +41,7 @@ STARTUP_S = 180.0
 MEMORY_BYTES = 4 << 30
 """Memory that a worker may map."""
 PROGRESS = re.compile(r"^(?:.*: [\d:]+ so far.*|done after [\d:]+)\n", re.MULTILINE)
-"""What commands say about themselves where the machine is slow; `pneu_sim.progress`."""
+"""What commands say about themselves where the machine is slow; `pneu_common.progress`."""
 LONGEST_LINE = 1000
 """Characters of a sentence that can be read, the names of files among them."""
 
@@ -87,7 +87,7 @@ class Tally:
 
 def _work(pipe: Connection, memory_bytes: int) -> None:
     """Runs cases as they are asked for, until the pipe ends."""
-    from pneu_sim.cli import build_app
+    from pneu_common.cli import build_app
     from pneu_sim.effects.registry import _loaded as loaded_effects
     from studies.fuzz_cases import make_case
 

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import typer
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
-from pneu_sim.rig.build import plan_grid
+from pneu_sim.rig.plan import plan_grid
 from pneu_sysid.records import even_recording
 from pneu_sysid.records import write as records_write
 from studies import fuzz_bags
@@ -454,7 +454,7 @@ MAINLY = {
 @functools.cache
 def callbacks() -> dict[str, Callable[..., Any]]:
     """The functions of all subcommands, by their words."""
-    from pneu_sim.cli import build_app
+    from pneu_common.cli import build_app
 
     out: dict[str, Callable[..., Any]] = {}
 
@@ -540,7 +540,7 @@ def _parameters(name: str) -> list[tuple[str, Any, Any]]:
 @functools.cache
 def _flags(name: str, option: str) -> list[str]:
     """How an option may be written; nothing for an argument."""
-    from pneu_sim.cli import build_app
+    from pneu_common.cli import build_app
 
     command: Any = typer.main.get_command(build_app())
     for word in name.split():

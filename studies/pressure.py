@@ -29,6 +29,8 @@ from pathlib import Path
 import joblib
 from rich.console import Console
 
+from pneu_common.errors import InputError
+from pneu_common.progress import progress
 from pneu_hw_bridge.lab.sealed import open_sealed
 from pneu_policy.evaluate import evaluate_simulated
 from pneu_policy.learn.settings import load_document
@@ -40,8 +42,6 @@ from pneu_policy.live_rig import LivePlant
 from pneu_policy.policy_file import PolicyFile
 from pneu_policy.results import Evaluation, error_rows, load, rich_table
 from pneu_policy.tasks import Conditions, Tasks
-from pneu_sim.errors import InputError
-from pneu_sim.progress import progress
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 from studies import pressure_page
@@ -89,7 +89,7 @@ def pneu(console: Console, *words: str) -> None:
         *words: Its arguments.
     """
     console.print(f"$ pneu {' '.join(words)}", style="cyan")
-    command = [sys.executable, "-m", "pneu_sim.cli", *words]
+    command = [sys.executable, "-m", "pneu_common.cli", *words]
     status = subprocess.run(command, check=False, cwd=ROOT).returncode
     if status:
         raise SystemExit(status)

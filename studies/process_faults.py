@@ -21,13 +21,13 @@ from pneu_msgs.msg import ValveCommand
 from std_srvs.srv import Trigger
 from tests.live_rig import LAUNCH, OVERRIDES, PARAMETERS, HardwareRig
 
-from pneu_sim.nodes import common
+from pneu_graph.nodes import common
 
 ROOT = Path(__file__).resolve().parent.parent
 COMMANDS = "/lab/valve/command"
 SERVICE = "/lab/valve_bridge/e_stop"
 LOOK_S = 0.6
-PNEU = [sys.executable, "-c", "from pneu_runtime.entry import main; main()"]
+PNEU = [sys.executable, "-c", "from pneu_common.entry import main; main()"]
 
 
 @dataclass(frozen=True)

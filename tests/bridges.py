@@ -52,7 +52,7 @@ class RunningLab:
 def running_lab(folder, *options):
     """Runs `pneu lab` as a user does."""
     ready = folder / f"ready{time.monotonic_ns()}.json"
-    command = [sys.executable, "-m", "pneu_sim.cli", "lab", "--rig", str(RIG)]
+    command = [sys.executable, "-m", "pneu_common.cli", "lab", "--rig", str(RIG)]
     command += ["--port", "0", "--control-port", "0", "--dx", "0.1", "--ready-file", str(ready)]
     process = subprocess.Popen(
         [*command, *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

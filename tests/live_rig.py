@@ -18,10 +18,10 @@ from std_srvs.srv import Trigger
 from tests.live_graph import wait_and_see, wait_for
 from tests.measured import MachineStalledError, Watch
 
+from pneu_common.errors import InputError
+from pneu_graph.bag.reader import BagReader
+from pneu_graph.launch.plan import Plan
 from pneu_hw_bridge.lab.asking import ask
-from pneu_runtime.bag.reader import BagReader
-from pneu_runtime.launch.plan import Plan
-from pneu_sim.errors import InputError
 
 ROOT = Path(__file__).parent.parent
 LAUNCH = ROOT / "ros_ws/src/pneu_bringup/launch/rig.launch.yaml"
@@ -132,7 +132,7 @@ class Lab:
 
     def start(self):
         self._ready.unlink(missing_ok=True)
-        command = [sys.executable, "-m", "pneu_sim.cli", "lab", "--rig", "rigs/lab.yaml"]
+        command = [sys.executable, "-m", "pneu_common.cli", "lab", "--rig", "rigs/lab.yaml"]
         command += ["--port", str(self.port), "--control-port", str(self.control_port)]
         command += ["--dx", "0.1", "--allow-slow", "--ready-file", str(self._ready)]
         self._processes.start("lab", command)

@@ -4,7 +4,7 @@
 REALTIME = (
     "src/pneu_hw_bridge/test/",
     "src/pneu_policy/test/test_policy_nodes",
-    "src/pneu_runtime/test/test_recorder",
+    "src/pneu_graph/test/test_recorder",
     "src/pneu_sim/test/test_simulator_node",
     "src/pneu_sysid/test/test_identify_node",
     "src/pneu_sysid/test/test_replay_node",
@@ -27,13 +27,13 @@ LONGEST = (
     "tests/test_pressure_study",
     "src/pneu_sysid/test/test_identify_node",
     "src/pneu_hw_bridge/test/test_faults",
-    "src/pneu_runtime/test/test_recorder",
+    "src/pneu_graph/test/test_recorder",
     "tests/test_hidden_effects",
     "tests/test_real_data",
     "tests/test_several_recordings",
     "src/pneu_sysid/test/test_exact",
     "src/pneu_sysid/test/",
-    "src/pneu_runtime/test/test_tools",
+    "src/pneu_graph/test/test_tools",
 )
 """Beginnings of the paths of tests that take longest: they begin first, so that no worker is left
 alone with one of them at the end. Wants `--no-loadscope-reorder`."""

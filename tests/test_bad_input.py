@@ -14,7 +14,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
-from pneu_sim.cli import COMMANDS_GROUP, build_app
+from pneu_common.cli import COMMANDS_GROUP, build_app
 from pneu_sim.rig import load_rig
 from pneu_sysid.records import even_recording
 from pneu_sysid.records.write import write_bag
@@ -365,7 +365,7 @@ def test_adding_what_there_is_not(run, good_bag, effect, named):
 
 def test_in_a_process_of_its_own(tmp_path):
     words = ["check", str(changed_rig(tmp_path, WRONG_RIGS["negative length"][0]))]
-    code = "import sys; sys.argv[0] = 'pneu'; from pneu_sim.cli import main; main()"
+    code = "import sys; sys.argv[0] = 'pneu'; from pneu_common.cli import main; main()"
     result = subprocess.run(
         [sys.executable, "-c", code, *words], capture_output=True, text=True, check=False
     )

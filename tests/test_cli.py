@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from pneu_sim.cli import COMMANDS_GROUP, build_app
+from pneu_common.cli import COMMANDS_GROUP, build_app
 
 PLUGIN = '''
 """A plugin as another distribution would bring it."""
 import signal
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 
 def register(app):
     @app.command()
@@ -130,7 +130,7 @@ def test_installed_command_knows_both_packages():
 def test_what_needs_no_numerics_does_not_wait_for_them(words: list[str], tmp_path: Path) -> None:
     """Compilers and solvers take seconds to load; a list of commands does without."""
     code = (
-        "import sys; from pneu_sim.cli import main\n"
+        "import sys; from pneu_common.cli import main\n"
         f"sys.argv = ['pneu', *{words!r}]\n"
         "try: main()\n"
         "except SystemExit: pass\n"

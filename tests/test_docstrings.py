@@ -19,7 +19,15 @@ from pneu_runtime import hook
 hook.install()
 
 SOURCES = Path(__file__).parent.parent / "src"
-PACKAGES = ("pneu_sim", "pneu_hw_bridge", "pneu_sysid", "pneu_policy", "pneu_runtime")
+PACKAGES = (
+    "pneu_common",
+    "pneu_runtime",
+    "pneu_graph",
+    "pneu_sim",
+    "pneu_hw_bridge",
+    "pneu_sysid",
+    "pneu_policy",
+)
 
 OPTIONAL = {"torch", "gymnasium", "stable_baselines3", "matplotlib"}
 """What only the extras of `pyproject.toml` bring."""
@@ -167,7 +175,7 @@ def test_public_objects_are_documented(name):
 def test_every_command_and_option_has_help():
     import typer.main
 
-    from pneu_sim.cli import build_app
+    from pneu_common.cli import build_app
 
     root = typer.main.get_command(build_app())
     silent = []

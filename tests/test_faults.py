@@ -9,7 +9,7 @@ was killed is started again. The last test reads the recording of it all.
 fault                                  where it is tested
 =====================================  =============================================================
 kill -9 of bridge, controller, target  here; the bridge alone: pneu_hw_bridge/test_valve_bridge.py
-kill -9 of the recorder                here; pneu_runtime/test_recorder.py, test_bag.py
+kill -9 of the recorder                here; pneu_graph/test_recorder.py, test_bag.py
 kill -9 of the lab                     here
 kill -9 of the simulator               test_faults_simulated.py
 a process that hangs, and wakes up     here; pneu_hw_bridge/test_lateness.py
@@ -23,7 +23,7 @@ NaN, inf, out-of-range commands        here; pneu_hw_bridge/test_valve_bridge.py
 NaN readings, stale readings, targets  pneu_policy/test_policy_nodes.py
 clock jumping back                     test_faults_simulated.py; pneu_policy/test_policy_nodes.py
 subscriber slower than publisher       test_faults_simulated.py; one that hangs: here
-disk full while recording              here; pneu_runtime/test_bag.py
+disk full while recording              here; pneu_graph/test_bag.py
 malformed DDS packets and payloads     here; the codec alone: pneu_runtime/test_interfaces.py
 10 000 random Modbus replies           pneu_hw_bridge/test_bus.py
 =====================================  =============================================================
@@ -53,13 +53,13 @@ from sensor_msgs.msg import FluidPressure
 from tests.live_rig import HardwareRig
 from tests.measured import in_good_time
 
+from pneu_graph.bag.metadata import LOST_KEY
+from pneu_graph.bag.reader import BagReader
+from pneu_graph.bag.recover import recover_bag
+from pneu_graph.nodes import common
 from pneu_hw_bridge.lab.faults import KINDS
 from pneu_runtime import interfaces
-from pneu_runtime.bag.metadata import LOST_KEY
-from pneu_runtime.bag.reader import BagReader
-from pneu_runtime.bag.recover import recover_bag
 from pneu_runtime.transport import EndpointQos, Session
-from pneu_sim.nodes import common
 
 CLOSED_V = 5.0
 COMMANDS = "/lab/valve/command"
@@ -493,7 +493,7 @@ def small_disk(tmp_path):
 def test_disk_full_while_recording(rig, small_disk):
     folder, fill, free, text = small_disk
     pids, since = rig.nodes.pids(), rig.graph.mark()
-    words = ["-m", "pneu_sim.cli", "run", "pneu_runtime", "recorder", "--ros-args"]
+    words = ["-m", "pneu_common.cli", "run", "pneu_graph", "recorder", "--ros-args"]
     words += ["-r", "__node:=other", "-p", f"uri:={folder / 'bag'}"]
     rig.nodes.start("other", [sys.executable, *words])
     try:

@@ -21,8 +21,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import FluidPressure
 from tests.live_rig import LaunchedNodes
 
-from pneu_runtime.bag.reader import BagReader
-from pneu_sim.nodes import common
+from pneu_graph.bag.reader import BagReader
+from pneu_graph.nodes import common
 
 CLOSED_V = 5.0
 END = "/lab/taps/end/pressure"

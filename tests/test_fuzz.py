@@ -8,8 +8,8 @@ import pytest
 import typer
 from studies import fuzz
 
-from pneu_sim.cli import build_app
-from pneu_sim.errors import InputError
+from pneu_common.cli import build_app
+from pneu_common.errors import InputError
 
 SEED = 0
 CASES = {"rig": 24, "bag": 20, "csv": 12, "command": 16}

@@ -13,10 +13,10 @@ from studies.fuzz_mutations import DIGITS, LAUGHS
 from tests.test_bad_input import check_refusal
 from typer.testing import CliRunner
 
-from pneu_sim.cli import LONGEST_LINE, build_app
-from pneu_sim.documents import parse_yaml
+from pneu_common.cli import LONGEST_LINE, build_app
+from pneu_common.documents import parse_yaml
+from pneu_common.errors import InputError
 from pneu_sim.effects.registry import _loaded
-from pneu_sim.errors import InputError
 
 COMPARE = ["compare", "run.csv", "--rig", "text_rig.yaml", "--no-refine"]
 SIMULATE = ["simulate", "--rig", "rig.yaml", "-o", "out.csv"]

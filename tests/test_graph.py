@@ -18,9 +18,9 @@ from pneu_msgs.msg import PressureTarget, ValveCommand
 from rcl_interfaces.srv import GetParameters, ListParameters
 from sensor_msgs.msg import FluidPressure
 
-from pneu_runtime.launch.plan import Plan
-from pneu_sim.errors import InputError
-from pneu_sim.nodes import common
+from pneu_common.errors import InputError
+from pneu_graph.launch.plan import Plan
+from pneu_graph.nodes import common
 
 ROOT = Path(__file__).parent.parent
 LAUNCH = ROOT / "ros_ws/src/pneu_bringup/launch/rig.launch.yaml"
@@ -83,7 +83,7 @@ def domain():
 def process(*words):
     """A `pneu` command that runs meanwhile and is ended as by Ctrl-C."""
     running = subprocess.Popen(
-        [sys.executable, "-m", "pneu_sim.cli", *words],
+        [sys.executable, "-m", "pneu_common.cli", *words],
         start_new_session=True,
         stdout=subprocess.DEVNULL,
         cwd=ROOT,
@@ -103,7 +103,7 @@ def test_a_recording_that_cannot_begin_stops_the_launch(tmp_path):
     (tmp_path / "there").mkdir()
     words = ["launch", "pneu_bringup", "rig.launch.yaml", f"record:={tmp_path / 'there'}"]
     done = subprocess.run(
-        [sys.executable, "-m", "pneu_sim.cli", *words],
+        [sys.executable, "-m", "pneu_common.cli", *words],
         cwd=ROOT, capture_output=True, text=True, timeout=90.0,
     )  # fmt: skip
     assert done.returncode == 1

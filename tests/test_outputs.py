@@ -13,9 +13,9 @@ import pytest
 from studies.fuzz_cases import good_inputs
 from tests.test_bad_input import RIG, check_refusal, recording, run
 
-from pneu_sim.errors import InputError
-from pneu_sim.files import whole, write_whole
-from pneu_sim.outputs import check_folder, check_output, is_result
+from pneu_common.errors import InputError
+from pneu_common.files import whole, write_whole
+from pneu_common.outputs import check_folder, check_output, is_result
 from pneu_sim.rig import load_rig
 
 __all__ = ["run"]  # a fixture
@@ -57,7 +57,7 @@ def folder(tmp_path, monkeypatch):
 def pneu(folder, monkeypatch):
     from typer.testing import CliRunner
 
-    from pneu_sim.cli import build_app
+    from pneu_common.cli import build_app
 
     monkeypatch.delenv("PNEU_TRACEBACK", raising=False)
     return lambda *words: CliRunner().invoke(build_app(), list(words), prog_name="pneu")
@@ -207,7 +207,7 @@ def write_a_report(path):
 
 
 def write_metadata(path):
-    from pneu_runtime.bag.metadata import BagMetadata
+    from pneu_graph.bag.metadata import BagMetadata
 
     def write():
         try:

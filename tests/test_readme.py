@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import typer.main
 
-from pneu_sim.cli import build_app
+from pneu_common.cli import build_app
 from pneu_sim.effects import load_effect_file, registry
 from pneu_sim.effects.registry import _loaded
 from pneu_sim.rig import load_rig

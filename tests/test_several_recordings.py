@@ -9,7 +9,7 @@ import pytest
 from studies.exact_rigs import draw_rig, record
 from typer.testing import CliRunner
 
-from pneu_sim.cli import build_app
+from pneu_common.cli import build_app
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sim.rig.schema import Channel, Rig
 from pneu_sysid.records.write import write_bag

@@ -11,12 +11,12 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import pneu_sim.commands
+from pneu_common.cli import build_app
+from pneu_common.tables import Column, NamedTable
 from pneu_policy.learn.command import _table as runs_table
 from pneu_policy.results import rich_table
-from pneu_sim.cli import build_app
 from pneu_sim.effects import registry
 from pneu_sim.rig.schema import FitParameter, Rig
-from pneu_sim.tables import Column, NamedTable
 from pneu_sysid.commands import (
     _error_table,
     _fitted_table,

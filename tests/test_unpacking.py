@@ -15,10 +15,10 @@ from mcap.writer import CompressionType, Writer
 from tests.test_bad_input import RIG, check_refusal, recording
 from typer.testing import CliRunner
 
-from pneu_sim.cli import build_app
-from pneu_sim.errors import InputError
+from pneu_common.cli import build_app
+from pneu_common.errors import InputError
+from pneu_common.unpacking import FREE_BYTES, Allowance, unzstd
 from pneu_sim.rig import load_rig
-from pneu_sim.unpacking import FREE_BYTES, Allowance, unzstd
 from pneu_sysid.records.write import write_bag
 
 BOMB_BYTES = 1 << 30
@@ -64,7 +64,7 @@ def with_chunk(good, compression, content, claimed):
 
 def bounded_pneu(folder, *words):
     """Runs `pneu` in a process that gets no more memory than it needs for a small bag."""
-    code = "import sys; sys.argv[0] = 'pneu'; from pneu_sim.cli import main; main()"
+    code = "import sys; sys.argv[0] = 'pneu'; from pneu_common.cli import main; main()"
     return subprocess.run(
         [sys.executable, "-c", code, *map(str, words)],
         capture_output=True,
@@ -133,7 +133,7 @@ def test_a_message_that_unpacks_to_a_gigabyte(tmp_path, zeros):
 
 
 def test_a_playback_of_such_a_file(tmp_path, good, zeros):
-    from pneu_runtime.bag.reader import BagReader
+    from pneu_graph.bag.reader import BagReader
 
     bag = tmp_path / "bomb.mcap"
     bag.write_bytes(with_chunk(good, "zstd", zeros["zstd"], BOMB_BYTES))
@@ -154,7 +154,7 @@ def test_what_is_well_packed_is_read():
 def test_a_sound_bag_of_every_packing_is_read(tmp_path, good):
     from mcap.reader import make_reader
 
-    from pneu_runtime.bag.reader import BagReader
+    from pneu_graph.bag.reader import BagReader
     from pneu_sysid.records.bag import bag_topics
 
     counts = set()

@@ -78,7 +78,7 @@ def test_it_carries_the_examples_and_the_templates(wheel):
 
 def test_a_user_without_a_checkout_can_begin(installed, tmp_path):
     def pneu(*words):
-        return run("-m", "pneu_sim.cli", *words, cwd=tmp_path, PYTHONPATH=str(installed))
+        return run("-m", "pneu_common.cli", *words, cwd=tmp_path, PYTHONPATH=str(installed))
 
     code = "import pneu_sim, pneu_sysid; print(pneu_sim.__file__, pneu_sysid.__file__)"
     places = run("-c", code, cwd=tmp_path, PYTHONPATH=str(installed)).split()

@@ -33,7 +33,7 @@ def lab_and_bridge() -> Iterator[tuple[Program, Program, int, dict[str, str]]]:
     variables = environment()
     with tempfile.TemporaryDirectory() as folder:
         ready = Path(folder) / "ready.json"
-        lab_words = ["-m", "pneu_sim.cli", "lab", "--rig", str(RIG), "--port", "0"]
+        lab_words = ["-m", "pneu_common.cli", "lab", "--rig", str(RIG), "--port", "0"]
         lab_words += ["--control-port", "0", "--allow-slow", "--ready-file", str(ready)]
         with running(*lab_words, variables=variables, asked=False) as lab:
             lab.wait(ready.exists, 180.0)  # it compiles its kernels where they are not

@@ -25,7 +25,7 @@ from rclpy.node import Node  # noqa: E402
 from rclpy.qos import qos_profile_sensor_data  # noqa: E402
 from sensor_msgs.msg import FluidPressure  # noqa: E402
 
-from pneu_sim.nodes.common import COMMAND_QOS  # noqa: E402
+from pneu_graph.nodes.common import COMMAND_QOS  # noqa: E402
 
 PERIOD_S = 1.0 / 500.0
 LONGEST_S = 30.0

@@ -26,14 +26,7 @@ setup(
     zip_safe=False,
     maintainer="The Pneu developers",
     maintainer_email="noreply@pneu.invalid",
-    description="The rclpy API, ROS 2 messages and tools for machines without ROS",
+    description="The rclpy API and ROS 2 messages for machines without ROS",
     license="Apache-2.0",
-    entry_points={
-        "console_scripts": [
-            "pneu = pneu_runtime.entry:main",
-            "player = pneu_runtime.nodes.player:main",
-            "recorder = pneu_runtime.nodes.recorder:main",
-        ],
-        "pneu.commands": ["4-graph = pneu_runtime.commands:register"],
-    },
+    entry_points={},
 )

@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
+from pneu_common.documents import read_json
+from pneu_common.errors import InputError
+from pneu_common.options import MOST_SEED, Force
+from pneu_common.outputs import check_output
 from pneu_hw_bridge import stop_command
 from pneu_hw_bridge.lab.asking import CONTROL_PORT, MODBUS_PORT, ask
 from pneu_hw_bridge.lab.faults import KINDS
-from pneu_sim.documents import read_json
-from pneu_sim.errors import InputError
-from pneu_sim.options import MOST_SEED, Force
-from pneu_sim.outputs import check_output
 
 ControlPort = Annotated[
     int,

@@ -7,11 +7,11 @@ import time
 import pytest
 from tests.bridges import Rig, safe_since, watch
 
+from pneu_common.errors import InputError
 from pneu_hw_bridge.registers.load import load_register_map
 from pneu_hw_bridge.safety.bound import bound, check
 from pneu_hw_bridge.safety.limits import limits_of
 from pneu_hw_bridge.safety.supervisor import State
-from pneu_sim.errors import InputError
 
 MAP = load_register_map("generic_plc")
 

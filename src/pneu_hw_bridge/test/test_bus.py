@@ -14,10 +14,10 @@ import pytest
 from pymodbus.constants import ExcCodes
 from tests.modbus_devices import PRESSURES, Owner, Server, open_bus, rival, serial_bus
 
+from pneu_common.errors import InputError
 from pneu_hw_bridge.modbus.bus import ModbusBus
 from pneu_hw_bridge.modbus.client import Client
 from pneu_hw_bridge.registers.load import load_register_map
-from pneu_sim.errors import InputError
 
 
 @pytest.fixture

@@ -12,12 +12,12 @@ import pytest
 from pymodbus.client import ModbusTcpClient
 from typer.testing import CliRunner
 
+from pneu_common.cli import build_app
 from pneu_hw_bridge.link import Link
 from pneu_hw_bridge.modbus.bus import ModbusBus
 from pneu_hw_bridge.registers.load import load_register_map
 from pneu_hw_bridge.safety.limits import limits_of
 from pneu_hw_bridge.safety.supervisor import State, Supervisor
-from pneu_sim.cli import build_app
 from pneu_sim.rig.load import load_rig
 from pneu_sim.simulator import Simulator
 

@@ -18,12 +18,12 @@ from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 from typer.testing import CliRunner
 
+from pneu_common.cli import build_app
+from pneu_common.errors import InputError
 from pneu_hw_bridge.lab.faults import KINDS
 from pneu_hw_bridge.lab.sealed import open_sealed, read_effects, seal
 from pneu_hw_bridge.modbus.bus import ModbusBus
 from pneu_hw_bridge.registers.load import load_register_map
-from pneu_sim.cli import build_app
-from pneu_sim.errors import InputError
 from pneu_sim.rig.load import load_rig
 from pneu_sim.simulator import Simulator
 

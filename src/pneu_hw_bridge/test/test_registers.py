@@ -7,11 +7,11 @@ import struct
 
 import pytest
 
+from pneu_common.errors import InputError
 from pneu_hw_bridge.registers.batches import plan, plan_writes
 from pneu_hw_bridge.registers.codec import from_registers, to_registers
 from pneu_hw_bridge.registers.load import load_register_map, parse_register_map, profiles
 from pneu_hw_bridge.registers.schema import Batching, Input
-from pneu_sim.errors import InputError
 
 # From the standards of the formats: IEEE 754 and two's complement.
 KNOWN = [

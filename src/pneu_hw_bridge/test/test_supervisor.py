@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import pytest
 
+from pneu_common.errors import InputError
 from pneu_hw_bridge.registers.load import load_register_map
 from pneu_hw_bridge.safety.limits import Limits, OutputLimits, SensorLimits, limits_of
 from pneu_hw_bridge.safety.supervisor import State, Supervisor
-from pneu_sim.errors import InputError
 
 SAFE_V = 1.0
 

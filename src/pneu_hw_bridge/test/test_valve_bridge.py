@@ -154,7 +154,7 @@ def running_bridge(port, *parameters, state=None, remap=(), namespace=""):
 
 def pneu_stop(*words):
     """Runs `pneu stop` as a user does, who has pressed the key just before."""
-    program = "import sys; from pneu_runtime.entry import main; main()"
+    program = "import sys; from pneu_common.entry import main; main()"
     return subprocess.run(
         [sys.executable, "-c", program, "stop", *words],
         env=ENVIRONMENT,

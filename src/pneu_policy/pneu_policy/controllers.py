@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
+from pneu_common.documents import read_yaml
+from pneu_common.errors import InputError
+from pneu_common.files import write_whole
 from pneu_policy.feed_forward import FeedForward
 from pneu_policy.observations import Observer
 from pneu_policy.pid import Gains, Pid
 from pneu_policy.policy_file import PolicyFile
-from pneu_sim.documents import read_yaml
-from pneu_sim.errors import InputError
-from pneu_sim.files import write_whole
 
 Floats = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ file holds no correlations, so that the ensemble is wider than the calibration's
 
 import numpy as np
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig.parameters import get_parameter, with_parameters
 from pneu_sim.rig.schema import Rig
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_policy.controllers import Controller, PolicyController, load_controller
 from pneu_policy.metrics import EARLY_S, Track
 from pneu_policy.plants import make_plant
@@ -21,7 +22,6 @@ from pneu_policy.results import LIMIT, Evaluation, Run
 from pneu_policy.targets import Target
 from pneu_policy.tasks import Conditions, Tasks
 from pneu_sim import sensors
-from pneu_sim.errors import InputError
 from pneu_sim.rig.schema import AttachedEffect, Rig
 
 Floats = NDArray[np.float64]

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 from rich.console import Console
 
+from pneu_common.errors import InputError
+from pneu_common.files import write_whole
+from pneu_common.options import MOST_SEED, Force
+from pneu_common.outputs import check_folder, check_output
+from pneu_common.progress import progress
 from pneu_policy.tasks import Conditions, Tasks
-from pneu_sim.errors import InputError
-from pneu_sim.files import write_whole
-from pneu_sim.options import MOST_SEED, Force
-from pneu_sim.outputs import check_folder, check_output
-from pneu_sim.progress import progress
 
 if TYPE_CHECKING:
     from pneu_policy.results import Evaluation

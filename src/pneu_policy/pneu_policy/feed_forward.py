@@ -21,9 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.gas import AIR, ANR_DENSITY_KG_M3, ANR_TEMPERATURE_K
-from pneu_sim.rig.build import build, plan_grid
+from pneu_sim.rig.build import build
+from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import Rig
 
 HALF_WINDOW_S = 0.01

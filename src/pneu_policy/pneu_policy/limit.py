@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from pneu_common.errors import InputError
 from pneu_policy.evaluate import target_series
 from pneu_policy.metrics import Track
 from pneu_policy.plants import Plant, State, make_plant
 from pneu_policy.results import LIMIT, Evaluation, Run
 from pneu_policy.targets import Target
 from pneu_policy.tasks import Tasks
-from pneu_sim.errors import InputError
 from pneu_sim.rig.schema import Rig
 
 Floats = NDArray[np.float64]

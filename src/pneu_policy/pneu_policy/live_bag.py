@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from pneu_common.errors import InputError
+from pneu_graph.bag.reader import BagReader
 from pneu_policy.metrics import Track
 from pneu_runtime import hook
-from pneu_runtime.bag.reader import BagReader
-from pneu_sim.errors import InputError
 
 NAMESPACE = "lab"
 MOST_UNFOLLOWED_S = 0.02

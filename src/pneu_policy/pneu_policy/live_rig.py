@@ -22,15 +22,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pneu_common.errors import InputError
+from pneu_graph.launch.guard import on_death_of_parent
+from pneu_graph.tools.executables import command_of
 from pneu_hw_bridge.lab.asking import ask
 from pneu_policy.live_bag import NAMESPACE, LateError
 from pneu_policy.metrics import EARLY_S
 from pneu_policy.targets import Target
 from pneu_policy.tasks import NOISE_PA, Tasks
 from pneu_runtime import hook
-from pneu_runtime.launch.guard import on_death_of_parent
-from pneu_runtime.tools.executables import command_of
-from pneu_sim.errors import InputError
 
 RATE_HZ = 500.0
 """Of the bus and of the readings."""
@@ -170,7 +170,7 @@ class LiveRig:
     def _start(self) -> None:
         scratch = Path(self._stack.enter_context(tempfile.TemporaryDirectory()))
         ready = scratch / "ready.json"
-        lab = [sys.executable, "-m", "pneu_sim.cli", "lab", "--rig", str(self.plant.rig)]
+        lab = [sys.executable, "-m", "pneu_common.cli", "lab", "--rig", str(self.plant.rig)]
         lab += ["--port", "0", "--control-port", "0", "--ready-file", str(ready)]
         lab += ["--seed", str(self.plant.seed), "--noise", str(self.plant.noise_pa)]
         if self.plant.sealed is not None:
@@ -272,7 +272,7 @@ class LiveRig:
         skipped_s = self.status()["plant"]["skipped_s"]
         with contextlib.ExitStack() as stack:
             node = self._target_node(target, stack)
-            recorder = self._node("pneu_runtime", "recorder", uri=str(bag), topics=topics)
+            recorder = self._node("pneu_graph", "recorder", uri=str(bag), topics=topics)
             policy = self._node(
                 "pneu_policy",
                 "policy",

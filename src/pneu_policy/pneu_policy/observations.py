@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 
 Floats = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ error: u = u0 + kp e + I + kd s/(1 + s T) (c r - y), e = r - y. A positive step 
 import math
 from dataclasses import dataclass
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 
 
 @dataclass(frozen=True)

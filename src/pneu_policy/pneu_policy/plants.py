@@ -15,26 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_sim import layout as L
 from pneu_sim import tile as tiles
-from pneu_sim.errors import InputError
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.lumped import batch as lumped_batch
 from pneu_sim.lumped import filling
 from pneu_sim.lumped.build import build as build_lumped
-from pneu_sim.rig.build import (
-    S_BIAS,
-    S_GAIN,
-    S_LAG,
-    S_OFFSET,
-    V_DELAY,
-    V_NULL,
-    Model,
-    Plan,
-    build,
-    common_plan,
-    reservoir_of_pipes,
-)
+from pneu_sim.rig.build import build
+from pneu_sim.rig.model import S_BIAS, S_GAIN, S_LAG, S_OFFSET, V_DELAY, V_NULL, Model
+from pneu_sim.rig.plan import Plan, common_plan, reservoir_of_pipes
 from pneu_sim.rig.schema import Rig
 from pneu_sim.valve import KNOTS_PER_SAMPLE, batch_openings, longest_delay_s
 

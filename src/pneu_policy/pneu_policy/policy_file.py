@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
+from pneu_common.files import whole
 from pneu_policy.observations import Recipe
-from pneu_sim.errors import InputError
-from pneu_sim.files import whole
 from pneu_sim.rig.schema import Rig
 
 VERSION = 1

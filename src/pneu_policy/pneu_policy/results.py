@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from pneu_common.documents import read_json
+from pneu_common.errors import InputError
+from pneu_common.files import whole, write_whole
+from pneu_common.tables import Column, NamedTable
 from pneu_policy.metrics import Metrics, Track
-from pneu_sim.documents import read_json
-from pneu_sim.errors import InputError
-from pneu_sim.files import whole, write_whole
-from pneu_sim.tables import Column, NamedTable
 
 VERSION = 1
 LIMIT = "limit"

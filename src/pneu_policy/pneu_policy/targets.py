@@ -13,7 +13,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 
 Floats = NDArray[np.float64]
 Kind = Literal["smooth", "jagged", "hold", "mixed"]

@@ -4,9 +4,9 @@
 from dataclasses import asdict, dataclass
 from typing import Any, cast
 
+from pneu_common.errors import InputError
 from pneu_policy.metrics import LATE_S, Metrics, Track, measure
 from pneu_policy.targets import KINDS, Kind, Target
-from pneu_sim.errors import InputError
 
 LONGEST_S = 3600.0
 """Longest run, s."""

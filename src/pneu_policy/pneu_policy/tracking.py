@@ -17,11 +17,11 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_policy.ensembles import draw_rigs
 from pneu_policy.observations import Observer, Recipe
 from pneu_policy.plants import PdePlant, make_plant
 from pneu_policy.targets import KINDS, Kind, Target
-from pneu_sim.errors import InputError
 from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import Rig
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_policy.controllers import FeedForwardPid, PidController
 from pneu_policy.ensembles import draw_rigs
 from pneu_policy.feed_forward import HALF_WINDOW_S, FeedForward
@@ -25,7 +26,6 @@ from pneu_policy.plants import make_plant
 from pneu_policy.search import Search
 from pneu_policy.targets import Target
 from pneu_policy.tune_settings import TuneSettings
-from pneu_sim.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 

@@ -11,11 +11,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from pneu_common.errors import InputError
+from pneu_common.options import MOST_SEED, Force
+from pneu_common.outputs import check_output
+from pneu_common.progress import progress
 from pneu_policy.tune_settings import TuneSettings
-from pneu_sim.errors import InputError
-from pneu_sim.options import MOST_SEED, Force
-from pneu_sim.outputs import check_output
-from pneu_sim.progress import progress
 
 if TYPE_CHECKING:
     from pneu_policy.controllers import FeedForwardPid, PidController

@@ -5,8 +5,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from pneu_common.errors import InputError
 from pneu_policy.targets import KINDS, Kind
-from pneu_sim.errors import InputError
 
 PidKind = Literal["pid", "feed_forward"]
 

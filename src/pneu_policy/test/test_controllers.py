@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pneu_common.errors import InputError
 from pneu_policy.controllers import (
     FeedForwardPid,
     PidController,
@@ -22,7 +23,6 @@ from pneu_policy.pid import Gains, Pid
 from pneu_policy.plants import make_plant
 from pneu_policy.policy_file import PolicyFile, rig_identity
 from pneu_policy.targets import Target
-from pneu_sim.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 

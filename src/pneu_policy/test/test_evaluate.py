@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pneu_common.errors import InputError
 from pneu_policy.controllers import PidController, load_controller, save_pid
 from pneu_policy.evaluate import (
     Conditions,
@@ -29,7 +30,6 @@ from pneu_policy.results import (
     rows,
     save,
 )
-from pneu_sim.errors import InputError
 from pneu_sim.rig import load_rig
 
 ROOT = Path(__file__).parents[3]

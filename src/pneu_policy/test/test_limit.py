@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pneu_common.errors import InputError
 from pneu_policy.limit import LimitSettings, physical_limit
 from pneu_policy.plants import make_plant
-from pneu_sim.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import AttachedEffect
 

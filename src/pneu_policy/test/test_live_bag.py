@@ -14,14 +14,14 @@ from pneu_msgs.msg import PressureTarget, ValveCommand  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 from sensor_msgs.msg import FluidPressure  # noqa: E402
 
+from pneu_graph.bag.bag_writer import BagWriter  # noqa: E402
+from pneu_graph.bag.metadata import Topic  # noqa: E402
+from pneu_graph.bag.qos import OfferedQos  # noqa: E402
+from pneu_graph.nodes import common  # noqa: E402
+from pneu_graph.nodes.type_support import definition_text, type_hash  # noqa: E402
 from pneu_policy.live_bag import LateError, track_of  # noqa: E402
 from pneu_policy.metrics import ATM_PA  # noqa: E402
 from pneu_policy.tasks import Tasks  # noqa: E402
-from pneu_runtime.bag.bag_writer import BagWriter  # noqa: E402
-from pneu_runtime.bag.metadata import Topic  # noqa: E402
-from pneu_runtime.bag.qos import OfferedQos  # noqa: E402
-from pneu_runtime.nodes.type_support import definition_text, type_hash  # noqa: E402
-from pneu_sim.nodes import common  # noqa: E402
 
 ZERO_NS = 1_700_000_000_000_000_000
 TASKS = Tasks(kinds=("smooth",), seeds=(0,), duration_s=3.0, skip_s=0.5)

@@ -23,6 +23,9 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import FluidPressure
 
+from pneu_common.errors import InputError
+from pneu_graph.launch.plan import Plan
+from pneu_graph.nodes import common
 from pneu_policy.controllers import PidController, save_pid
 from pneu_policy.nodes.pid import PidNode
 from pneu_policy.nodes.policy import PolicyNode
@@ -31,9 +34,6 @@ from pneu_policy.observations import Recipe
 from pneu_policy.pid import Gains
 from pneu_policy.policy_file import PolicyFile, rig_identity
 from pneu_policy.targets import Target
-from pneu_runtime.launch.plan import Plan
-from pneu_sim.errors import InputError
-from pneu_sim.nodes import common
 from pneu_sim.rig import load_rig
 
 ROOT = Path(__file__).parents[3]

@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
+from pneu_common.errors import InputError
 from pneu_policy.targets import KINDS, Target
-from pneu_sim.errors import InputError
 
 T = np.linspace(0.0, 30.0, 30001)
 

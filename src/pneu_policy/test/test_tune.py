@@ -10,6 +10,7 @@ import typer
 from scipy.optimize import rosen
 from typer.testing import CliRunner
 
+from pneu_common.errors import InputError
 from pneu_policy.controllers import FeedForwardPid, PidController, load_controller
 from pneu_policy.observations import Recipe
 from pneu_policy.pid import Gains
@@ -18,7 +19,6 @@ from pneu_policy.search import Search
 from pneu_policy.tune import Trials, tune
 from pneu_policy.tune_command import register_policy, register_tune
 from pneu_policy.tune_settings import TuneSettings
-from pneu_sim.errors import InputError
 from pneu_sim.rig import load_rig
 
 ROOT = Path(__file__).parents[3]

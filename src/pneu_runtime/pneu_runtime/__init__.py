@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rclpy API, messages and tools of ROS 2 for machines that have none, over Cyclone DDS."""
+"""The rclpy API and messages of ROS 2 for machines that have none, over Cyclone DDS."""

@@ -5,8 +5,8 @@ import runpy
 import sys
 from pathlib import Path
 
+from pneu_common.errors import InputError
 from pneu_runtime import hook
-from pneu_sim.errors import InputError
 
 _USAGE = """\
 usage: python -m pneu_runtime SCRIPT.py [ARGUMENT ...]

@@ -12,11 +12,11 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from pneu_common.errors import InputError
 from pneu_runtime import interfaces
 from pneu_runtime.interfaces.catalogue import Catalogue
 from pneu_runtime.interfaces.parse import parse_structure
 from pneu_runtime.interfaces.registry import Registry
-from pneu_sim.errors import InputError
 
 
 def message(name, /, **fields):

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_sim.channels import Channel
-from pneu_sim.errors import InputError
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
 

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 from rich.console import Console
 
-from pneu_sim.errors import InputError
-from pneu_sim.files import write_whole
+from pneu_common.errors import InputError
+from pneu_common.files import write_whole
+from pneu_common.options import MOST_SEED, Force
+from pneu_common.outputs import check_output
+from pneu_common.tables import Column, NamedTable
 from pneu_sim.init import init
-from pneu_sim.options import MOST_SEED, Force
-from pneu_sim.outputs import check_output
-from pneu_sim.tables import Column, NamedTable
 
 if TYPE_CHECKING:
     from pneu_sim.rig.schema import Rig
@@ -77,9 +77,10 @@ def check(
 ) -> None:
     """Check a rig file and show what would be simulated."""
     from pneu_sim.effects import load_effect_file
-    from pneu_sim.rig.build import build, plan_grid
+    from pneu_sim.rig.build import build
     from pneu_sim.rig.load import load_rig
     from pneu_sim.rig.parameters import misfit
+    from pneu_sim.rig.plan import plan_grid
 
     if effects_file is not None:
         load_effect_file(effects_file)

@@ -2,7 +2,7 @@
 """The compiler of the kernels, which says so when it has work: the first time, and once only.
 
 Kernels take `njit` from here. What is compiled is kept on disk, so that a message comes at the
-first start on a machine and after an update; it goes to the log (`pneu_sim.log`).
+first start on a machine and after an update; it goes to the log (`pneu_common.log`).
 """
 
 import logging

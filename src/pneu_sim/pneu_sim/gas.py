@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 
 FloatArray = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from typing import Annotated, Any
 
 import typer
 
+from pneu_common.errors import InputError
+from pneu_common.files import copy_whole, write_whole
 from pneu_sim.carried import example_files
-from pneu_sim.errors import InputError
-from pneu_sim.files import copy_whole, write_whole
 
 TEMPLATES = Path(__file__).parent / "rig" / "templates"
 DEFAULT_KIND = "line"

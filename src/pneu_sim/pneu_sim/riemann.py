@@ -19,8 +19,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pneu_common.errors import InputError
 from pneu_sim.compiling import njit
-from pneu_sim.errors import InputError
 
 STEP_ITERATIONS = 2
 """Newton iterations that suffice inside a time step (thesis 4.6.3)."""

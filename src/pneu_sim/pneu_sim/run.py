@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_sim import sensors
-from pneu_sim.errors import InputError
 from pneu_sim.lumped.batch import predict as predict_lumped
 from pneu_sim.lumped.build import build as build_lumped
-from pneu_sim.rig.build import plan_grid
+from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
 from pneu_sim.simulate import Course, rest

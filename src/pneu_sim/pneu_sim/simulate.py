@@ -11,19 +11,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.tally import Tally
 from pneu_sim import layout as L
-from pneu_sim.rig.build import (
-    S_BIAS,
-    S_GAIN,
-    S_LAG,
-    S_OFFSET,
-    Model,
-    Plan,
-    reservoir_of_pipes,
-)
+from pneu_sim.rig.model import S_BIAS, S_GAIN, S_LAG, S_OFFSET, Model
+from pneu_sim.rig.plan import Plan, reservoir_of_pipes
 from pneu_sim.rig.schema import CLOSED, Rig
 from pneu_sim.signals import Signal
-from pneu_sim.tally import Tally
 from pneu_sim.tile import (
     MORE_STEPS,
     Tile,

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pneu_common.errors import InputError
 from pneu_sim import layout as L
 from pneu_sim import sensors
 from pneu_sim import tile as tiles
-from pneu_sim.errors import InputError
 from pneu_sim.gas import AIR, Gas
-from pneu_sim.rig.build import S_LAG, S_OFFSET, build, common_plan, reservoir_of_pipes
+from pneu_sim.rig.build import build
+from pneu_sim.rig.model import S_LAG, S_OFFSET
+from pneu_sim.rig.plan import common_plan, reservoir_of_pipes
 from pneu_sim.rig.schema import Rig
 from pneu_sim.valve import SpoolState, openings
 

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_sim import kernel
 from pneu_sim import layout as L
-from pneu_sim.errors import InputError
-from pneu_sim.rig.build import Model, Plan, area_steps
+from pneu_sim.rig.build import area_steps
+from pneu_sim.rig.model import Model
+from pneu_sim.rig.plan import Plan
 from pneu_sim.valve import KNOTS_PER_SAMPLE
 
 Floats = NDArray[np.float64]

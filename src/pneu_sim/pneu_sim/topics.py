@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from pneu_common.errors import InputError
 from pneu_sim.channels import Channel
-from pneu_sim.errors import InputError
 from pneu_sim.rig.schema import Rig
 
 COMMAND_TOPIC = "valve/command"

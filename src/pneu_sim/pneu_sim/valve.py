@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim.compiling import njit
-from pneu_sim.rig import build as B
+from pneu_sim.rig import model as M
 from pneu_sim.signals import SAME_S, Signal
 
 Floats = NDArray[np.float64]
@@ -424,7 +424,7 @@ def longest_delay_s(spool: Floats) -> float:
     Returns:
         The longest delay of opening or closing, s.
     """
-    late = spool[..., B.V_DELAY] + np.maximum(spool[..., B.V_CLOSING], 0.0)
+    late = spool[..., M.V_DELAY] + np.maximum(spool[..., M.V_CLOSING], 0.0)
     return float(np.max(late, initial=0.0))
 
 
@@ -462,7 +462,7 @@ class SpoolState:
 
 
 def openings(
-    model: "B.Model",
+    model: "M.Model",
     commands: dict[str, NDArray[np.float64]],
     dt_s: float,
     knots: int = KNOTS_PER_SAMPLE,
@@ -493,7 +493,7 @@ def openings(
         past = spools.before(valve, delay_s, dt_s)
         series = np.concatenate([past, commands[name]])
         if valve not in spools.memory:
-            null = float(model.spool[v, B.V_NULL])
+            null = float(model.spool[v, M.V_NULL])
             at_rest = [null, null, 0.0, 0.0] if spools.at_null else [np.nan] * 4
             spools.memory[valve] = np.array(at_rest)
         memory = spools.memory[valve]
@@ -506,7 +506,7 @@ def openings(
     return _of_ports(model, positions, count)
 
 
-def _of_ports(model: "B.Model", positions: dict[int, Floats], count: int) -> Floats:
+def _of_ports(model: "M.Model", positions: dict[int, Floats], count: int) -> Floats:
     """(count, n_ports) openings where the spools of the valves stand; orifices are open."""
     result = np.ones((count, model.plan.ports.shape[0]))
     for q, v in enumerate(model.plan.port_valve):
@@ -519,7 +519,7 @@ def _of_ports(model: "B.Model", positions: dict[int, Floats], count: int) -> Flo
 
 
 def openings_along(
-    model: "B.Model",
+    model: "M.Model",
     commands: Mapping[str, Signal],
     begin_s: float,
     step_s: float,
@@ -575,14 +575,14 @@ def positions_along(
     Returns:
         (count,) positions, volts.
     """
-    if row[B.V_CLOSING] != 0.0:
+    if row[M.V_CLOSING] != 0.0:
         command = _as_it_acts(command, row)
     positions = np.empty(count)
-    at = begin_s + step_s * np.arange(count) - row[B.V_DELAY]
+    at = begin_s + step_s * np.arange(count) - row[M.V_DELAY]
     first = float(command.held(at[0]))
-    rest = float(row[B.V_NULL]) if at_null else first
-    if row[B.V_FREQUENCY] <= 0.0:
-        if row[B.V_SPEED] < math.inf:
+    rest = float(row[M.V_NULL]) if at_null else first
+    if row[M.V_FREQUENCY] <= 0.0:
+        if row[M.V_SPEED] < math.inf:
             _rate_limited(
                 command.time_s, command.values, at[0], rest, step_s, row, memory, positions
             )
@@ -596,5 +596,5 @@ def positions_along(
 def _as_it_acts(signal: Signal, row: Floats) -> Signal:
     """A command whose closing changes are moved to when they act but for the delay of opening."""
     time, values = np.empty(len(signal)), np.empty(len(signal))
-    n = _acting(signal.time_s, signal.values, row[B.V_NULL], row[B.V_CLOSING], time, values)
+    n = _acting(signal.time_s, signal.values, row[M.V_NULL], row[M.V_CLOSING], time, values)
     return Signal(time[:n], values[:n])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pneu_sim.cli import COMMANDS_GROUP, build_app
+from pneu_common.cli import COMMANDS_GROUP, build_app
 from pneu_sim.effects import registry
 
 RIGS = Path(__file__).parents[3] / "rigs"

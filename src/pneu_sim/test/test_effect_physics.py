@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pneu_common.errors import InputError
 from pneu_sim import layout as L
 from pneu_sim.effects import registry
-from pneu_sim.errors import InputError
 from pneu_sim.gas import AIR
 from pneu_sim.rig import Rig, load_rig
-from pneu_sim.rig.build import build, plan_grid
+from pneu_sim.rig.build import build
+from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import AttachedEffect, Chamber, Opening
 from pneu_sim.signals import Signal
 from pneu_sim.simulate import Prediction, even_course, initial_field, predict

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pneu_common.errors import InputError
 from pneu_sim.effects import POSITION, Effect, registry
 from pneu_sim.effects.document import as_markdown, as_table
 from pneu_sim.effects.registry import BUILT_IN
-from pneu_sim.errors import InputError
 from pneu_sim.rig import Rig, load_rig
-from pneu_sim.rig.build import build, plan_grid
+from pneu_sim.rig.build import build
+from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import AttachedEffect, Chamber, Pipe
 from pneu_sim.simulate import even_course, initial_field, predict
 

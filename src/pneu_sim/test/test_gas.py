@@ -8,8 +8,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from pneu_common.errors import InputError
 from pneu_sim import gas
-from pneu_sim.errors import InputError
 from pneu_sim.gas import AIR, Gas
 
 

@@ -16,7 +16,7 @@ from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
 import pneu_sim.init
-from pneu_sim.cli import COMMANDS_GROUP, build_app
+from pneu_common.cli import COMMANDS_GROUP, build_app
 from pneu_sim.init import TEMPLATES, kinds
 from pneu_sim.rig.load import load_rig
 from pneu_sim.simulator import Simulator

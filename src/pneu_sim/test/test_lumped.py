@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from tests.references import iso6358
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.lumped.batch import predict
 from pneu_sim.lumped.build import build
 from pneu_sim.rig import with_parameters
-from pneu_sim.rig.build import plan_grid
 from pneu_sim.rig.load import load_rig
+from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.run import run_rig
 from pneu_sim.simulate import Prediction, even_course, initial_field

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.parameters import misfit
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_sim import riemann
-from pneu_sim.errors import InputError
 from pneu_sim.gas import AIR
 
 GAMMA = 1.4

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Simulator
 

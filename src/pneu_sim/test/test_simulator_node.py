@@ -20,8 +20,8 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import FluidPressure
 
-from pneu_sim.errors import InputError
-from pneu_sim.nodes import common
+from pneu_common.errors import InputError
+from pneu_graph.nodes import common
 from pneu_sim.nodes.simulator import SimulatorNode
 
 LAB = str(Path(__file__).parents[3] / "rigs/lab.yaml")
@@ -198,7 +198,15 @@ def test_there_is_one_clock(graph):
 
 def test_it_says_ready_when_it_answers_and_not_while_kernels_are_compiled(graph, tmp_path):
     """Started as users do; where kernels are to be compiled that takes half a minute."""
-    command = [sys.executable, "-m", "pneu_sim.cli", "run", "pneu_sim", "simulator", "--ros-args"]
+    command = [
+        sys.executable,
+        "-m",
+        "pneu_common.cli",
+        "run",
+        "pneu_sim",
+        "simulator",
+        "--ros-args",
+    ]
     command += ["-p", f"rig:={LAB}", "-p", "pace:=lock_step"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         try:

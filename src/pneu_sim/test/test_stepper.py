@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.nodes.stepper import Inputs, Pacing, Stepper, voltage_limits
 from pneu_sim.rig import load_rig
 from pneu_sim.simulator import Simulator

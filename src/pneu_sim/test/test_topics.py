@@ -14,9 +14,9 @@ from geometry_msgs.msg import WrenchStamped  # noqa: E402
 from pneu_msgs.msg import ValveCommand  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
+from pneu_common.errors import InputError  # noqa: E402
 from pneu_sim import topics  # noqa: E402
 from pneu_sim.channels import Channel  # noqa: E402
-from pneu_sim.errors import InputError  # noqa: E402
 from pneu_sim.rig import load_rig  # noqa: E402
 
 ROOT = Path(__file__).parents[3]

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_sim import layout as L
-from pneu_sim.errors import InputError
-from pneu_sim.rig.build import Model, build, plan_grid
+from pneu_sim.rig.build import build
+from pneu_sim.rig.model import Model
+from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import Chamber, Rig, Ripple
 from pneu_sim.simulate import Prediction, even_course, initial_field, predict
 from pneu_sim.simulator import Simulator

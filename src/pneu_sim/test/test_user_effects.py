@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pneu_common.errors import InputError
 from pneu_sim import layout
 from pneu_sim.effects import load_effect_file, registry
 from pneu_sim.effects import registry as find_all
 from pneu_sim.effects.registry import _loaded
-from pneu_sim.errors import InputError
 from pneu_sim.rig import Rig, load_rig
 from pneu_sim.rig.build import build
 from pneu_sim.rig.schema import AttachedEffect

@@ -11,7 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from pneu_sim.rig.build import Model, build
+from pneu_sim.rig.build import build
+from pneu_sim.rig.model import Model
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
 from pneu_sim.valve import SpoolState, batch_openings, openings, openings_along

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from pneu_sim.errors import InputError
-from pneu_sim.options import Force
-from pneu_sim.outputs import check_folder, check_output
-from pneu_sim.progress import progress
-from pneu_sim.tables import Column, NamedTable
+from pneu_common.errors import InputError
+from pneu_common.options import Force
+from pneu_common.outputs import check_folder, check_output
+from pneu_common.progress import progress
+from pneu_common.tables import Column, NamedTable
 
 if TYPE_CHECKING:
     from pneu_sim.rig.schema import FitParameter, Rig

@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 
+from pneu_common.errors import InputError
+from pneu_common.tables import Column, NamedTable
+from pneu_common.tally import Tally
 from pneu_sim import sensors
-from pneu_sim.errors import InputError
 from pneu_sim.rig import rig_in_recording
-from pneu_sim.rig.build import build, plan_grid
+from pneu_sim.rig.build import build
+from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import TICK_S
-from pneu_sim.tables import Column, NamedTable
-from pneu_sim.tally import Tally
 from pneu_sysid.problem import Problem, Rollouts, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.regimes import FEWEST, Operation, frequency_shares, operation

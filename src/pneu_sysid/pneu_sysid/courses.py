@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.simulate import Course, Start
 from pneu_sysid.records import Recording
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.tally import Tally
 from pneu_sim.effects.base import POSITION
 from pneu_sim.rig.schema import Rig
-from pneu_sim.tally import Tally
 from pneu_sysid import words
 from pneu_sysid.bench import Bench, bench_of
 from pneu_sysid.candidates import Score, best_per_place, residual_matrix, scores_of, to_refit

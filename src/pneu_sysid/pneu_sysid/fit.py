@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.errors import InputError
-from pneu_sim.progress import Tell
+from pneu_common.errors import InputError
+from pneu_common.progress import Tell
 from pneu_sim.rig.schema import Calibration, FitParameter, Rig
 from pneu_sysid.curves import Mirrors, mirrors_of, with_own_curves
 from pneu_sysid.gauss_newton import Estimate, jacobian

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_sim.effects import find_effect
 from pneu_sim.effects.base import POSITION
-from pneu_sim.errors import InputError
 from pneu_sim.rig import save_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sysid.along import positions

@@ -5,7 +5,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig.parameters import get_parameter, value_of, with_parameters
 from pneu_sim.rig.schema import CLOSED, FitParameter, Rig
 from pneu_sysid.gauss_newton import Variable

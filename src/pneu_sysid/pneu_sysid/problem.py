@@ -15,12 +15,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_sim import layout as L
-from pneu_sim.errors import InputError
 from pneu_sim.lumped.batch import predict as predict_lumped
 from pneu_sim.lumped.build import build as build_lumped
 from pneu_sim.rig import rig_in_recording
-from pneu_sim.rig.build import Model, Plan, build, plan_grid
+from pneu_sim.rig.build import build
+from pneu_sim.rig.model import Model
+from pneu_sim.rig.plan import Plan, plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import (
     TICK_S,

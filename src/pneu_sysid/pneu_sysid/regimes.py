@@ -10,7 +10,8 @@ from scipy.ndimage import uniform_filter1d
 from pneu_sim import layout as L
 from pneu_sim.gas import AIR
 from pneu_sim.rig import rig_in_recording
-from pneu_sim.rig.build import Plan, build, plan_grid
+from pneu_sim.rig.build import build
+from pneu_sim.rig.plan import Plan, plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import TICK_S, initial_field
 from pneu_sim.valve import openings_along

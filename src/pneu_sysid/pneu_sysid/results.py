@@ -16,8 +16,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from pneu_sim.errors import InputError
-from pneu_sim.files import write_whole
+from pneu_common.errors import InputError
+from pneu_common.files import write_whole
 
 
 def _finite(value: Any) -> Any:

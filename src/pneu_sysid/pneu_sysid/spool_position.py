@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig.build import spool_row
 from pneu_sim.rig.schema import Rig, Spool
 from pneu_sim.signals import Signal

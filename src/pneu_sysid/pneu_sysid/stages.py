@@ -13,9 +13,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.progress import Tell
-from pneu_sim.rig.build import plan_grid
+from pneu_common.progress import Tell
 from pneu_sim.rig.parameters import value_of
+from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import FitParameter, Rig
 from pneu_sysid.curves import Mirrors, curve_ties
 from pneu_sysid.gauss_newton import DAMPINGS, Estimate, Variable, minimise

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim.gas import AIR
-from pneu_sim.rig.build import Plan
+from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import InitialField, Start, rest
 from pneu_sysid.records import Recording

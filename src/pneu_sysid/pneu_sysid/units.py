@@ -7,7 +7,7 @@ A model that is fed bar for pascals becomes unstable, or waits for hours, and na
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
 from pneu_sysid.records import Finding, Recording

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from pneu_sim.rig import rig_in_recording
-from pneu_sim.rig.build import build, plan_grid
+from pneu_sim.rig.build import build
+from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import TICK_S
 from pneu_sim.valve import openings_along

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.problem import make_problem, pull_of
 from pneu_sysid.records import Recording, Signal

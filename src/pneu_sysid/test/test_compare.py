@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Simulator
 from pneu_sysid.compare import SERIES_POINTS, compare, compare_table

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from studies.exact_rigs import RATES, SHAPES, draw_rig, record
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig import with_parameters
 from pneu_sim.rig.schema import AttachedEffect, FitParameter, Rig
 from pneu_sim.signals import Signal

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from studies.exact_rigs import draw_rig, record
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig.build import build, spool_row
 from pneu_sim.rig.schema import AttachedEffect, FitParameter, Opening, Rig
 from pneu_sim.signals import Signal

@@ -14,7 +14,7 @@ from pneu_msgs.action import Identify
 from pneu_msgs.msg import TapResiduals, ValveCommand
 from rclpy.action import ActionClient
 
-from pneu_sim.nodes import common
+from pneu_graph.nodes import common
 from pneu_sim.nodes.simulator import SimulatorNode
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sim.rig.schema import AttachedEffect

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sysid.nodes.process import TaskProcess
 from pneu_sysid.nodes.tasks import Outcome, Request, check

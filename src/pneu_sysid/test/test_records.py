@@ -14,8 +14,8 @@ from pydantic import ValidationError
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from pneu_common.errors import InputError
 from pneu_sim.channels import Channel, TextFormat
-from pneu_sim.errors import InputError
 from pneu_sysid.records import Recording, Signal, bag_topics, read_recording
 
 EPOCH_NS = 1_760_000_000_000_000_000

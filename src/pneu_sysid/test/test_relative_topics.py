@@ -8,8 +8,8 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from pneu_common.errors import InputError
 from pneu_sim.channels import Channel
-from pneu_sim.errors import InputError
 from pneu_sysid.records import read_recording
 
 STORE = get_typestore(Stores.ROS2_JAZZY)

@@ -15,9 +15,9 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Float64
 
+from pneu_common.errors import InputError
+from pneu_graph.nodes import common
 from pneu_sim import bag
-from pneu_sim.errors import InputError
-from pneu_sim.nodes import common
 from pneu_sim.rig import load_rig
 from pneu_sim.signals import Signal
 from pneu_sysid.nodes.replay import ReplayNode, load_events

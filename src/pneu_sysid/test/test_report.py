@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sysid.report import quantities, write_report
 
 TAPS = ("supply", "valve_out", "middle", "end", "exhaust")

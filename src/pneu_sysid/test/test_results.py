@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sysid.results import (
     RESULTS,
     LearnResult,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig.build import spool_row
 from pneu_sim.rig.schema import Rig, Spool
 from pneu_sim.signals import Signal

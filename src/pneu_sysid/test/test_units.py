@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.records import Recording, even_recording

@@ -11,7 +11,7 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.records import Recording, Signal, bag_topics, read_recording

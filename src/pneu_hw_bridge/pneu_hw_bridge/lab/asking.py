@@ -6,7 +6,7 @@ import socket
 from collections.abc import Mapping
 from typing import Any
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 
 MODBUS_PORT = 1502
 CONTROL_PORT = 1503

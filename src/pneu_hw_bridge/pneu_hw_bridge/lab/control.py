@@ -9,10 +9,10 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from pneu_common.errors import InputError
 from pneu_hw_bridge.lab.asking import LONGEST_LINE
 from pneu_hw_bridge.lab.device import LabDevice
 from pneu_hw_bridge.lab.plant import Plant
-from pneu_sim.errors import InputError
 
 
 class Control:

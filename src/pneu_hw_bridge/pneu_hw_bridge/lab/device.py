@@ -18,11 +18,11 @@ from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
+from pneu_common.errors import InputError
 from pneu_hw_bridge.lab.faults import Faults
 from pneu_hw_bridge.lab.plant import Plant, Sample
 from pneu_hw_bridge.registers.clock import Count
 from pneu_hw_bridge.registers.schema import ChannelBase, Output, RegisterMap
-from pneu_sim.errors import InputError
 
 POLL_S = 0.002
 """How often the device looks at its watchdog and at faults that end."""

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 
 
 @dataclass(frozen=True)

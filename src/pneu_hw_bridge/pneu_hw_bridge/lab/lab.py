@@ -11,6 +11,9 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from pneu_common.errors import InputError
+from pneu_common.files import write_whole
+from pneu_common.outputs import check_output
 from pneu_hw_bridge.lab.asking import CONTROL_PORT, MODBUS_PORT
 from pneu_hw_bridge.lab.control import Control
 from pneu_hw_bridge.lab.device import LabDevice
@@ -19,9 +22,6 @@ from pneu_hw_bridge.lab.sealed import open_sealed
 from pneu_hw_bridge.priority import precedence
 from pneu_hw_bridge.registers.load import load_register_map
 from pneu_hw_bridge.registers.schema import RegisterMap
-from pneu_sim.errors import InputError
-from pneu_sim.files import write_whole
-from pneu_sim.outputs import check_output
 from pneu_sim.rig.load import load_rig
 
 REPORT_S = 1.0

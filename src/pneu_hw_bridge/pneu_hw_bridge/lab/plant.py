@@ -24,9 +24,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_sim import sensors
 from pneu_sim.effects.places import sources
-from pneu_sim.errors import InputError
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Simulator
 

@@ -14,10 +14,10 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from pneu_sim.documents import check_values, read_text, read_yaml
+from pneu_common.documents import check_values, read_text, read_yaml
+from pneu_common.errors import InputError
+from pneu_common.files import write_whole
 from pneu_sim.effects import find_effect
-from pneu_sim.errors import InputError
-from pneu_sim.files import write_whole
 from pneu_sim.rig.schema import AttachedEffect
 
 SEAL_VERSION = 1

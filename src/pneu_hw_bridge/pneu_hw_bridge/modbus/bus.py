@@ -19,6 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from pneu_common.errors import InputError
 from pneu_hw_bridge.device_clock import DeviceClock
 from pneu_hw_bridge.modbus.client import Client, RequestError
 from pneu_hw_bridge.modbus.in_step import InStep
@@ -26,7 +27,6 @@ from pneu_hw_bridge.modbus.reading import Reader, ReadOwner
 from pneu_hw_bridge.modbus.statistics import Statistics
 from pneu_hw_bridge.modbus.writing import WriteOwner, Writer
 from pneu_hw_bridge.registers.schema import RegisterMap
-from pneu_sim.errors import InputError
 
 LONGEST_TIMEOUT_S = 0.2
 """Longest wait for an answer that a valve can afford."""

@@ -8,9 +8,9 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import FluidPressure
 
+from pneu_graph.nodes.common import CLOCK_TOPIC, COMMAND_QOS, READINGS_QOS, to_stamp
 from pneu_hw_bridge.link import Sample
 from pneu_hw_bridge.registers.schema import Input
-from pneu_sim.nodes.common import CLOCK_TOPIC, COMMAND_QOS, READINGS_QOS, to_stamp
 
 
 class ReadingsPublisher:

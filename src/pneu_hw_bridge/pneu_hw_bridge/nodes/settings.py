@@ -6,9 +6,9 @@ from typing import Any
 
 from rclpy.node import Node
 
+from pneu_graph.nodes.common import declare
 from pneu_hw_bridge.modbus.bus import LONGEST_TIMEOUT_S
 from pneu_hw_bridge.safety.limits import LONGEST_WATCHDOG_S, SAFE_WITHIN_S
-from pneu_sim.nodes.common import declare
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,18 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from pneu_common.errors import InputError
+from pneu_graph.nodes.common import (
+    COMMAND_QOS,
+    EXIT_BAD_INPUT,
+    READINGS_QOS,
+    Diagnostics,
+    say_ready,
+    status,
+    steady_clock,
+    to_stamp,
+)
+from pneu_graph.nodes.lifetime import initialised
 from pneu_hw_bridge.device_clock import DeviceClock
 from pneu_hw_bridge.link import Link, Sample
 from pneu_hw_bridge.modbus.bus import ModbusBus
@@ -45,18 +57,6 @@ from pneu_hw_bridge.safety.memory import Memory
 from pneu_hw_bridge.safety.supervisor import Latches, State, Supervisor
 from pneu_hw_bridge.stopping import StopListener, call_all
 from pneu_sim import topics
-from pneu_sim.errors import InputError
-from pneu_sim.nodes.common import (
-    COMMAND_QOS,
-    EXIT_BAD_INPUT,
-    READINGS_QOS,
-    Diagnostics,
-    say_ready,
-    status,
-    steady_clock,
-    to_stamp,
-)
-from pneu_sim.nodes.lifetime import initialised
 
 COMMAND_TOPIC = "valve/command"
 

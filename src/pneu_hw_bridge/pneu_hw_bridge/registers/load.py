@@ -9,6 +9,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from pneu_common.documents import parse_yaml, read_text
+from pneu_common.errors import InputError
 from pneu_hw_bridge.registers.clock import Clock, Commands, Count, Records, Ticks
 from pneu_hw_bridge.registers.part import Part
 from pneu_hw_bridge.registers.schema import (
@@ -20,8 +22,6 @@ from pneu_hw_bridge.registers.schema import (
     RegisterMap,
     Setting,
 )
-from pneu_sim.documents import parse_yaml, read_text
-from pneu_sim.errors import InputError
 
 
 def profiles() -> list[str]:

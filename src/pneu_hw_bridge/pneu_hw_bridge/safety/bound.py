@@ -9,9 +9,9 @@ writes to it.
 import math
 from dataclasses import dataclass
 
+from pneu_common.errors import InputError
 from pneu_hw_bridge.registers.schema import RegisterMap
 from pneu_hw_bridge.safety.limits import Limits
-from pneu_sim.errors import InputError
 
 STALE_PERIODS = 1.5
 """A good reading is at most so many periods old."""

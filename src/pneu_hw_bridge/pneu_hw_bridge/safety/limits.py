@@ -5,8 +5,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from pneu_common.errors import InputError
 from pneu_hw_bridge.registers.schema import RegisterMap
-from pneu_sim.errors import InputError
 
 LONGEST_WATCHDOG_S = 0.1
 """Longest time that hardware may run on without a new command."""

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from pneu_common.files import replacing
 from pneu_hw_bridge.safety.supervisor import Latches
-from pneu_sim.files import replacing
 
 FOLDER_VARIABLE = "PNEU_STATE_DIR"
 """Environment variable that names another folder."""

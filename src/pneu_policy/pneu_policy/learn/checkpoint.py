@@ -13,8 +13,8 @@ from typing import Any
 
 import torch
 
-from pneu_sim.errors import InputError
-from pneu_sim.files import whole
+from pneu_common.errors import InputError
+from pneu_common.files import whole
 
 HEAD = "pneu-checkpoint"
 VERSION = 1

@@ -9,11 +9,11 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from pneu_sim.errors import InputError
-from pneu_sim.files import write_whole
-from pneu_sim.options import MOST_SEED
-from pneu_sim.progress import progress
-from pneu_sim.tables import Column, NamedTable
+from pneu_common.errors import InputError
+from pneu_common.files import write_whole
+from pneu_common.options import MOST_SEED
+from pneu_common.progress import progress
+from pneu_common.tables import Column, NamedTable
 
 
 def register_train(app: typer.Typer) -> None:

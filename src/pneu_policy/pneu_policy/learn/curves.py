@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
+from pneu_common.files import whole
 from pneu_policy.learn.history import History
-from pneu_sim.errors import InputError
-from pneu_sim.files import whole
 
 COLOURS = (
     "#1f5fa8", "#c8501e", "#2e8b57", "#8a3ffc", "#b8860b",

@@ -3,25 +3,51 @@
 
 import importlib.metadata
 import platform
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from pneu_policy.learn.history import ATM_PA
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_common.errors import InputError
+from pneu_policy.learn.history import ATM_PA, Row
+from pneu_policy.learn.settings import TrainSettings
 from pneu_policy.policy_file import PolicyFile, rig_identity
 from pneu_policy.tracking import PressureTracking
-from pneu_sim.errors import InputError
-
-if TYPE_CHECKING:
-    from pneu_policy.learn.trainer import Trainer
 
 _VERSIONS_OF = ("pneu", "torch", "numpy", "gymnasium")
 
 
-def export_policy(trainer: "Trainer", path: str | Path) -> PolicyFile:
-    """Writes what was trained: the last iterate, or the average that the settings declare.
+@dataclass(frozen=True)
+class Trained:
+    """What a training leaves.
+
+    Attributes:
+        env: The environment it was done in.
+        settings: What it was set to.
+        last: Its last row.
+        done: Iterations.
+        rig_sha256: Digest of the rig file.
+        weights: Layers of the last iterate, or of the average that the settings declare.
+        log_std: Logarithm of the exploration that is left.
+    """
+
+    env: gymnasium.vector.VectorEnv
+    settings: TrainSettings
+    last: Row
+    done: int
+    rig_sha256: str
+    weights: list[tuple[NDArray[np.float32], NDArray[np.float32]]]
+    log_std: float
+
+
+def export_policy(trained: Trained, path: str | Path) -> PolicyFile:
+    """Writes what was trained.
 
     Args:
-        trainer: The training; it has done an iteration at least.
+        trained: What a training of an iteration at least has left.
         path: The file; its folder must exist.
 
     Returns:
@@ -30,33 +56,33 @@ def export_policy(trainer: "Trainer", path: str | Path) -> PolicyFile:
     Raises:
         InputError: The file cannot be written, or the environment is not one of a rig.
     """
-    if not isinstance(trainer.env, PressureTracking):
-        raise InputError(f"{path}: a policy file is of a rig, found {type(trainer.env).__name__}")
-    last = trainer.rows[-1]
-    rig = trainer.env.rig
+    if not isinstance(trained.env, PressureTracking):
+        raise InputError(f"{path}: a policy file is of a rig, found {type(trained.env).__name__}")
+    last = trained.last
+    rig = trained.env.rig
     training = {
         "algorithm": "npg",
-        "seed": trainer.settings.seed,
-        "iterations": trainer.done,
+        "seed": trained.settings.seed,
+        "iterations": trained.done,
         "samples": last["samples"],
         "simulated_s": last["simulated_s"],
         "wall_s": round(last["wall_s"], 1),
         "model": rig.model,
         "rig": {
-            "file": Path(trainer.settings.env.rig).name,
-            "sha256": trainer.rig_sha256,
+            "file": Path(trained.settings.env.rig).name,
+            "sha256": trained.rig_sha256,
         },
         "score": last["eval_score"],
         "rmse_pa": None if last["eval_rmse_atm"] is None else last["eval_rmse_atm"] * ATM_PA,
         "versions": _versions(),
-        "settings": trainer.settings.to_dict(),
+        "settings": trained.settings.to_dict(),
     }
     file = PolicyFile(
-        weights=trainer.weights(),
-        recipe=trainer.settings.env.recipe,
+        weights=trained.weights,
+        recipe=trained.settings.env.recipe,
         rig=rig_identity(rig),
         training=training,
-        log_std=float(trainer.policy.log_std.detach().cpu()[0]),
+        log_std=trained.log_std,
     )
     file.save(path)
     return file

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pneu_sim.documents import read_json
-from pneu_sim.errors import InputError
-from pneu_sim.files import write_whole
+from pneu_common.documents import read_json
+from pneu_common.errors import InputError
+from pneu_common.files import write_whole
 
 VERSION = 1
 ATM_PA = 101_325.0

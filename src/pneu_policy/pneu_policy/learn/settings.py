@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from pneu_common.documents import read_yaml
+from pneu_common.errors import InputError
 from pneu_policy.tracking import EnvSettings
-from pneu_sim.documents import read_yaml
-from pneu_sim.errors import InputError
 
 T = TypeVar("T")
 

@@ -18,10 +18,10 @@ from typing import Any
 import joblib
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
+from pneu_common.errors import InputError
 from pneu_policy.learn.history import History, Row
 from pneu_policy.learn.settings import TrainSettings
 from pneu_policy.learn.trainer import CHECKPOINT, HISTORY, POLICY, Trainer, first_difference
-from pneu_sim.errors import InputError
 
 BACKENDS = ("loky", "ray")
 

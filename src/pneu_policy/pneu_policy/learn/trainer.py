@@ -20,14 +20,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_policy.learn import npg
 from pneu_policy.learn.checkpoint import load_checkpoint, save_checkpoint
+from pneu_policy.learn.export import Trained, export_policy
 from pneu_policy.learn.history import History, Row
 from pneu_policy.learn.networks import GaussianPolicy, ValueNetwork, mean_action
 from pneu_policy.learn.rollout import Episodes, roll_out
 from pneu_policy.learn.settings import TrainSettings
 from pneu_policy.tracking import make_env
-from pneu_sim.errors import InputError
 
 Array = NDArray[np.float32]
 
@@ -244,8 +245,6 @@ class Trainer:
         Raises:
             KeyboardInterrupt: After a clean end by Ctrl-C.
         """
-        from pneu_policy.learn.export import export_policy
-
         folder = Path(folder)
         with _interrupts() as interrupted:
             while not self.finished and not interrupted():
@@ -257,7 +256,16 @@ class Trainer:
             self._write(folder)
             if not self.finished:
                 raise KeyboardInterrupt
-        export_policy(self, folder / POLICY)
+        trained = Trained(
+            self.env,
+            self.settings,
+            self.rows[-1],
+            self.done,
+            self.rig_sha256,
+            self.weights(),
+            float(self.policy.log_std.detach().cpu()[0]),
+        )
+        export_policy(trained, folder / POLICY)
         return self.history()
 
     def _write(self, folder: Path) -> None:

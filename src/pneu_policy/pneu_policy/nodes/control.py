@@ -23,8 +23,8 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import FluidPressure
 
-from pneu_sim.errors import InputError
-from pneu_sim.nodes import common
+from pneu_common.errors import InputError
+from pneu_graph.nodes import common
 
 NO_READING = "no pressure reading"
 NO_NUMBER = "reading is no number"

@@ -10,11 +10,11 @@ from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 
+from pneu_common.errors import InputError
+from pneu_graph.nodes import common
 from pneu_policy.nodes.control import ControlNode
 from pneu_policy.nodes.running import run_controller
 from pneu_policy.pid import Gains, Pid
-from pneu_sim.errors import InputError
-from pneu_sim.nodes import common
 
 GAINS: dict[str, tuple[float, float, float, str]] = {
     "kp_v_per_pa": (1.0e-5, 0.0, 1e-2, "Proportional gain, V/Pa."),

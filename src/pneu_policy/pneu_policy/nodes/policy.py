@@ -9,11 +9,11 @@ with the newest reading of each tap that the controller sees. Parameters and top
 from collections.abc import Mapping
 from typing import Any
 
+from pneu_common.errors import InputError
+from pneu_graph.nodes import common
 from pneu_policy.controllers import Controller, PolicyController, load_controller
 from pneu_policy.nodes.control import ControlNode
 from pneu_policy.nodes.running import run_controller
-from pneu_sim.errors import InputError
-from pneu_sim.nodes import common
 from pneu_sim.rig import load_rig
 
 

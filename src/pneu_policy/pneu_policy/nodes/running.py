@@ -14,10 +14,10 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 
+from pneu_common.errors import InputError
+from pneu_common.log import LOG, hand_on
+from pneu_graph.nodes.common import EXIT_BAD_INPUT, say_ready
 from pneu_policy.nodes.control import ControlNode
-from pneu_sim.errors import InputError
-from pneu_sim.log import LOG, hand_on
-from pneu_sim.nodes.common import EXIT_BAD_INPUT, say_ready
 
 
 class _ToldToEndError(BaseException):

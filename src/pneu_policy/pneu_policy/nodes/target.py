@@ -10,9 +10,9 @@ import numpy as np
 from pneu_msgs.msg import PressureTarget
 from rclpy.node import Node
 
+from pneu_common.errors import InputError
+from pneu_graph.nodes import common
 from pneu_policy.targets import KINDS, Target
-from pneu_sim.errors import InputError
-from pneu_sim.nodes import common
 
 
 class TargetNode(Node):

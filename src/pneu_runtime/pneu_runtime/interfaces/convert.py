@@ -8,10 +8,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from pneu_common.errors import InputError
 from pneu_runtime.interfaces.catalogue import message_class, registry, type_name
 from pneu_runtime.interfaces.classes import Message
 from pneu_runtime.interfaces.model import PRIMITIVES, Field, FieldType
-from pneu_sim.errors import InputError
 
 M = TypeVar("M")
 

@@ -14,9 +14,10 @@ from pneu_runtime.transport.errors import (
 )
 from pneu_runtime.transport.events import EventKind, EventSource
 from pneu_runtime.transport.graph import EndpointInfo, Graph
+from pneu_runtime.transport.owner import NodeHandle
 from pneu_runtime.transport.qos import EndpointQos
 from pneu_runtime.transport.services import ClientEnd, RequestId, ServerEnd
-from pneu_runtime.transport.session import GraphSource, NodeHandle, Session
+from pneu_runtime.transport.session import GraphSource, Session
 from pneu_runtime.transport.waiter import Source, Waiter
 
 __all__ = [

@@ -6,16 +6,14 @@ from __future__ import annotations
 import ctypes as ct
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pneu_runtime.transport import dds
 from pneu_runtime.transport.errors import TransportError
 from pneu_runtime.transport.events import EventKind, EventSource
 from pneu_runtime.transport.idl import topic_type
+from pneu_runtime.transport.owner import NodeHandle, Owner
 from pneu_runtime.transport.qos import EndpointQos, dds_qos
-
-if TYPE_CHECKING:
-    from pneu_runtime.transport.session import NodeHandle, Session
 
 _PADS = (b"", b"\0\0\0", b"\0\0", b"\0")
 
@@ -75,7 +73,7 @@ class _Endpoint:
 
     def __init__(
         self,
-        session: Session,
+        session: Owner,
         node: NodeHandle | None,
         topic: str,
         type_name: str,

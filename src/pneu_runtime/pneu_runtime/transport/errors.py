@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exceptions of the transport."""
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 
 
 class TransportError(RuntimeError):

@@ -12,16 +12,13 @@ from __future__ import annotations
 
 import json
 import threading
-from typing import TYPE_CHECKING
 
 from pneu_runtime import interfaces
 from pneu_runtime.transport import naming
 from pneu_runtime.transport.endpoints import Publication, Writer
 from pneu_runtime.transport.errors import TransportError
+from pneu_runtime.transport.owner import Owner
 from pneu_runtime.transport.qos import EndpointQos
-
-if TYPE_CHECKING:
-    from pneu_runtime.transport.session import Session
 
 TOPIC = "/_pneu_sent"
 TYPE = "std_msgs/msg/String"
@@ -53,7 +50,7 @@ def decode(text: str) -> Counts:
 class Teller:
     """Tells how much was sent, from when somebody listens for the first time."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Owner) -> None:
         """Tells nothing yet.
 
         Args:

@@ -14,17 +14,15 @@ from __future__ import annotations
 import itertools
 import struct
 import time
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from pneu_runtime.interfaces import type_hash
 from pneu_runtime.transport import dds
 from pneu_runtime.transport.endpoints import Reader, Sample, Writer
 from pneu_runtime.transport.errors import ForeignServiceError
 from pneu_runtime.transport.naming import reply_to_dds, request_to_dds, user_data
+from pneu_runtime.transport.owner import NodeHandle, Owner
 from pneu_runtime.transport.qos import EndpointQos
-
-if TYPE_CHECKING:
-    from pneu_runtime.transport.session import NodeHandle, Session
 
 _HEADER = {0: struct.Struct(">Qq"), 1: struct.Struct("<Qq")}
 _BODY = 20  # after 4 bytes of encapsulation and 16 of header
@@ -50,7 +48,7 @@ class _ServicePart:
 
     def __init__(
         self,
-        session: Session,
+        session: Owner,
         node: NodeHandle,
         service: str,
         type_name: str,
@@ -124,7 +122,7 @@ class ClientEnd(_ServicePart):
     """
 
     def __init__(
-        self, session: Session, node: NodeHandle, service: str, type_name: str, qos: EndpointQos
+        self, session: Owner, node: NodeHandle, service: str, type_name: str, qos: EndpointQos
     ) -> None:
         super().__init__(session, node, service, type_name, qos, "clientid")
         self._number = dds.handle_of(self._writer.entity)
@@ -192,7 +190,7 @@ class ServerEnd(_ServicePart):
     """
 
     def __init__(
-        self, session: Session, node: NodeHandle, service: str, type_name: str, qos: EndpointQos
+        self, session: Owner, node: NodeHandle, service: str, type_name: str, qos: EndpointQos
     ) -> None:
         super().__init__(session, node, service, type_name, qos, "serviceid")
 

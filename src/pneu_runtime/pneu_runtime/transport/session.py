@@ -7,7 +7,7 @@ import logging
 import os
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 from pneu_runtime import interfaces
@@ -27,6 +27,7 @@ from pneu_runtime.transport.graph import (
     construct_peer,
     convert_policies,
 )
+from pneu_runtime.transport.owner import NodeHandle
 from pneu_runtime.transport.qos import (
     Durability,
     EndpointQos,
@@ -45,23 +46,6 @@ _log = logging.getLogger(__name__)
 _DISCOVERY_TOPIC = "ros_discovery_info"
 _KNOWN_PEERS = 4096
 _BATCH = 64
-
-
-@dataclass(eq=False)
-class NodeHandle:
-    """A node of this session.
-
-    Attributes:
-        namespace: Its namespace, such as `/` or `/rig`.
-        name: Its name.
-        readers: Identities of its readers.
-        writers: Identities of its writers.
-    """
-
-    namespace: str
-    name: str
-    readers: list[bytes] = field(default_factory=list)
-    writers: list[bytes] = field(default_factory=list)
 
 
 class GraphSource:

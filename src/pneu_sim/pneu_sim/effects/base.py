@@ -5,11 +5,10 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
-if TYPE_CHECKING:
-    from pneu_sim.rig.build import Model
-    from pneu_sim.rig.schema import Rig
+from pneu_sim.rig.model import Model
+from pneu_sim.rig.schema import Rig
 
 POSITION = "position_m"
 """Name of the parameter that says where along a pipe an effect sits."""
@@ -54,7 +53,7 @@ def position_along_pipe() -> EffectParameter:
     return EffectParameter(POSITION, "m", 0.0, 0.0, math.inf, 1.0, 0.01, fitted=True, scanned=11)
 
 
-def resolved(rig: "Rig", pipe: str) -> bool:
+def resolved(rig: Rig, pipe: str) -> bool:
     """Whether a pipe has cells enough that positions along it are told apart.
 
     Args:
@@ -106,7 +105,7 @@ class Effect(ABC):
         """The parameter that measures how much of the effect there is."""
         return self.parameters[0]
 
-    def fitted(self, rig: "Rig", place: str) -> tuple[EffectParameter, ...]:
+    def fitted(self, rig: Rig, place: str) -> tuple[EffectParameter, ...]:
         """The parameters that diagnosis fits beside the strength; no position that no cell tells.
 
         Args:
@@ -125,7 +124,7 @@ class Effect(ABC):
         return any(p.name == POSITION for p in self.parameters)
 
     @abstractmethod
-    def places(self, rig: "Rig") -> list[str]:
+    def places(self, rig: Rig) -> list[str]:
         """Names of the parts of a rig that may have this effect.
 
         Args:
@@ -133,7 +132,7 @@ class Effect(ABC):
         """
 
     @abstractmethod
-    def on_rig(self, rig: "Rig", place: str, values: dict[str, float]) -> None:
+    def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
         """Changes a private copy of the rig to have the effect.
 
         Args:
@@ -143,7 +142,7 @@ class Effect(ABC):
         """
 
     def on_model(  # noqa: B027 (most effects have nothing to do here)
-        self, model: "Model", rig: "Rig", place: str, values: dict[str, float]
+        self, model: Model, rig: Rig, place: str, values: dict[str, float]
     ) -> None:
         """Changes the numbers of the built model, for effects that no rig field expresses.
 
@@ -154,7 +153,7 @@ class Effect(ABC):
             values: Value of every parameter.
         """
 
-    def limits(self, parameter: EffectParameter, rig: "Rig", place: str) -> tuple[float, float]:
+    def limits(self, parameter: EffectParameter, rig: Rig, place: str) -> tuple[float, float]:
         """Bounds of a parameter at a place; a position ends where its pipe does.
 
         Args:
@@ -166,7 +165,7 @@ class Effect(ABC):
             return parameter.lower, min(parameter.upper, rig.pipes[place].length_m)
         return parameter.lower, parameter.upper
 
-    def sites(self, rig: "Rig", spacing_m: float = 0.25) -> Iterator[tuple[str, dict[str, float]]]:
+    def sites(self, rig: Rig, spacing_m: float = 0.25) -> Iterator[tuple[str, dict[str, float]]]:
         """Places to try, with a position where the effect sits along a pipe.
 
         A pipe of fewer than ``RESOLVED_CELLS`` cells cannot tell positions apart: only its middle

@@ -7,8 +7,9 @@ import sys
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from pneu_common.errors import InputError
 from pneu_sim.effects.ambient_pressure import AmbientPressure
 from pneu_sim.effects.ambient_temperature import AmbientTemperature
 from pneu_sim.effects.area_error import AreaError
@@ -54,11 +55,8 @@ from pneu_sim.effects.unsteady_friction import UnsteadyFriction
 from pneu_sim.effects.valve_delay import ValveDelay
 from pneu_sim.effects.wall_compliance import WallCompliance
 from pneu_sim.effects.wall_heat import WallHeat
-from pneu_sim.errors import InputError
-
-if TYPE_CHECKING:
-    from pneu_sim.rig.build import Model
-    from pneu_sim.rig.schema import AttachedEffect, Rig
+from pneu_sim.rig.model import Model
+from pneu_sim.rig.schema import AttachedEffect, Rig
 
 BUILT_IN: tuple[type[Effect], ...] = (
     SensorBias,
@@ -231,7 +229,7 @@ def find_effect(name: str) -> Effect:
     return effects[name]
 
 
-def _values(effect: Effect, attached: "AttachedEffect", rig: "Rig") -> dict[str, float]:
+def _values(effect: Effect, attached: AttachedEffect, rig: Rig) -> dict[str, float]:
     """All parameters of an attached effect, those that are not given at their usual value."""
     given = attached.parameters
     unknown = set(given) - {p.name for p in effect.parameters}
@@ -260,7 +258,7 @@ def _values(effect: Effect, attached: "AttachedEffect", rig: "Rig") -> dict[str,
     return values
 
 
-def apply_to_rig(rig: "Rig") -> "Rig":
+def apply_to_rig(rig: Rig) -> Rig:
     """Returns the rig with its attached effects worked into its parts.
 
     Args:
@@ -284,7 +282,7 @@ def apply_to_rig(rig: "Rig") -> "Rig":
     return copy
 
 
-def apply_to_model(rig: "Rig", model: "Model") -> None:
+def apply_to_model(rig: Rig, model: Model) -> None:
     """Lets the attached effects change a built model in place.
 
     Args:

@@ -9,12 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.tally import Tally
 from pneu_sim import sensors
 from pneu_sim.lumped.filling import fill, port_flow
 from pneu_sim.lumped.model import V_VOLUME, LumpedModel
 from pneu_sim.simulate import TICK_S as RUN_TICK_S
 from pneu_sim.simulate import Course, Prediction, Start
-from pneu_sim.tally import Tally
 from pneu_sim.valve import openings_along
 
 Floats = NDArray[np.float64]

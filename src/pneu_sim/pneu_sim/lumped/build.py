@@ -4,7 +4,7 @@
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.lumped import delay_line, thin_plate
 from pneu_sim.lumped.model import LumpedModel
-from pneu_sim.rig.build import Plan
+from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Rig
 
 

@@ -22,7 +22,8 @@ from pneu_sim.gas import AIR, Gas
 from pneu_sim.lumped import thin_plate
 from pneu_sim.lumped.model import LumpedModel
 from pneu_sim.lumped.network import distances_from, end_nodes
-from pneu_sim.rig.build import Model, Plan
+from pneu_sim.rig.model import Model
+from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Rig
 
 BLASIUS = 0.158 / 32.0

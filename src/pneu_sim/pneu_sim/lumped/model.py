@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.rig.build import Model, Plan
+from pneu_sim.rig.model import Model
+from pneu_sim.rig.plan import Plan
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

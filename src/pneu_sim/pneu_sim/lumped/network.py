@@ -4,7 +4,7 @@
 import heapq
 from dataclasses import dataclass
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig.schema import CLOSED, Rig
 
 

@@ -28,8 +28,9 @@ from pneu_sim.lumped.model import (
     LumpedModel,
 )
 from pneu_sim.lumped.network import Network, reduce_network
-from pneu_sim.rig.build import Model, Plan
 from pneu_sim.rig.build import build as build_full
+from pneu_sim.rig.model import Model
+from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Rig
 
 MOST_LINEAR = 0.9999

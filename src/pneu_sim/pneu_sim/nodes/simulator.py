@@ -17,9 +17,9 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import FluidPressure
 
+from pneu_common.errors import InputError
+from pneu_graph.nodes import common
 from pneu_sim import topics
-from pneu_sim.errors import InputError
-from pneu_sim.nodes import common
 from pneu_sim.nodes.stepper import Inputs, Pacing, Sample, Stepper
 from pneu_sim.rig import load_rig
 

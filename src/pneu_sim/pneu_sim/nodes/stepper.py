@@ -14,8 +14,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_sim import sensors
-from pneu_sim.errors import InputError
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Simulator
 

@@ -1,289 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a rig to the numbers the kernels work on: the grid plan, and one model per parameter set."""
+"""From a rig and its effects to the numbers the kernels work on: one model per parameter set."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim import layout as L
-from pneu_sim.errors import InputError
+from pneu_sim.effects import apply_to_model, apply_to_rig
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.rig.cells import areas, narrowed_by, spread
+from pneu_sim.rig.model import CURVE_POINTS, SENSOR_COLUMNS, VALVE_COLUMNS, Model
 from pneu_sim.rig.opening import opening_at
-from pneu_sim.rig.schema import CLOSED, Port, Rig, Spool, Valve
+from pneu_sim.rig.plan import Plan, plan_grid
+from pneu_sim.rig.schema import Port, Rig, Spool, Valve
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-MOST_CELLS = 1_000_000
-"""More would fill the memory, and a second of simulation would take hours."""
-CURVE_POINTS = 4097
-"""Points of the uniform table into which an opening curve is drawn out."""
-
-# Columns of a valve's row (see Model.spool).
-V_FREQUENCY, V_DAMPING, V_INTEGRAL, V_LIMIT, V_DELAY = 0, 1, 2, 3, 4
-V_HYSTERESIS, V_OFFSET, V_DEAD, V_NULL = 5, 6, 7, 8
-V_SPEED, V_CLOSING = 9, 10
-VALVE_COLUMNS = 11
-# Columns of a tap's row (see Model.sensor).
-S_LAG, S_GAIN, S_BIAS, S_OFFSET = 0, 1, 2, 3
-SENSOR_COLUMNS = 4
-
-
-@dataclass(frozen=True)
-class Plan:
-    """The part of a model that its parameters do not change: which slot is what.
-
-    Attributes:
-        pipes: Per pipe, first cell's slot and number of cells.
-        slots: Number of slots, ghosts included.
-        ends: Pipe ends, see ``layout``.
-        ports: Valve ports, then orifices, see ``layout``.
-        port_names: ``valve.port`` or the orifice's name.
-        port_valve: Valve of each port; -1 for an orifice.
-        reservoirs: Names; the last is the room as a sink where no rig reservoir is used.
-        chambers: Names.
-        valves: Names.
-        commands: Command of each valve.
-        taps: Names.
-        dt_s: Largest time step.
-    """
-
-    pipes: dict[str, tuple[int, int]]
-    slots: int
-    ends: Ints
-    ports: Ints
-    port_names: list[str]
-    port_valve: list[int]
-    reservoirs: list[str]
-    chambers: list[str]
-    valves: list[str]
-    commands: list[str]
-    taps: list[str]
-    dt_s: float
-
-
-@dataclass
-class Model:
-    """One rig in numbers; effects may edit any of it before it is run.
-
-    Attributes:
-        plan: Structure.
-        gas: Gas.
-        cell: (PARAM_ROWS, slots) cell parameters.
-        port: (n_ports, PORT_PARAMS).
-        reservoir: (n_reservoirs, RESERVOIR_PARAMS).
-        chamber: (n_chambers, CHAMBER_PARAMS).
-        leaks: Slot, or -1 - chamber, to effective area, m^2.
-        porous: The same to the flow of porous leaks over p^2 - p_room^2, kg/(s Pa^2).
-        reliefs: The same to relief valves: effective area m^2, set pressure and range, Pa.
-        ripples: Reservoir to ripples of its pressure: amplitude Pa, angular frequency rad/s, phase
-            rad.
-        spool: (n_valves, VALVE_COLUMNS) natural frequency rad/s, damping, integral gain,
-            acceleration limit, delay, hysteresis, null offset, dead-band, null voltage, speed
-            limit, how much longer than that the delay of closing is.
-        curve: (n_ports, CURVE_POINTS) opening over ``curve_v``; orifices are constant.
-        curve_v: (n_ports, 2) voltage range of the table.
-        tap_slot: (n_taps,) slot left of the tap, or -1 - chamber.
-        tap_weight: (n_taps,) weight of the next slot.
-        sensor: (n_taps, 4) lag, gain, bias, clock offset.
-        ambient: (2,) pressure, temperature.
-        end_area: (n_ends,) area of each pipe at its ends.
-        thesis_joints: Whether pipes are joined as in the thesis, see the rig's grid.
-    """
-
-    plan: Plan
-    gas: Gas
-    cell: Floats
-    port: Floats
-    reservoir: Floats
-    chamber: Floats
-    leaks: dict[int, float]
-    porous: dict[int, float]
-    reliefs: dict[int, list[tuple[float, float, float]]]
-    ripples: dict[int, list[tuple[float, float, float]]]
-    spool: Floats
-    curve: Floats
-    curve_v: Floats
-    tap_slot: Ints
-    tap_weight: Floats
-    sensor: Floats
-    ambient: Floats
-    end_area: Floats
-    order: int = 2
-    flux: int = L.HLLC
-    limiter: int = L.VAN_LEER
-    newton: int = 2
-    memory: bool = True
-    compliant: bool = field(default=False)
-    thesis_joints: bool = False
-
-
-def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
-    """Lays out slots, ends and ports of a rig.
-
-    Args:
-        rig: The rig.
-        dx_m: Cell length that replaces the rig's, for every pipe alike in proportion.
-        fewest: Cells that the shortest pipe has at least.
-
-    Raises:
-        InputError: The rig asks for a time step above the stable limit, or for more cells or
-            steps than any run could be waited for.
-    """
-    scale = 1.0 if dx_m is None else dx_m / rig.grid.dx_m
-    pipes: dict[str, tuple[int, int]] = {}
-    slot = 0
-    shortest = math.inf
-    for name, pipe in rig.pipes.items():
-        cells = max(fewest, round(pipe.length_m / ((pipe.dx_m or rig.grid.dx_m) * scale)))
-        pipes[name] = (slot + 1, cells)
-        slot += cells + 2
-        shortest = min(shortest, pipe.length_m / cells)
-    if slot > MOST_CELLS:
-        raise InputError(
-            f"grid.dx_m: found {rig.grid.dx_m * scale:g} m, which makes {slot:.2g} cells; allowed"
-            f" are {MOST_CELLS}"
-        )
-    reservoirs = list(rig.reservoirs)
-    chambers = list(rig.chambers)
-    at_node: dict[str, list[int]] = {}
-    ends = np.zeros((2 * len(pipes), L.END_COLUMNS), dtype=np.int64)
-    ported = {
-        node
-        for valve in rig.valves.values()
-        for port in valve.ports.values()
-        for node in (port.from_node, port.to_node)
-    } | {node for o in rig.orifices.values() for node in (o.from_node, o.to_node)}
-    for k, (name, pipe) in enumerate(rig.pipes.items()):
-        first, cells = pipes[name]
-        last = first + cells - 1
-        for side, node in enumerate((pipe.from_node, pipe.to_node)):
-            e = 2 * k + side
-            ends[e, L.E_CELL] = last if side else first
-            ends[e, L.E_GHOST] = last + 1 if side else first - 1
-            ends[e, L.E_FACE] = last if side else first - 1
-            ends[e, L.E_SIGN] = 1 if side else -1
-            if node == CLOSED:
-                ends[e, L.E_KIND] = L.WALL
-            elif node in reservoirs:
-                ends[e, L.E_KIND] = L.RESERVOIR if rig.grid.thesis_ends else L.TANK
-                ends[e, L.E_REF] = reservoirs.index(node)
-            elif node in chambers:
-                ends[e, L.E_KIND] = L.CHAMBER
-                ends[e, L.E_REF] = chambers.index(node)
-            elif node in ported:
-                ends[e, L.E_KIND] = L.PORTED
-                at_node[node] = [e]
-            else:
-                at_node.setdefault(node, []).append(e)
-    for group in at_node.values():
-        if len(group) < 2:
-            continue
-        if len(group) > 2 and not rig.grid.thesis_joints:
-            for e in group:
-                ends[e, L.E_KIND] = L.JUNCTION
-                ends[e, L.E_REF] = group[0]
-            continue
-        # The first two ends in file order share a face; further ones branch onto the first.
-        a, b, *rest = group
-        ends[a, L.E_KIND] = ends[b, L.E_KIND] = L.LINK
-        ends[a, L.E_REF], ends[b, L.E_REF] = b, a
-        for e in rest:
-            ends[e, L.E_KIND] = L.BRANCH
-            ends[e, L.E_REF] = a
-    ports: list[list[int]] = []
-    names: list[str] = []
-    of_valve: list[int] = []
-
-    def side_of(node: str) -> tuple[int, int]:
-        if node in reservoirs:
-            return L.SIDE_RESERVOIR, reservoirs.index(node)
-        if node in chambers:
-            return L.SIDE_CHAMBER, chambers.index(node)
-        return L.SIDE_END, at_node[node][0]
-
-    for v, (valve_name, valve) in enumerate(rig.valves.items()):
-        for port_name, port in valve.ports.items():
-            mode = L.ISO6358 if port.model == "iso6358" else L.EFFECTIVE_AREA
-            ports.append([*side_of(port.from_node), *side_of(port.to_node), mode])
-            names.append(f"{valve_name}.{port_name}")
-            of_valve.append(v)
-    for orifice_name, orifice in rig.orifices.items():
-        ports.append([*side_of(orifice.from_node), *side_of(orifice.to_node), L.ISO6358])
-        names.append(orifice_name)
-        of_valve.append(-1)
-    stable = rig.grid.cfl * shortest / rig.grid.wave_speed_m_s
-    dt = stable
-    if rig.grid.dt_s is not None and dx_m is None:
-        limit = shortest / rig.grid.wave_speed_m_s
-        if rig.grid.dt_s > limit:
-            raise InputError(
-                f"rig {rig.name!r}: grid.dt_s: found {rig.grid.dt_s:g} s, the stable limit is"
-                f" {limit:.3g} s (shortest cell {shortest:.4g} m over"
-                f" {rig.grid.wave_speed_m_s:g} m/s)"
-            )
-        dt = rig.grid.dt_s
-    return Plan(
-        pipes=pipes,
-        slots=slot,
-        ends=ends,
-        ports=np.array(ports, dtype=np.int64).reshape(-1, L.PORT_COLUMNS),
-        port_names=names,
-        port_valve=of_valve,
-        reservoirs=reservoirs,
-        chambers=chambers,
-        valves=list(rig.valves),
-        commands=[valve.command for valve in rig.valves.values()],
-        taps=list(rig.taps),
-        dt_s=dt,
-    )
-
-
-def common_plan(rigs: Sequence[Rig], dx_m: float | None = None) -> Plan:
-    """Plan of rigs that run side by side.
-
-    Args:
-        rigs: The rigs.
-        dx_m: Cell length that replaces theirs, m.
-
-    Raises:
-        InputError: They do not share one structure.
-    """
-    first = rigs[0]
-    plan = plan_grid(first, dx_m)
-    for other in rigs[1:]:
-        same = list(other.pipes) == list(first.pipes) and np.array_equal(
-            plan_grid(other, dx_m).ends, plan.ends
-        )
-        if not same:
-            raise InputError(
-                f"rig {other.name!r} has other pipes, nodes or cells than {first.name!r};"
-                " rigs that run side by side share one structure"
-            )
-    return plan
-
-
-def reservoir_of_pipes(rig: Rig, plan: Plan) -> dict[str, int]:
-    """Number of the reservoir that each pipe is filled from, through pipes alone.
-
-    Args:
-        rig: The rig.
-        plan: Its plan.
-    """
-    found: dict[str, int] = {}
-    reached = {name: i for i, name in enumerate(plan.reservoirs)}
-    for _ in rig.pipes:
-        for name, pipe in rig.pipes.items():
-            for node, far in ((pipe.from_node, pipe.to_node), (pipe.to_node, pipe.from_node)):
-                if node in reached and name not in found:
-                    found[name] = reached[node]
-                    if far != CLOSED and far not in rig.chambers:
-                        reached.setdefault(far, reached[node])
-    return found
 
 
 def _curve(port: Port, valve: Valve) -> tuple[Floats, Floats]:
@@ -315,8 +49,6 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
     Returns:
         The model.
     """
-    from pneu_sim.effects import apply_to_model, apply_to_rig
-
     rig = apply_to_rig(rig)
     plan = plan or plan_grid(rig)
     ambient_t = rig.ambient.temperature_k

@@ -9,10 +9,10 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from ruamel.yaml import YAML
 
-from pneu_sim.documents import read_yaml
-from pneu_sim.errors import InputError
-from pneu_sim.files import write_whole
-from pneu_sim.rig.build import plan_grid
+from pneu_common.documents import read_yaml
+from pneu_common.errors import InputError
+from pneu_common.files import write_whole
+from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.plausible import implausible
 from pneu_sim.rig.schema import SCHEMA_VERSION, Rig
 

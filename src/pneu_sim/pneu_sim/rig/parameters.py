@@ -5,7 +5,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig.schema import FitParameter, Rig
 
 

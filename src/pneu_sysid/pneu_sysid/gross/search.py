@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sim.rig.parameters import get_parameter
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.gross.findings import GrossError

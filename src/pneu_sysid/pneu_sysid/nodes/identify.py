@@ -20,9 +20,9 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 
+from pneu_common.errors import InputError
+from pneu_graph.nodes import common
 from pneu_sim import topics
-from pneu_sim.errors import InputError
-from pneu_sim.nodes import common
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.nodes.process import TaskProcess

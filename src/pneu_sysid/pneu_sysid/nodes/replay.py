@@ -17,9 +17,9 @@ from rclpy.node import Node
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock as ClockMessage
 
+from pneu_common.errors import InputError
+from pneu_graph.nodes import common
 from pneu_sim import topics
-from pneu_sim.errors import InputError
-from pneu_sim.nodes import common
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.records.bag import read_bag

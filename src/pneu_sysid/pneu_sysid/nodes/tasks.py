@@ -19,8 +19,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
-from pneu_sim.errors import InputError
-from pneu_sim.log import hand_on
+from pneu_common.errors import InputError
+from pneu_common.log import hand_on
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sysid.commands import fit_result, read_findings
 from pneu_sysid.compare import compare

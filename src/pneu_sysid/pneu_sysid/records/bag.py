@@ -28,11 +28,11 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from pneu_common.documents import read_yaml
+from pneu_common.errors import InputError
+from pneu_common.unpacking import Allowance, Bounded, chunk_records, unzstd
 from pneu_sim.channels import Channel
-from pneu_sim.documents import read_yaml
-from pneu_sim.errors import InputError
 from pneu_sim.topics import same_topic
-from pneu_sim.unpacking import Allowance, Bounded, chunk_records, unzstd
 from pneu_sysid.records.recording import Finding, absent
 from pneu_sysid.records.stream import STAMP_LIMIT_NS, Role, Stream
 

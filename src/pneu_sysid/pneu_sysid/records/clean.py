@@ -7,7 +7,7 @@ judged here, too, but only described: samples that are left keep their stamps.
 
 import numpy as np
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sysid.records.noise import noise_floor
 from pneu_sysid.records.recording import Finding
 from pneu_sysid.records.stream import GAP_PERIODS, LONGEST_STEP, Stream, median_period_ns

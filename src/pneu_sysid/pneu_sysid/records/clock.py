@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 from pneu_sysid.records.recording import Finding
 from pneu_sysid.records.stream import Stream, median_period_ns
 

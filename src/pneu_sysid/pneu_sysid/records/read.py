@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from pneu_common.errors import InputError
 from pneu_sim.channels import Channel, TextFormat
-from pneu_sim.errors import InputError
 from pneu_sim.signals import Signal
 from pneu_sysid.records.bag import read_bag
 from pneu_sysid.records.clean import clean, is_regular

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_sim.channels import Channel, TextFormat
-from pneu_sim.errors import InputError
 from pneu_sysid.records.recording import Finding, absent
 from pneu_sysid.records.stream import STAMP_LIMIT_NS, Role, Stream
 

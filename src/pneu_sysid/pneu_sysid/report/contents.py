@@ -6,7 +6,7 @@ from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
-from pneu_sim.errors import InputError
+from pneu_common.errors import InputError
 
 Result: TypeAlias = dict[str, Any]
 _T = TypeVar("_T", bound=Hashable)

@@ -9,7 +9,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from pneu_sim.files import whole
+from pneu_common.files import whole
 from pneu_sysid.report.contents import read_contents
 from pneu_sysid.report.markup import join, tag
 from pneu_sysid.report.sections import SECTIONS

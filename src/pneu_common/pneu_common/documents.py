@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""YAML and JSON that people write, as plain values: one sentence where a file holds none.
+
+What a file means may be far more than what it says, or nothing that can be computed with: aliases
+that stand for millions of values or for themselves, numbers of thousands of digits, half of a
+character. That is refused here, so that what reads the values need not think of it.
+"""
+
+import json
+import math
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import ReusedAnchorWarning, YAMLError
+
+from pneu_common.errors import InputError
+
+LARGEST_BYTES = 32 << 20
+"""Size of a file that people write."""
+MOST_VALUES = 1_000_000
+"""Values that a document may stand for, those that an alias repeats counted each time."""
+DEEPEST = 100
+"""Lists and mappings inside of each other."""
+MOST_BITS = 1023
+"""Whole numbers beyond are no floating-point numbers."""
+
+
+def read_text(path: str | Path, what: str) -> str:
+    """Reads a text file.
+
+    Args:
+        path: The file.
+        what: What it should be, for messages, such as ``rig file``.
+
+    Raises:
+        InputError: It is missing or is no text.
+    """
+    try:
+        with Path(path).open("rb") as stream:
+            content = stream.read(LARGEST_BYTES + 1)  # a device may have no end
+        if len(content) > LARGEST_BYTES:
+            raise InputError(f"{path}: has more than {LARGEST_BYTES} bytes, too many for a {what}")
+        return content.decode().replace("\r\n", "\n").replace("\r", "\n")
+    except InputError:  # before its base, ValueError
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such {what}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{path}: cannot be read as a {what} (byte {error.start} is not UTF-8 text)"
+        ) from None
+    except (OSError, ValueError) as error:  # also a path that no file can have
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read as a {what} ({reason})") from None
+
+
+def read_yaml(path: str | Path, what: str, lines: bool = False) -> Any:
+    """Reads a YAML file as plain values.
+
+    Args:
+        path: The file.
+        what: What it should be, for messages, such as ``rig file``.
+        lines: Whether lists and mappings are to know their lines, as those of ``ruamel.yaml`` do.
+
+    Raises:
+        InputError: It is missing, is not YAML, or holds what nobody can compute with.
+    """
+    return parse_yaml(read_text(path, what), str(path), what, lines)
+
+
+def parse_yaml(text: str, name: str, what: str, lines: bool = False) -> Any:
+    """Reads YAML text as plain values.
+
+    Args:
+        text: The text.
+        name: What messages call it.
+        what: What it should be, for messages.
+        lines: Whether lists and mappings are to know their lines.
+
+    Raises:
+        InputError: It is not YAML, or holds what nobody can compute with.
+    """
+    loader = YAML() if lines else YAML(typ="safe", pure=True)
+    return _parsed(lambda: loader.load(text), "YAML", name, what)
+
+
+def read_json(path: str | Path, what: str) -> Any:
+    """Reads a JSON file as plain values.
+
+    Args:
+        path: The file.
+        what: What it should be, for messages.
+
+    Raises:
+        InputError: It is missing, is not JSON, or holds what nobody can compute with.
+    """
+    text = read_text(path, what)
+    return _parsed(lambda: json.loads(text), "JSON", str(path), what)
+
+
+def _parsed(load: Callable[[], Any], language: str, name: str, what: str) -> Any:
+    try:
+        with warnings.catch_warnings():
+            # An anchor may be set anew; what it stands for is the latest.
+            warnings.simplefilter("ignore", ReusedAnchorWarning)
+            data = load()
+    except RecursionError:
+        raise InputError(f"{name}: is nested too deeply for a {what}") from None
+    except YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = getattr(mark, "line", None)
+        at = "" if line is None else f", line {line + 1}"
+        raise InputError(f"{name}: is not YAML{at}: {getattr(error, 'problem', error)}") from None
+    except json.JSONDecodeError as error:
+        raise InputError(f"{name}: is not JSON, line {error.lineno}: {error.msg}") from None
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
+        # a date that is none, a mapping as a key
+        if "integer string conversion" in str(error):
+            error = ValueError("a number has thousands of digits, allowed are those up to 1e308")
+        raise InputError(f"{name}: is no {what} in {language} ({error})") from None
+    check_values(data, name)
+    return data
+
+
+def check_values(data: Any, name: str) -> None:
+    """Refuses values that cannot be computed with or written down.
+
+    Args:
+        data: Nested lists and mappings.
+        name: What messages call them.
+
+    Raises:
+        InputError: They are too many, contain themselves, or one is out of all bounds.
+    """
+    sizes: dict[int, int] = {}  # how many values a list or mapping stands for, 0 while it is open
+
+    def size_of(value: Any, where: str, depth: int) -> int:
+        if isinstance(value, str):
+            _check_text(value, name, where)
+            return 1
+        if isinstance(value, int) and value.bit_length() > MOST_BITS:
+            digits = round(value.bit_length() * math.log10(2.0))
+            raise InputError(
+                f"{name}: {where}: found a whole number of {digits} digits, allowed are numbers up"
+                " to 1e308"
+            )
+        if not isinstance(value, dict | list):
+            return 1
+        known = sizes.get(id(value))
+        if known == 0:
+            raise InputError(f"{name}: {where}: an alias stands for a part that contains it")
+        if known is not None:
+            return known
+        if depth > DEEPEST:
+            raise InputError(f"{name}: is nested too deeply, allowed are {DEEPEST} levels")
+        sizes[id(value)] = 0
+        total = 1
+        for key, one in value.items() if isinstance(value, dict) else enumerate(value):
+            if isinstance(key, str):
+                _check_text(key, name, where)
+            total += size_of(one, f"{where}.{key}" if where else str(key), depth + 1)
+            if total > MOST_VALUES:
+                raise InputError(
+                    f"{name}: {where or key}: stands for more than {MOST_VALUES} values, which is"
+                    " the most that are read"
+                )
+        sizes[id(value)] = total
+        return total
+
+    size_of(data, "", 0)
+
+
+def _check_text(text: str, name: str, where: str) -> None:
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise InputError(
+            f"{name}: {where}: found {text[error.start]!r}, which is half of a character"
+        ) from None

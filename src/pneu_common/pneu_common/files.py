@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that are written whole or not at all."""
+
+import contextlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from pneu_common.errors import InputError
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Gives a file beside another to write to, as `whole` does, but leaves an OSError as it is.
+
+    Args:
+        path: The file; its folder must exist.
+
+    Yields:
+        The file to write to.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    aside = path.with_name(f".{path.name}.part")
+    try:
+        yield aside
+        os.replace(aside, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            aside.unlink()
+        raise
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Gives a file beside another to write to; at the end it takes the other's name.
+
+    What was there before stays until then. Where the writing fails nothing is left beside it.
+
+    Args:
+        path: The file; its folder must exist.
+
+    Yields:
+        The file to write to.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    try:
+        with replacing(path) as aside:
+            yield aside
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Writes a text aside and gives it its name; what was there before stays until then.
+
+    Args:
+        path: The file; its folder must exist.
+        text: What it is to hold.
+
+    Raises:
+        InputError: It cannot be written. Nothing is left beside it.
+    """
+    with whole(path) as aside:
+        aside.write_text(text, encoding="utf-8", newline="")
+
+
+def copy_whole(source: Path, names: Iterable[str], folder: Path) -> None:
+    """Copies files into a new folder, made aside and given its name when all are there.
+
+    Args:
+        source: The folder that they are in.
+        names: Their names relative to it, which they keep.
+        folder: The new folder; the one that is to hold it must exist.
+
+    Raises:
+        InputError: It cannot be written. Nothing is left beside it.
+    """
+    aside: Path | None = None
+    try:
+        aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        inside = aside / "whole"  # with the permissions that new folders have here
+        for name in names:
+            target = inside / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source / name, target)
+        os.rename(inside, folder)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror or error})") from None
+    finally:
+        if aside is not None:
+            shutil.rmtree(aside, ignore_errors=True)

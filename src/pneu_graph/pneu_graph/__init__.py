@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What runs on the graph of either ROS: bags, launch files, tools, what all nodes do alike."""

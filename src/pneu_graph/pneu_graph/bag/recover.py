@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Completing a bag whose recorder was killed: index and summary of the files, `metadata.yaml`."""
+
+import os
+from pathlib import Path
+
+from mcap.records import Attachment, Metadata
+
+from pneu_common.errors import InputError
+from pneu_graph.bag.file_writer import METADATA_RECORD, BagFile
+from pneu_graph.bag.metadata import BagMetadata
+from pneu_graph.bag.reader import BagReader, FileContent, file_messages, side_records
+
+
+def recover_bag(path: str | Path) -> list[str]:
+    """Writes anew what lacks its index, from the messages that are whole, and `metadata.yaml`.
+
+    A file is written aside and put in place of the cut one when it is complete.
+
+    Args:
+        path: Folder of a bag, or one MCAP file.
+
+    Returns:
+        One sentence per file.
+
+    Raises:
+        InputError: There is no bag, or it cannot be written.
+    """
+    path = Path(path)
+    bag = BagReader(path)
+    done = []
+    for file in bag.files:
+        if file.indexed:
+            done.append(f"{file.path}: complete, {file.entry.message_count} messages")
+            continue
+        try:
+            _rewrite(bag, file)
+        except OSError as error:
+            raise InputError(f"{file.path}: cannot be written ({error.strerror})") from None
+        done.append(
+            f"{file.path}: index written, {file.entry.message_count} messages"
+            + (f"; {file.damage}" if file.damage else "")
+        )
+    if path.is_dir():
+        metadata = bag.metadata
+        try:
+            metadata.write(path)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+        done.append(f"{path / 'metadata.yaml'}: written, {metadata.message_count} messages")
+    return done
+
+
+def _rewrite(bag: BagReader, file: FileContent) -> None:
+    aside = file.path.with_name(f".{file.path.name}.recovering")
+    aside.unlink(missing_ok=True)
+    written = BagFile(aside)
+    written.entry.path = file.path.name
+    try:
+        for record in side_records(file.path):
+            if isinstance(record, Attachment):
+                written.attach(record.name, record.data, record.media_type, record.log_time)
+            elif isinstance(record, Metadata) and record.name != METADATA_RECORD:
+                written.add_metadata(record.name, dict(record.metadata))
+        for name, topic in file.topics.items():
+            written.add_topic(topic, file.definitions[name])
+        for message in file_messages(file):
+            written.write(
+                message.topic,
+                message.data,
+                message.log_time_ns,
+                message.publish_time_ns,
+                message.sequence,
+            )
+        written.finish(
+            BagMetadata(
+                files=[written.entry],
+                topics=list(file.topics.values()),
+                ros_distro=bag.metadata.ros_distro,
+            )
+        )
+        written.close()
+        os.replace(aside, file.path)
+    finally:
+        written.close()
+        aside.unlink(missing_ok=True)
