@@ -3,8 +3,7 @@
 #
 # Numba keeps compiled kernels in __pycache__ beside their source, which here is always writable, so
 # NUMBA_CACHE_DIR is left unset; set it yourself where the checkout is read-only. Only `make bench`,
-# whose peers hold back Numba's version, has a cache of its own. Numba re-compiles
-# a kernel when its own file changes, not when a file it calls into does: `make clean-kernels`.
+# whose peers hold back Numba's version, has a cache of its own.
 
 PYTHON ?= python3
 VENV   := .venv

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,8 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table as RichTable
+
+from pneu_common.files import write_whole
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results.json"
@@ -70,8 +71,8 @@ def keep(subjects: Mapping[str, Sequence[Table]], machine: Mapping[str, Any]) ->
     for name, tables in subjects.items():
         known[name] = {"machine": dict(machine), "tables": [vars(table) for table in tables]}
     whole = {"schema": SCHEMA, "subjects": dict(sorted(known.items()))}
-    _replace(RESULTS, json.dumps(whole, indent=1) + "\n")
-    _replace(PAGE, page(whole))
+    write_whole(RESULTS, json.dumps(whole, indent=1) + "\n")
+    write_whole(PAGE, page(whole))
 
 
 def page(whole: Mapping[str, Any]) -> str:
@@ -101,9 +102,3 @@ def page(whole: Mapping[str, Any]) -> str:
                 lines += ["", f"Note: {note}"]
         lines += ["", f"(`python -m benchmarks {name}`)"]
     return "\n".join(lines) + "\n"
-
-
-def _replace(path: Path, text: str) -> None:
-    aside = path.with_suffix(path.suffix + ".part")
-    aside.write_text(text, encoding="utf-8")
-    os.replace(aside, path)

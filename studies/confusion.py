@@ -18,6 +18,7 @@ from typing import Any
 
 from rich.console import Console
 
+from pneu_common.files import write_whole
 from pneu_sim.effects import registry
 from pneu_sim.effects.base import POSITION
 from pneu_sim.rig.schema import CLOSED, Rig
@@ -244,9 +245,8 @@ class Store:
             found: What was found.
         """
         self.cases[name] = found
-        part = self._file.with_suffix(".part")
-        part.write_text(json.dumps({k: asdict(v) for k, v in self.cases.items()}, indent=1))
-        part.replace(self._file)
+        kept = {k: asdict(v) for k, v in self.cases.items()}
+        write_whole(self._file, json.dumps(kept, indent=1))
 
 
 def drawn_by() -> str:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pneu_common.files import whole
 from pneu_sim.effects import registry
 from pneu_sim.effects.base import POSITION, Effect
 from pneu_sim.rig import load_rig, save_rig
@@ -223,8 +224,6 @@ def load_recording(path: Path) -> Recording:
 
 
 def _keep(folder: Path, injection: Injection, recording: Recording) -> None:
-    part = folder / f"{injection.key}.part"
-    with part.open("wb") as file:
+    with whole(folder / f"{injection.key}.pkl") as aside, aside.open("wb") as file:
         pickle.dump(recording, file)
-    part.replace(folder / f"{injection.key}.pkl")
     (folder / f"{injection.key}.json").write_text(json.dumps(vars(injection), indent=1))

@@ -28,7 +28,7 @@ from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import AttachedEffect
 from pneu_sim.run import run_rig
 from pneu_sim.signals import Signal
-from pneu_sim.simulate import Course, predict, rest
+from pneu_sim.simulate import Course, InitialField, predict, rest
 from pneu_sim.simulator import Simulator
 
 Floats = NDArray[np.float64]
@@ -113,7 +113,11 @@ def answers(rig: Rig) -> dict[str, Floats]:
             np.full_like(read, 0.1),
             rest(rig, plan),
         )
-        found = predict([[build(rig, plan)]], [course], rest(rig, plan), workers=1, strict=False)
+        even = np.full((plan.slots, len(rig.taps)), 1.0 / len(rig.taps))
+        spread = InitialField(
+            even, even[:, 0] * 0.0, even[: len(plan.chambers)], np.zeros(len(plan.chambers))
+        )
+        found = predict([[build(rig, plan)]], [course], spread, workers=1, strict=False)
         out["along readings"] = found[0].readings
     return out
 

@@ -3,12 +3,12 @@
 
 import json
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pneu_common.files import write_whole
 from pneu_hw_bridge.lab.sealed import open_sealed
 from pneu_policy import figures
 from pneu_policy.learn.history import History
@@ -91,9 +91,7 @@ def write(root: Path, out: Path) -> None:
     parts += [_without(live, simulated), *curves, _time(training), _simulated(simulated)]
     parts += [_plants(root), _measured(live)]
     text = "\n".join(part.rstrip() + "\n" for part in parts if part)
-    aside = docs / ".pressure.md.part"
-    aside.write_text(text, encoding="utf-8")
-    os.replace(aside, docs / "pressure.md")
+    write_whole(docs / "pressure.md", text)
 
 
 def _head(live: Evaluation) -> str:

@@ -16,6 +16,7 @@ from tests.references import bergh_curves, iso6358, modes, nozzle, pipe_flow
 from pneu_sim import kernel, riemann
 from pneu_sim import layout as L
 from pneu_sim.gas import AIR, Gas
+from pneu_sim.kernel import walls
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Readings, Simulator
 
@@ -250,17 +251,22 @@ def test_poiseuille_drop() -> None:
     assert gradient == pytest.approx(expected, rel=1e-3)
 
 
+def one_lane(slots: int) -> kernel.Cells:
+    """Slots without gas and without walls."""
+    rows = (L.PARAM_ROWS, L.STATE_ROWS, L.WORK_ROWS)
+    return kernel.Cells(1, *(np.zeros((r, slots)) for r in rows), np.zeros((L.SOFT_ROWS, 0)))
+
+
 @pytest.mark.parametrize("roughness", [0.0, 1e-3, 1e-2])
 def test_darcy_factor_over_all_reynolds_numbers(roughness: float) -> None:
     reynolds = np.geomspace(1.0, 1e7, 300)
-    ones = np.ones_like(reynolds)
-    phi = np.empty_like(reynolds)
-    haaland_term = np.full_like(reynolds, (roughness / 3.7) ** 1.11)
-    kernel._wall_coefficients(
-        reynolds.size, 0.7, 1.0, reynolds, ones, haaland_term, ones, ones / 2300.0, ones, ones,
-        0.0 * ones, phi, np.empty_like(phi),
-    )  # fmt: skip
-    factor = 64.0 / reynolds * phi
+    cells = one_lane(reynolds.size)
+    cells.state[L.MOM] = reynolds
+    cells.par[L.ROUGH] = (roughness / 3.7) ** 1.11
+    cells.par[L.ONSET] = 1.0 / 2300.0
+    cells.par[[L.REYNOLDS, L.TURBULENT]] = 1.0
+    walls.find_coefficients(kernel.Gas(1.4, 287.05, 0.7), cells)
+    factor = 64.0 / reynolds * cells.work[L.W_PHI]
     for re, f in zip(reynolds, factor, strict=True):
         low, high = pipe_flow.laminar(re), pipe_flow.haaland(re, roughness)
         if re < 2300.0:
@@ -315,21 +321,18 @@ def test_unsteady_drag_follows_zielke(oscillating: bool) -> None:
     area, nu, steps = np.pi * radius**2, mu / rho, 6000
     time = np.arange(steps + 1) * dt
     force = np.cos(2.0 * np.pi * 40.0 * time) if oscillating else np.ones(steps + 1)
-    one = np.ones(1)
-    rho_a, momentum = rho * one, np.zeros(1)
-    relax = one * L.UNSTEADY_RATE * np.pi * mu / area
-    viscous, unsteady = one * 8.0 * np.pi * mu / area, one * 4.0 * np.pi * mu / area
-    memory = [np.zeros(1) for _ in range(L.UNSTEADY_TERMS)]
-    a_u, a_t, fade = np.empty(1), np.empty(1), np.empty(1)
-    kernel._decay(1, dt, 0.7, rho_a, relax, one, one, a_u, a_t, fade)
+    cells = one_lane(1)
+    cells.state[L.RHO], cells.work[L.W_RI], cells.work[L.W_PHI] = rho, 1.0 / rho, 1.0
+    cells.par[L.RELAX] = L.UNSTEADY_RATE * np.pi * mu / area
+    cells.work[L.W_STAY] = 1.0 / cells.par[L.RELAX]
+    cells.par[L.VISCOUS], cells.par[L.UNSTEADY] = 8.0 * np.pi * mu / area, 4.0 * np.pi * mu / area
+    walls.find_decay(kernel.Gas(1.4, 287.05, 0.7), dt, cells)
     velocity = np.zeros(steps + 1)
     for k in range(steps):
-        momentum += dt * force[k]
-        kernel._unsteady_drag(
-            1, dt, rho_a, momentum, 1.0 / rho_a, velocity[k : k + 1], one, a_u, fade,
-            1.0 / relax, viscous, 0.0 * one, unsteady, np.empty(1), *memory,
-        )  # fmt: skip
-        velocity[k + 1] = momentum[0] / rho
+        cells.state[L.MOM] += dt * force[k]
+        cells.work[L.W_U] = velocity[k]
+        walls.drag_with_memory(dt, cells)
+        velocity[k + 1] = cells.state[L.MOM, 0] / rho
     # what the drag took from the momentum, as a shear on the wall
     shear = 0.5 * radius * (force[:-1] - rho * np.diff(velocity) / dt)
     expected = pipe_flow.zielke_wall_shear(time, velocity, radius, nu, rho)[1:]

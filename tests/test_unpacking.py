@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from pneu_common.cli import build_app
 from pneu_common.errors import InputError
-from pneu_common.unpacking import FREE_BYTES, Allowance, unzstd
+from pneu_common.unpacking import FREE_BYTES, Allowance, bounded, unzstd
 from pneu_sim.rig import load_rig
 from pneu_sysid.records.write import write_bag
 
@@ -176,3 +176,18 @@ def test_a_sound_bag_of_every_packing_is_read(tmp_path, good):
         assert sum(count for _, count in topics.values()) == len(played)
         counts.add(len(played))
     assert len(counts) == 1 and counts.pop() > 100
+
+
+def test_a_file_that_grows_ends_where_it_ended_when_it_was_opened(tmp_path):
+    path = tmp_path / "growing"
+    path.write_bytes(b"0123456789")
+    with bounded(path) as stream:
+        with path.open("ab") as more:
+            more.write(b"abcdef")
+        assert stream.seek(-4, io.SEEK_END) == 6
+        assert stream.read(4) == b"6789"
+        assert stream.seek(100) == 10
+        assert stream.seek(-100, io.SEEK_CUR) == 0
+        assert stream.read() == b"0123456789"
+        with pytest.raises(EOFError):
+            stream.read(1)

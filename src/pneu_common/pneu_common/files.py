@@ -27,6 +27,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     aside = path.with_name(f".{path.name}.part")
     try:
+        aside.unlink(missing_ok=True)  # of one that was killed
         yield aside
         os.replace(aside, path)
     except BaseException:
@@ -71,6 +72,30 @@ def write_whole(path: Path, text: str) -> None:
         aside.write_text(text, encoding="utf-8", newline="")
 
 
+@contextmanager
+def scratch_beside(path: Path) -> Iterator[Path]:
+    """Gives a new folder beside a path, in which to make what is then renamed to it.
+
+    Args:
+        path: The path; its folder must exist.
+
+    Yields:
+        The folder, which is gone at the end.
+
+    Raises:
+        InputError: The path cannot be written.
+    """
+    aside: Path | None = None
+    try:
+        aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        yield aside
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+    finally:
+        if aside is not None:
+            shutil.rmtree(aside, ignore_errors=True)
+
+
 def copy_whole(source: Path, names: Iterable[str], folder: Path) -> None:
     """Copies files into a new folder, made aside and given its name when all are there.
 
@@ -82,17 +107,10 @@ def copy_whole(source: Path, names: Iterable[str], folder: Path) -> None:
     Raises:
         InputError: It cannot be written. Nothing is left beside it.
     """
-    aside: Path | None = None
-    try:
-        aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    with scratch_beside(folder) as aside:
         inside = aside / "whole"  # with the permissions that new folders have here
         for name in names:
             target = inside / name
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source / name, target)
         os.rename(inside, folder)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror or error})") from None
-    finally:
-        if aside is not None:
-            shutil.rmtree(aside, ignore_errors=True)

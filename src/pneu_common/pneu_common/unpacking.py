@@ -175,13 +175,14 @@ class Bounded:
         return self._stream.read(size if size >= 0 else left)
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Goes to a place, at most to the end.
+        """Goes to a place, at most to the end: that of when it was opened, where a file grows.
 
         Args:
             offset: Where, bytes from the origin.
             whence: The origin, as for any stream.
         """
-        return self._stream.seek(min(offset, self._size), whence)
+        begin = {io.SEEK_SET: 0, io.SEEK_CUR: self._stream.tell(), io.SEEK_END: self._size}[whence]
+        return self._stream.seek(min(max(begin + offset, 0), self._size))
 
     def tell(self) -> int:
         """Returns the place."""

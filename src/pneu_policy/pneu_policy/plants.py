@@ -300,7 +300,7 @@ class PdePlant(Plant):
                     p[start - 1 : start + n + 1] = tile.reservoir[fed[name], L.R_PRESSURE]
             tile.reservoir_p[:] = tile.reservoir[:, L.R_PRESSURE]
             tile.port_flow[:] = 0.0
-            tile.time_s[:] = 0.0
+            tile.set_time(0.0)
             tiles.fill_pipes(tile, p, tile.ambient[1])
             chambers = np.repeat(pressure_pa[None, lanes], len(self.plan.chambers), axis=0)
             tiles.fill_chambers(tile, chambers, np.tile(tile.ambient[1], (len(chambers), 1)))

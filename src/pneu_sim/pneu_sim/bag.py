@@ -2,8 +2,6 @@
 """Writing signals of a rig as a rosbag2 MCAP recording, on the topics that the rig file names."""
 
 import os
-import shutil
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
+from pneu_common.files import scratch_beside
 from pneu_sim.channels import Channel
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
@@ -77,20 +76,13 @@ def write_bag(
     if begin_s + min(earliest_s, 0.0) <= 0.0:
         begin_s = FIRST_STAMP_S - min(earliest_s, 0.0)
     begin_ns = round(begin_s * 1e9)
-    aside: Path | None = None
-    try:
-        aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    with scratch_beside(path) as aside:
         name = path.name.removesuffix(".mcap")
         _write(aside / name, signals, begin_ns)
         written = aside / name
         if path.suffix == ".mcap":
             written = next(written.glob("*.mcap"))
         os.replace(written, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
-    finally:
-        if aside is not None:
-            shutil.rmtree(aside, ignore_errors=True)
 
 
 @dataclass(frozen=True)

@@ -1,21 +1,103 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiler of the kernels, which says so when it has work: the first time, and once only.
 
-Kernels take `njit` from here. What is compiled is kept on disk, so that a message comes at the
-first start on a machine and after an update; it goes to the log (`pneu_common.log`).
+What is compiled is kept on disk, under
+a digest of all files with kernels, since one file's code ends up in another's: whatever changes,
+nothing old is run. A message comes at the first start on a machine and after an update; it goes to
+the log (`pneu_common.log`).
 """
 
+import functools
+import hashlib
 import logging
+import re
 import threading
 import time
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from numba import njit
 from numba.core import event
 
-__all__ = ["njit"]
+FAST = {"contract", "nsz", "nnan", "ninf", "arcp"}
+"""No reassociation: sums keep their order, so that results do not depend on the batch size."""
 
+_NEED = "from pneu_sim.compiling import"
 WORTH_TELLING_S = 5.0
+
+
+@functools.cache
+def _digest_of_sources() -> str:
+    """Digest of every file with kernels, and of those whose constants they may hold."""
+    package = Path(__file__).parent
+    texts = {path: path.read_text(encoding="utf-8") for path in package.rglob("*.py")}
+    digest = hashlib.sha256()
+    told = {path for path, text in texts.items() if _NEED in text}
+    for path in list(told):
+        for module in re.findall(r"^from pneu_sim\.?([\w.]*) import (.+)", texts[path], re.M):
+            parts = module[0].split(".") if module[0] else [module[1].split()[0]]
+            told.add(package.joinpath(*parts).with_suffix(".py"))
+    for path in sorted(told & texts.keys()):
+        digest.update(texts[path].encode())
+    return digest.hexdigest()
+
+
+def _compile(function: Callable[..., Any], **options: Any) -> Any:
+    """A function that is compiled when it is first called, and kept on disk."""
+    compiled = njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+    # Numba looks at the function's own file alone, and has no setting for that.
+    compiled._cache._cache_file._source_stamp = _digest_of_sources()
+    return compiled
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compiles a function that may make arrays of its own.
+
+    Args:
+        function: The function.
+    """
+    return _compile(function)
+
+
+# The passes of a step make none, which the compiler is told, and refuses where they would: it then
+# need not count who holds an array, which costs more than most passes.
+
+
+def branching(function: Callable[..., Any]) -> Any:
+    """Compiles a pass with branches and calls, in exact IEEE arithmetic.
+
+    Args:
+        function: The pass.
+    """
+    return _compile(function, _nrt=False)
+
+
+def folded(function: Callable[..., Any]) -> Any:
+    """Compiles a function into the passes that call it, in exact IEEE arithmetic.
+
+    Args:
+        function: The function.
+    """
+    return _compile(function, _nrt=False, forceinline=True)
+
+
+def vectorised(function: Callable[..., Any]) -> Any:
+    """Compiles a pass that is a plain loop over slots, several of which are then done at once.
+
+    Args:
+        function: The pass; no NaN or infinity comes into it.
+    """
+    return _compile(function, _nrt=False, fastmath=FAST)
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """Compiles a function into its callers: a loop vectorises only with no call inside.
+
+    Args:
+        function: The function; no NaN or infinity comes into it.
+    """
+    return _compile(function, _nrt=False, fastmath=FAST, forceinline=True)
 
 
 class _Compilations(event.Listener):

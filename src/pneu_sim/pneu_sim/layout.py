@@ -64,7 +64,16 @@ W_IR: Final = 19  # inverse density at the right face
 W_DRAG: Final = 20  # momentum that the wall gave in the last step, per volume and time, N/m^3
 W_WARM: Final = 21  # heat that the wall gave in the last step, W/m^3
 W_FILM: Final = 22  # quasi-steady wall heat, W/(m^3 K)
-WORK_ROWS: Final = 23
+W_STAY: Final = 23  # inverse of the slowest decay rate times density, m^3 s/kg
+WORK_ROWS: Final = 24
+
+# --- rows of what yielding walls hold -------------------------------------------------------------
+SOFT_STRETCH: Final = 0  # area relative to the nominal one
+SOFT_RHO: Final = 1  # what the wall's widening holds, per nominal volume: mass, momentum, energy
+SOFT_MOM: Final = 2
+SOFT_ENE: Final = 3
+SOFT_FACE: Final = 4  # area of the face between this slot and the next, m^2
+SOFT_ROWS: Final = 5
 
 # --- pipe ends (integer columns) ------------------------------------------------------------------
 E_CELL: Final = 0  # slot of the last cell
@@ -83,6 +92,21 @@ CHAMBER: Final = 4  # well-mixed volume
 PORTED: Final = 5  # wall fed only through valve ports
 JUNCTION: Final = 7  # one of three or more ends at a common pressure
 TANK: Final = 6  # large vessel: outflow meets its pressure, inflow its stagnation state
+
+# --- joints of three or more ends -----------------------------------------------------------------
+J_PUSH: Final = 0  # sums over the joint, kept with its first end: what drives flow into it, N
+J_GIVE: Final = 1  # flow per pressure, m s
+J_MASS: Final = 2  # mass that flows in, kg/s
+J_HEAT: Final = 3  # enthalpy that flows in, W
+J_FLOW: Final = 4  # of each end its outward mass flow per area, kg/(m^2 s)
+J_PRESSURE: Final = 5  # and the joint's pressure, Pa
+JOINT_ROWS: Final = 6
+
+# --- what leaves pipe ends through ports ----------------------------------------------------------
+N_MASS: Final = 0  # kg/s
+N_HEAT: Final = 1  # W
+N_PUSH: Final = 2  # N, through ports that are variable areas
+PORTED_ROWS: Final = 3
 
 # --- ports (integer columns) ----------------------------------------------------------------------
 P_A: Final = 0  # kind of the side a: one of SIDE_*
@@ -146,6 +170,13 @@ C_HEAT: Final = 2  # h S, W/K
 C_WALL_T: Final = 3
 C_REST_P: Final = 4
 CHAMBER_PARAMS: Final = 5
+
+# --- chamber rows ---------------------------------------------------------------------------------
+H_PRESSURE: Final = 0  # Pa
+H_TEMPERATURE: Final = 1  # K
+H_MIDDLE: Final = 2  # pressure at the middle of the step, Pa
+H_WEIGHT: Final = 3  # of its own pressure in that
+CHAMBER_ROWS: Final = 4
 
 # --- sensor rows ----------------------------------------------------------------------------------
 SENSE_KEEP: Final = 0  # share of its last reading that a lagging sensor keeps over a step

@@ -423,6 +423,7 @@ def _pass(
         for j, s in enumerate(starts)
     ]
     fill_chambers(tile, lanes([s.chamber_pressure for s in starts]), lanes(warm))
+    tile.set_time(course.begin_s)
     watch = _watch(models, course, field, dt)
     memory = np.full((len(models), len(plan.valves), 4), np.nan)
     valves = [
@@ -451,7 +452,6 @@ def _pass(
             )
         opening = lanes(opened)
         closing = first + samples >= ticks
-        tile.time_s[:] = begin_s
         taps, flows, chambers = advance(
             tile, samples, n_sub, dt, opening, watch, closing, KNOTS, strict=False
         )

@@ -270,7 +270,6 @@ class Simulator:
             ]
         )
         n_sub = max(1, math.ceil(sample_s / self._plan.dt_s - 1e-9))
-        self._tile.time_s[:] = self.time_s
         taps, flows, chambers = tiles.advance_safely(
             self._tile, steps + 1, n_sub, sample_s / n_sub, opening
         )

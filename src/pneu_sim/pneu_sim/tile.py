@@ -21,8 +21,16 @@ Ints = NDArray[np.int64]
 
 MORE_STEPS = (2, 4, 8)
 """A run that goes wrong is tried again with this many times as many steps, one after the other."""
-CHANGING = ("state", "work", "port_flow", "reservoir_p", "chamber_state", "time_s")
-"""Arrays of a tile that its steps change."""
+CHANGING = (
+    "state",
+    "work",
+    "end_velocity",
+    "port_flow",
+    "reservoir_p",
+    "chamber_state",
+    "clock",
+)
+"""Arrays of a tile that its steps change and that the next ones begin from."""
 
 
 @dataclass
@@ -35,13 +43,20 @@ class Tile:
         memory: Whether any wall's friction and heat have memory.
         cell: (PARAM_ROWS, slots, lanes) cell parameters.
         state: (STATE_ROWS, slots, lanes).
-        work: (WORK_ROWS, slots, lanes) scratch.
+        work: (WORK_ROWS, slots, lanes) what passes hand on to one another.
+        soft: (SOFT_ROWS, slots, lanes) what yielding walls hold; no slots where none yields.
+        end_velocity: (n_ends, lanes) what ports let through at the last step, m/s.
+        joint: (n_ends, JOINT_ROWS, lanes) scratch.
+        ported: (n_ends, PORTED_ROWS, lanes) scratch.
         port: (n_ports, PORT_PARAMS, lanes).
         port_flow: (n_ports, 2, lanes) latest mass and enthalpy flows.
         reservoir: (n_reservoirs, RESERVOIR_PARAMS, lanes).
+        opening: (n_ports, lanes) scratch.
         reservoir_p: (n_reservoirs, lanes) present pressures.
+        supplied: (n_reservoirs, lanes) scratch.
         chamber: (n_chambers, CHAMBER_PARAMS, lanes).
         chamber_state: (n_chambers, 2, lanes) mass and energy.
+        chamber_work: (n_chambers, CHAMBER_ROWS, lanes) scratch.
         ripple_index: (n_ripples,) reservoirs whose pressure ripples.
         ripple: (n_ripples, RIPPLE_PARAMS, lanes).
         leak_index: (n_leaks, LEAK_COLUMNS) what leaks to the room, and how.
@@ -51,7 +66,8 @@ class Tile:
         tap_weight: (n_taps, lanes).
         step_index: (n_steps, 5) faces where the area jumps.
         step_area: (n_steps, 2, lanes) areas on both sides of those.
-        time_s: (lanes,) present time, at zero unless it is set.
+        clock: (2, lanes) time from which steps are counted, s, and how many there were since.
+        dt_s: Length of those steps.
     """
 
     models: Sequence[Model]
@@ -60,12 +76,19 @@ class Tile:
     cell: Floats
     state: Floats
     work: Floats
+    soft: Floats
+    end_velocity: Floats
+    joint: Floats
+    ported: Floats
     port: Floats
     port_flow: Floats
+    opening: Floats
     reservoir: Floats
     reservoir_p: Floats
+    supplied: Floats
     chamber: Floats
     chamber_state: Floats
+    chamber_work: Floats
     ripple_index: Ints
     ripple: Floats
     leak_index: Ints
@@ -75,7 +98,32 @@ class Tile:
     tap_weight: Floats
     step_index: Ints
     step_area: Floats
-    time_s: Floats
+    clock: Floats
+    dt_s: float = 0.0
+
+    @property
+    def time_s(self) -> Floats:
+        """(lanes,) present time, s."""
+        return self.clock[0] + self.clock[1] * self.dt_s
+
+    def set_time(self, time_s: Floats | float) -> None:
+        """Sets the present time, by which supplies ripple.
+
+        Args:
+            time_s: A number or one per lane, s.
+        """
+        self.clock[0] = time_s
+        self.clock[1] = 0.0
+
+    def count_by(self, dt_s: float) -> None:
+        """Counts steps of another length from now on.
+
+        Args:
+            dt_s: Their length, s.
+        """
+        if dt_s != self.dt_s:
+            self.set_time(self.time_s)
+            self.dt_s = dt_s
 
     @property
     def plan(self) -> Plan:
@@ -148,24 +196,37 @@ def pack(
         memory: Whether any wall has memory; None looks.
     """
     plan, w = models[0].plan, len(models)
+    ends, ports, chambers = plan.ends.shape[0], plan.ports.shape[0], len(plan.chambers)
+    compliant = any(m.compliant for m in models) if compliant is None else compliant
     reservoir = lanes([m.reservoir for m in models])
+    cell = lanes([m.cell for m in models])
+    work = np.zeros((L.WORK_ROWS, plan.slots, w))
+    # Ghosts have no wall; the floor keeps their unused memory finite.
+    work[L.W_STAY] = 1.0 / np.maximum(cell[L.RELAX], 1e-12)
     ripple_of, ripple = _rows([m.ripples for m in models], L.RIPPLE_PARAMS)
     leak_index, leak = _leaks(models)
     step_index, step_area = area_steps(models)
     return Tile(
         models=models,
-        compliant=any(m.compliant for m in models) if compliant is None else compliant,
+        compliant=compliant,
         memory=any(m.memory for m in models) if memory is None else memory,
-        cell=lanes([m.cell for m in models]),
+        cell=cell,
         state=np.zeros((L.STATE_ROWS, plan.slots, w)),
-        work=np.zeros((L.WORK_ROWS, plan.slots, w)),
+        work=work,
+        soft=np.zeros((L.SOFT_ROWS, plan.slots if compliant else 0, w)),
+        end_velocity=np.zeros((ends, w)),
+        joint=np.zeros((ends, L.JOINT_ROWS, w)),
+        ported=np.zeros((ends, L.PORTED_ROWS, w)),
         port=lanes([m.port for m in models]),
-        port_flow=np.zeros((plan.ports.shape[0], 2, w)),
+        port_flow=np.zeros((ports, 2, w)),
+        opening=np.zeros((ports, w)),
         reservoir=reservoir,
         # A copy: of one reservoir, a view would be contiguous, and change with the pressure.
         reservoir_p=reservoir[:, L.R_PRESSURE].copy(),
+        supplied=np.zeros((reservoir.shape[0], w)),
         chamber=lanes([m.chamber for m in models]),
-        chamber_state=np.zeros((len(plan.chambers), 2, w)),
+        chamber_state=np.zeros((chambers, 2, w)),
+        chamber_work=np.zeros((chambers, L.CHAMBER_ROWS, w)),
         ripple_index=np.array(ripple_of, dtype=np.int64),
         ripple=ripple,
         leak_index=leak_index,
@@ -175,14 +236,14 @@ def pack(
         tap_weight=lanes([m.tap_weight for m in models]),
         step_index=step_index,
         step_area=step_area,
-        time_s=np.zeros(w),
+        clock=np.zeros((2, w)),
     )
 
 
 def fill_pipes(
     tile: Tile, pressure: Floats, temperature: Floats, velocity: Floats | float = 0.0
 ) -> None:
-    """Sets the gas in all slots and forgets what its walls remember.
+    """Sets the gas in all slots, at rest at ports, and forgets what its walls remember.
 
     Args:
         tile: The batch.
@@ -195,6 +256,7 @@ def fill_pipes(
     stretch = 1.0 + k * (pressure - rest)
     rho = pressure * stretch / (gas.r_specific * temperature)
     tile.state[:] = 0.0
+    tile.end_velocity[:] = 0.0
     tile.state[L.RHO] = rho
     tile.state[L.MOM] = rho * velocity
     tile.state[L.ENE] = (
@@ -254,6 +316,7 @@ class Watch:
         next_read: (n_taps, lanes) next reading of each tap.
         shown: (n_taps, lanes) present reading before gain and bias.
         felt: (n_taps, lanes) pressure one step ago.
+        error: (n_taps, lanes) scratch.
     """
 
     time_steps: Floats
@@ -267,6 +330,7 @@ class Watch:
     next_read: Ints = field(init=False)
     shown: Floats = field(init=False)
     felt: Floats = field(init=False)
+    error: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         """Nothing is read yet."""
@@ -275,6 +339,7 @@ class Watch:
         self.next_read = np.zeros((taps, w), dtype=np.int64)
         self.shown = np.full((taps, w), np.nan)
         self.felt = np.full((taps, w), np.nan)
+        self.error = np.zeros((taps, w))
 
 
 def unwatched(tile: Tile) -> Watch:
@@ -292,6 +357,65 @@ def unwatched(tile: Tile) -> Watch:
         np.zeros((taps, L.SENSOR_ROWS, tile.lanes)),
         np.zeros((tile.plan.slots, taps)),
         np.zeros((len(tile.plan.chambers), taps)),
+    )
+
+
+def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
+    """A batch as the kernel takes it.
+
+    Args:
+        tile: The batch.
+        watch: Taps that are read.
+    """
+    first, plan = tile.models[0], tile.plan
+    rippling = tile.ripple_index.size > 0
+    return kernel.Rigs(
+        kernel.Gas(first.gas.gamma, first.gas.r_specific, first.gas.prandtl),
+        kernel.Scheme(
+            first.order,
+            first.flux,
+            first.limiter,
+            first.newton,
+            tile.compliant,
+            tile.memory,
+            bool((plan.ends[:, L.E_KIND] == L.JUNCTION).any()),
+            bool(tile.cell[L.TAPER].any()),
+        ),
+        kernel.Cells(
+            tile.lanes,
+            tile.cell.reshape(L.PARAM_ROWS, -1),
+            tile.state.reshape(L.STATE_ROWS, -1),
+            tile.work.reshape(L.WORK_ROWS, -1),
+            tile.soft.reshape(L.SOFT_ROWS, -1),
+        ),
+        kernel.Steps(tile.step_index, tile.step_area),
+        kernel.Ends(plan.ends, tile.end_velocity, tile.joint, tile.ported),
+        kernel.Ports(plan.ports, tile.port, tile.port_flow, tile.opening),
+        kernel.Reservoirs(
+            tile.reservoir,
+            tile.reservoir_p,
+            # where none ripples, what is supplied is the pressure itself
+            tile.supplied if rippling else tile.reservoir_p,
+            tile.ripple_index,
+            tile.ripple,
+        ),
+        kernel.Chambers(tile.chamber, tile.chamber_state, tile.chamber_work),
+        kernel.Leaks(tile.leak_index, tile.leak, tile.ambient),
+        kernel.Taps(
+            tile.tap_slot,
+            tile.tap_weight,
+            watch.sensor,
+            watch.time_steps,
+            watch.measured_pa,
+            watch.gain,
+            watch.spread,
+            watch.spread_chamber,
+            watch.next_read,
+            watch.shown,
+            watch.felt,
+            watch.error,
+            watch.readings_pa,
+        ),
     )
 
 
@@ -326,70 +450,20 @@ def advance(
     Raises:
         InputError: A prediction is not finite, and ``strict``.
     """
-    first, plan, w = tile.models[0], tile.plan, tile.lanes
-    tap_out = np.zeros((samples, len(plan.taps), w))
-    flow_out = np.zeros((samples, plan.ports.shape[0], w))
-    chamber_out = np.zeros((samples, len(plan.chambers), w))
     watch = watch or unwatched(tile)
-    kernel.advance(
-        samples,
-        n_sub,
-        dt_s,
-        knots,
-        w,
-        first.gas.gamma,
-        first.gas.r_specific,
-        first.gas.prandtl,
-        first.order,
-        first.flux,
-        first.limiter,
-        first.newton,
-        tile.compliant,
-        tile.memory,
-        tile.cell.reshape(L.PARAM_ROWS, -1),
-        tile.state.reshape(L.STATE_ROWS, -1),
-        tile.work.reshape(L.WORK_ROWS, -1),
-        plan.ends,
-        tile.step_index,
-        tile.step_area,
-        plan.ports,
-        tile.port,
-        # The kernel reads one knot beyond the last.
-        np.concatenate([opening, opening[-1:]]),
-        tile.port_flow,
-        tile.reservoir,
-        tile.reservoir_p,
-        tile.chamber,
-        tile.chamber_state,
-        tile.ripple_index,
-        tile.ripple,
-        tile.time_s,
-        tile.leak_index,
-        tile.leak,
-        tile.ambient,
-        tile.tap_slot,
-        tile.tap_weight,
-        watch.time_steps,
-        watch.measured_pa,
-        watch.gain,
-        watch.sensor,
-        watch.spread,
-        watch.spread_chamber,
-        watch.step,
-        closing,
-        watch.next_read,
-        watch.shown,
-        watch.felt,
-        watch.readings_pa,
-        tap_out,
-        flow_out,
-        chamber_out,
+    tile.count_by(dt_s)
+    record = kernel.Record(
+        np.zeros((samples, len(tile.plan.taps), tile.lanes)),
+        np.zeros((samples, tile.plan.ports.shape[0], tile.lanes)),
+        np.zeros((samples, len(tile.plan.chambers), tile.lanes)),
     )
+    clock = kernel.Clock(samples, n_sub, dt_s, knots, tile.clock, watch.step, closing)
+    kernel.advance(arrays(tile, watch), clock, opening, record)
     watch.step += (samples - 1) * n_sub
-    tile.time_s += (samples - 1) * n_sub * dt_s
-    if strict and not np.isfinite(tap_out).all():
+    tile.clock[1] += (samples - 1) * n_sub
+    if strict and not np.isfinite(record.taps).all():
         raise unstable(dt_s, ())
-    return tap_out, flow_out, chamber_out
+    return record.taps, record.flows, record.chambers
 
 
 def advance_safely(
@@ -434,6 +508,7 @@ def advance_safely(
         )
         for whole, some in zip(series, again, strict=True):
             whole[..., which] = some
+        part.count_by(dt_s)
         for name in CHANGING:
             getattr(tile, name)[..., which] = getattr(part, name)
         wrong[which] = ~finite_lanes(again[0]) | ~(courant(part, dt_s / more) <= 1.0)
@@ -449,7 +524,7 @@ def some_lanes(tile: Tile, which: Ints) -> Tile:
         tile: The batch.
         which: The lanes.
     """
-    common = ("models", "compliant", "memory", "ripple_index", "leak_index", "step_index")
+    common = ("models", "compliant", "memory", "ripple_index", "leak_index", "step_index", "dt_s")
     arrays: dict[str, Any] = {
         f.name: np.ascontiguousarray(getattr(tile, f.name)[..., which])
         for f in fields(tile)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.compiling import njit
+from pneu_sim.compiling import compiled
 from pneu_sim.rig import model as M
 from pneu_sim.signals import SAME_S, Signal
 
@@ -21,13 +21,13 @@ FINEST = 0.05
 """A spool that is not solved exactly takes steps of this, in units of 1/(2 pi bandwidth)."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _in_force(time: Floats, at: float) -> int:
     """Which of some held commands is in force; the first also holds before its time."""
     return max(int(np.searchsorted(time, at, side="right")) - 1, 0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _acting(
     time: Floats, command: Floats, null: float, later: float, out_time: Floats, out_command: Floats
 ) -> int:
@@ -62,7 +62,7 @@ def _acting(
     return n
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _means(time: Floats, command: Floats, begin: float, h: float, out: Floats) -> None:
     """Means of a held command over successive intervals."""
     i = _in_force(time, begin)
@@ -78,13 +78,13 @@ def _means(time: Floats, command: Floats, begin: float, h: float, out: Floats) -
         out[k] = base + extra / h
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _played(target: float, command: float, half: float) -> float:
     """What a spool is told after backlash: it lags the command by half the play at most."""
     return min(max(target, command - half), command + half)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _slew(
     time: Floats,
     command: Floats,
@@ -124,7 +124,7 @@ def _slew(
         target = _played(target, command[i], half)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _rate_limited(
     time: Floats,
     command: Floats,
@@ -175,7 +175,7 @@ def _rate_limited(
             i, target, x, before = _slew(time, command, i, middle, end, half, speed, target, x)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _response(w: float, zeta: float, h: float) -> tuple[float, float, float, float]:
     """Exact response of the linear spool's distance and speed over a time."""
     if zeta < 1.0:
@@ -191,7 +191,7 @@ def _response(w: float, zeta: float, h: float) -> tuple[float, float, float, flo
     return e * (c + zeta * w * s), e * s, -e * w * w * s, e * (c - zeta * w * s)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _at_once(
     mean: Floats, first: float, rest: float, row: Floats, memory: Floats, out: Floats
 ) -> None:
@@ -218,7 +218,7 @@ def _at_once(
     memory[3] = 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _lagging(
     time: Floats,
     command: Floats,
@@ -305,7 +305,7 @@ def _lagging(
     memory[3] = acc
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def spool_positions(
     command: Floats, dt: float, knots: int, row: Floats, past: int, memory: Floats, out: Floats
 ) -> None:
@@ -351,7 +351,7 @@ def spool_positions(
         _at_once(mean, first, rest, row, memory, out)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _port_openings(
     x: Floats, row: Floats, lo: float, hi: float, table: Floats, out: Floats
 ) -> None:
@@ -370,7 +370,7 @@ def _port_openings(
         out[k] = table[i] + (f - i) * (table[i + 1] - table[i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def batch_openings(
     commands: Floats,
     dt: float,

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Completing a bag whose recorder was killed: index and summary of the files, `metadata.yaml`."""
 
-import os
+import contextlib
 from pathlib import Path
 
 from mcap.records import Attachment, Metadata
 
 from pneu_common.errors import InputError
+from pneu_common.files import replacing
 from pneu_graph.bag.file_writer import METADATA_RECORD, BagFile
 from pneu_graph.bag.metadata import BagMetadata
 from pneu_graph.bag.reader import BagReader, FileContent, file_messages, side_records
@@ -52,11 +53,8 @@ def recover_bag(path: str | Path) -> list[str]:
 
 
 def _rewrite(bag: BagReader, file: FileContent) -> None:
-    aside = file.path.with_name(f".{file.path.name}.recovering")
-    aside.unlink(missing_ok=True)
-    written = BagFile(aside)
-    written.entry.path = file.path.name
-    try:
+    with replacing(file.path) as aside, contextlib.closing(BagFile(aside)) as written:
+        written.entry.path = file.path.name
         for record in side_records(file.path):
             if isinstance(record, Attachment):
                 written.attach(record.name, record.data, record.media_type, record.log_time)
@@ -79,8 +77,3 @@ def _rewrite(bag: BagReader, file: FileContent) -> None:
                 ros_distro=bag.metadata.ros_distro,
             )
         )
-        written.close()
-        os.replace(aside, file.path)
-    finally:
-        written.close()
-        aside.unlink(missing_ok=True)

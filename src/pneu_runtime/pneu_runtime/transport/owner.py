@@ -39,16 +39,42 @@ class Owner(Protocol):
         """Returns an identity for a client or a server."""
 
     def entity_added(self, node: NodeHandle, gid: bytes, *, writer: bool) -> None:
-        """Takes note of a reader or writer of a node."""
+        """Takes note of a reader or writer of a node.
+
+        Args:
+            node: The node.
+            gid: Identity of the endpoint.
+            writer: Whether it writes, else it reads.
+        """
 
     def entity_removed(self, node: NodeHandle, gid: bytes, *, writer: bool) -> None:
-        """Takes note that one is closed."""
+        """Takes note that one is closed.
+
+        Args:
+            node: The node.
+            gid: Identity of the endpoint.
+            writer: Whether it writes, else it reads.
+        """
 
     def matched_writer(self, reader: int, handle: int) -> Peer | None:
-        """Returns who writes to a reader by a handle."""
+        """Returns who writes to a reader by a handle.
+
+        Args:
+            reader: The reader.
+            handle: The other's handle.
+        """
 
     def matched_reader(self, writer: int, handle: int) -> Peer | None:
-        """Returns who reads of a writer by a handle."""
+        """Returns who reads of a writer by a handle.
+
+        Args:
+            writer: The writer.
+            handle: The other's handle.
+        """
 
     def publication_ends(self, publication: Any) -> None:
-        """Takes note that a publication is closed."""
+        """Takes note that a publication is closed.
+
+        Args:
+            publication: The publication.
+        """

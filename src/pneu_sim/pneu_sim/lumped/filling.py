@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.compiling import njit
+from pneu_sim.compiling import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -20,7 +20,7 @@ LEAK_LINEAR = 0.999
 """Pressure ratio above which a leak's flow is linear in the pressure drop."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def flow_function(x: float, gamma: float) -> float:
     """Mass flow of an isentropic orifice over ``A p_u / sqrt(R T)`` (thesis eqs. 3.15-3.17).
 
@@ -33,7 +33,7 @@ def flow_function(x: float, gamma: float) -> float:
     return math.sqrt(2.0 * gamma / (gamma - 1.0) * max(root * (root - x), 0.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def port_flow(
     p_a: float,
     t_a: float,
@@ -74,7 +74,7 @@ def port_flow(
     return sign * area * p_a / math.sqrt(r_gas * t_a) * psi
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _pressure(
     v: int,
     delay: Floats,
@@ -110,7 +110,7 @@ def _pressure(
     return p
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _bulk(v: int, side: Ints, base: Floats, y: Floats) -> float:
     """Pressure that volume v has once all that entered it has spread."""
     p = base[v] + y[side.size + v]
@@ -120,7 +120,7 @@ def _bulk(v: int, side: Ints, base: Floats, y: Floats) -> float:
     return float(p)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _temperature(
     v: int, r_gas: float, volume: Floats, side: Ints, base: Floats, y: Floats
 ) -> float:
@@ -130,7 +130,7 @@ def _temperature(
     return float(p * size / (y[side.size + base.size + v] * r_gas))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _rates(
     y: Floats,
     y0: Floats,
@@ -225,7 +225,7 @@ def _rates(
         out[n_sides + n_volumes + v] += mass
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _step(
     y: Floats,
     y0: Floats,
@@ -294,7 +294,7 @@ def _step(
     return head
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def longest_delay(side: Ints, tap: Ints, tap_delay: Floats, side_delay: Floats) -> float:
     """Longest travel time that a model asks for, s.
 
@@ -313,7 +313,7 @@ def longest_delay(side: Ints, tap: Ints, tap_delay: Floats, side_delay: Floats) 
     return longest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def begin_volumes(
     base: Floats, volume: Floats, n_sides: int, r_gas: float, room: Floats, y: Floats
 ) -> None:
@@ -333,7 +333,7 @@ def begin_volumes(
         y[n_sides + base.size + v] = base[v] * size / (r_gas * room[1])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def advance_volumes(
     n_sub: int,
     h: float,
@@ -408,7 +408,7 @@ def advance_volumes(
                 )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def fill(
     n_out: int,
     n_sub: int,

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One step after another, many rigs at once: the passes in their order.
+
+The quasi-one-dimensional Euler equations on a network, by finite volumes (thesis ch. 4 and 5). Each
+pass is a plain loop over flat arrays, without Python objects, so that the same source can be
+compiled for other targets. Everything that a step needs is passed in; nothing is allocated, and
+nothing is kept from call to call but the arrays. How a run is cut into calls changes no bit of it.
+"""
+
+from pneu_sim import layout as L
+from pneu_sim.compiling import branching
+from pneu_sim.kernel.chambers import find_chambers, find_middle, heat_chambers
+from pneu_sim.kernel.ends import cross_ends, fill_ghosts, join, mirror_faces
+from pneu_sim.kernel.faces import (
+    close_outermost,
+    cross,
+    cross_steps,
+    flatten_steps,
+    reconstruct,
+    taper,
+)
+from pneu_sim.kernel.leaks import leak
+from pneu_sim.kernel.lines import (
+    conserve,
+    find_primitive,
+    give_back,
+    invert_density,
+    take_gas,
+    widen_faces,
+)
+from pneu_sim.kernel.ports import cross_ports, open_ports
+from pneu_sim.kernel.recording import correct, read, write_down
+from pneu_sim.kernel.reservoirs import supply
+from pneu_sim.kernel.walls import (
+    act_steadily,
+    drag_with_memory,
+    find_coefficients,
+    find_decay,
+    heat_with_memory,
+)
+
+WALL_EVERY = 4
+"""Drag ratio and decay follow density and Reynolds number, which change little within a few steps:
+they are refreshed every so many, and at every sample, so that no cut of a run shows."""
+
+
+@branching
+def _find_faces(gas, scheme, dt, cells, steps, ends):
+    """States on both sides of every face."""
+    if scheme.order == 1:
+        return
+    reconstruct(gas, scheme.limiter == L.VAN_LEER, dt, cells)
+    if scheme.tapered:
+        taper(gas, dt, cells)
+    close_outermost(cells)
+    flatten_steps(cells, steps)
+    mirror_faces(cells, ends)
+
+
+@branching
+def _conserve(dt, scheme, cells):
+    """What the faces carry reaches the cells; where walls yield, what the pipe holds."""
+    if scheme.compliant:
+        give_back(cells)
+        widen_faces(cells)
+        conserve(dt, cells, cells.soft[L.SOFT_FACE])
+    else:
+        conserve(dt, cells, cells.par[L.FACE])
+
+
+@branching
+def _act_of_walls(gas, scheme, dt, s, cells):
+    """Friction and heat of the walls, on the gas as it now is."""
+    if scheme.compliant:
+        take_gas(gas, cells)
+        invert_density(cells)
+    if s % WALL_EVERY == 0:
+        find_coefficients(gas, cells)
+        if scheme.memory:
+            find_decay(gas, dt, cells)
+    if scheme.memory:
+        heat_with_memory(gas, dt, cells)
+        drag_with_memory(dt, cells)
+    else:
+        act_steadily(gas, dt, cells)
+    if scheme.compliant:
+        give_back(cells)
+
+
+@branching
+def advance(rigs, clock, opening, record):
+    """Advance a batch of rigs in place and record its taps.
+
+    Args:
+        rigs: The batch, a `Rigs`.
+        clock: How many steps of what length, a `Clock`.
+        opening: ((samples - 1) * knots + 1, n_ports, lanes) opening fractions.
+        record: What is written down at every sample, a `Record`.
+    """
+    gas, scheme, cells, steps, ends, ports, reservoirs, chambers, leaks, taps = rigs
+    dt, order = clock.dt, scheme.order
+    reading = taps.time.shape[1] > 0
+    corrected = True  # the state may have been set
+    for k in range(clock.samples):
+        last = k == clock.samples - 1
+        for s in range(clock.steps):
+            step = k * clock.steps + s
+            if scheme.compliant:
+                take_gas(gas, cells)
+            if scheme.compliant or corrected:  # else `conserve` has left it
+                invert_density(cells)
+            find_primitive(gas, cells)
+            find_chambers(gas, chambers)
+            corrected = False
+            if reading and (clock.closing or not last):
+                corrected = read(clock.watched + step, cells, chambers, taps)
+            if s == 0:
+                write_down(k, cells, ports, chambers, taps, record)
+                if last:
+                    if scheme.compliant:
+                        give_back(cells)
+                    break
+            at = (s + 0.5) / clock.steps * clock.knots
+            open_ports(k * clock.knots + int(at), at - int(at), opening, ports)
+            if reservoirs.ripple_of.size > 0:
+                supply(step, dt, clock.lanes, reservoirs)
+            if scheme.joints:
+                join(gas, 1, cells, ends)
+            vessels = order == 2 or s == clock.steps - 1 or reading
+            fill_ghosts(gas, vessels, cells, ends, reservoirs, chambers)
+            _find_faces(gas, scheme, dt, cells, steps, ends)
+            cross(gas, scheme, cells)
+            cross_steps(gas, scheme, dt, cells, steps)
+            if scheme.joints and order == 2:
+                join(gas, 2, cells, ends)
+            cross_ports(gas, order, cells, ends, ports, reservoirs, chambers)
+            find_middle(gas, order, dt, cells, ends, chambers)
+            cross_ends(gas, order, dt, cells, ends, ports, reservoirs, chambers)
+            heat_chambers(gas, dt, chambers)
+            leak(gas, dt, cells, chambers, leaks)
+            _conserve(dt, scheme, cells)
+            _act_of_walls(gas, scheme, dt, s, cells)
+            if corrected:
+                correct(cells, chambers, taps)

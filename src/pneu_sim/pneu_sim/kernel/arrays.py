@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What belongs together travels together: the arrays of a batch of rigs, as the passes take them.
+
+Rows and columns have their names in ``pneu_sim.layout``. A pass takes the groups that it needs;
+each is a tuple of arrays with names, which Numba takes apart when it compiles.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Gas(NamedTuple):
+    """An ideal gas.
+
+    Attributes:
+        gamma: Ratio of specific heats.
+        r: Specific gas constant, J/(kg K).
+        prandtl: Prandtl number.
+    """
+
+    gamma: float
+    r: float
+    prandtl: float
+
+
+class Scheme(NamedTuple):
+    """How the equations are solved, and which of them.
+
+    Attributes:
+        order: 1 Godunov, 2 MUSCL-Hancock.
+        flux: HLLC or EXACT.
+        limiter: MINMOD or VAN_LEER.
+        newton: Newton iterations of the exact star pressure.
+        compliant: Whether any wall yields.
+        memory: Whether wall friction and heat have memory.
+        joints: Whether three or more pipes meet anywhere.
+        tapered: Whether any pipe tapers smoothly.
+    """
+
+    order: int
+    flux: int
+    limiter: int
+    newton: int
+    compliant: bool
+    memory: bool
+    joints: bool
+    tapered: bool
+
+
+class Cells(NamedTuple):
+    """All slots of all pipes; ``slots * lanes`` entries per row.
+
+    Attributes:
+        lanes: Rigs side by side.
+        par: (PARAM_ROWS, n) parameters.
+        state: (STATE_ROWS, n) state.
+        work: (WORK_ROWS, n) what passes hand on to one another.
+        soft: (SOFT_ROWS, n) what yielding walls hold; no columns where none yields.
+    """
+
+    lanes: int
+    par: Floats
+    state: Floats
+    work: Floats
+    soft: Floats
+
+
+class Steps(NamedTuple):
+    """Faces at which the area jumps.
+
+    Attributes:
+        table: (n_steps, 5) face, then the cell and its direction on the left and on the right.
+        area: (n_steps, 2, lanes) areas left and right, m2.
+    """
+
+    table: Ints
+    area: Floats
+
+
+class Ends(NamedTuple):
+    """Ends of pipes.
+
+    Attributes:
+        table: (n_ends, END_COLUMNS).
+        velocity: (n_ends, lanes) what ports let through at the last step, m/s.
+        joint: (n_ends, JOINT_ROWS, lanes) common pressure and flows where three or more meet.
+        ported: (n_ends, PORTED_ROWS, lanes) what leaves through ports at this step.
+    """
+
+    table: Ints
+    velocity: Floats
+    joint: Floats
+    ported: Floats
+
+
+class Ports(NamedTuple):
+    """Ports of valves, then orifices.
+
+    Attributes:
+        table: (n_ports, PORT_COLUMNS).
+        par: (n_ports, PORT_PARAMS, lanes).
+        flow: (n_ports, 2, lanes) mass kg/s and enthalpy W of the last step.
+        opening: (n_ports, lanes) at this step.
+    """
+
+    table: Ints
+    par: Floats
+    flow: Floats
+    opening: Floats
+
+
+class Reservoirs(NamedTuple):
+    """Reservoirs, and what pulsates in them.
+
+    Attributes:
+        par: (n_reservoirs, RESERVOIR_PARAMS, lanes).
+        pressure: (n_reservoirs, lanes) present, Pa.
+        supplied: (n_reservoirs, lanes) the same with its ripple, Pa.
+        ripple_of: (n_ripples,) reservoirs.
+        ripple: (n_ripples, RIPPLE_PARAMS, lanes).
+    """
+
+    par: Floats
+    pressure: Floats
+    supplied: Floats
+    ripple_of: Ints
+    ripple: Floats
+
+
+class Chambers(NamedTuple):
+    """Well-mixed volumes.
+
+    Attributes:
+        par: (n_chambers, CHAMBER_PARAMS, lanes).
+        state: (n_chambers, 2, lanes) mass kg and energy J.
+        work: (n_chambers, CHAMBER_ROWS, lanes) pressure and temperature, see ``layout``.
+    """
+
+    par: Floats
+    state: Floats
+    work: Floats
+
+
+class Leaks(NamedTuple):
+    """What leaks to the room.
+
+    Attributes:
+        table: (n_leaks, LEAK_COLUMNS) which slot or chamber, and how.
+        par: (n_leaks, LEAK_PARAMS, lanes).
+        room: (2, lanes) pressure Pa and temperature K.
+    """
+
+    table: Ints
+    par: Floats
+    room: Floats
+
+
+class Taps(NamedTuple):
+    """Taps, when they are read, and how the gas is corrected by what was measured.
+
+    Attributes:
+        slot: (n_taps, lanes) slot left of each tap, or -1 - chamber.
+        weight: (n_taps, lanes) weight of the next slot.
+        sensor: (n_taps, SENSOR_ROWS, lanes) what each sensor makes of the pressure.
+        time: (n_taps, m, lanes) when each is read, in steps since the start, increasing; inf
+            beyond the last reading.
+        measured: (n_taps, m, lanes) what was measured then, Pa; NaN where nothing was.
+        gain: (n_taps, m, lanes) share of the difference by which the gas is corrected then.
+        spread_slot: (slots, n_taps) how a correction at the taps spreads over the slots.
+        spread_chamber: (n_chambers, n_taps) the same for the chambers.
+        next: (n_taps, lanes) the next reading.
+        shown: (n_taps, lanes) what sensors make of it before gain and bias, Pa; NaN: at rest.
+        felt: (n_taps, lanes) pressure behind that, Pa.
+        error: (n_taps, lanes) what each tap asks of the gas, Pa.
+        readings: (n_taps, m, lanes) what the sensors read, Pa.
+    """
+
+    slot: Ints
+    weight: Floats
+    sensor: Floats
+    time: Floats
+    measured: Floats
+    gain: Floats
+    spread_slot: Floats
+    spread_chamber: Floats
+    next: Ints
+    shown: Floats
+    felt: Floats
+    error: Floats
+    readings: Floats
+
+
+class Rigs(NamedTuple):
+    """A batch of rigs: all that a step works on."""
+
+    gas: Gas
+    scheme: Scheme
+    cells: Cells
+    steps: Steps
+    ends: Ends
+    ports: Ports
+    reservoirs: Reservoirs
+    chambers: Chambers
+    leaks: Leaks
+    taps: Taps
+
+
+class Clock(NamedTuple):
+    """Where in time a run begins and how it is cut.
+
+    Attributes:
+        samples: Recorded samples; the first is the present state.
+        steps: Steps between samples.
+        dt: Step, s.
+        knots: Openings given per sample interval.
+        lanes: (2, lanes) time from which steps are counted, s, and how many there were before.
+        watched: Steps from which readings are counted, before this run.
+        closing: Whether the taps are read at the very end too, no further call taking up there.
+    """
+
+    samples: int
+    steps: int
+    dt: float
+    knots: int
+    lanes: Floats
+    watched: int
+    closing: bool
+
+
+class Record(NamedTuple):
+    """What is written down at every sample.
+
+    Attributes:
+        taps: (samples, n_taps, lanes) pressures, Pa.
+        flows: (samples, n_ports, lanes) kg/s.
+        chambers: (samples, n_chambers, lanes) pressures, Pa.
+    """
+
+    taps: Floats
+    flows: Floats
+    chambers: Floats

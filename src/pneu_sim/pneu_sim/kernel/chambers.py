@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Well-mixed volumes: pressure and temperature of what they hold, and the heat of their walls."""
+
+import math
+
+from pneu_sim import layout as L
+from pneu_sim.compiling import branching, folded
+from pneu_sim.kernel.ends import face_state
+
+
+@folded
+def chamber_pressure(energy, volume, compliance, rest_p, gamma):
+    """Pressure of a chamber of internal energy ``energy``; volume = volume + compliance (p - rest).
+
+    Args:
+        energy: Internal energy of its gas and of its yielding wall, J.
+        volume: Volume at the pressure `rest_p`, m3.
+        compliance: Growth of the volume per pascal, m3/Pa.
+        rest_p: Pressure at which the wall is at rest, Pa.
+        gamma: Ratio of specific heats.
+    """
+    e = (gamma - 1.0) * (energy + 0.5 * compliance * rest_p * rest_p)
+    b = volume - compliance * rest_p
+    return 2.0 * e / (b + math.sqrt(b * b + 2.0 * compliance * (gamma + 1.0) * e))
+
+
+@branching
+def find_chambers(gas, chambers):
+    """Pressure and temperature of every chamber.
+
+    Args:
+        gas: The gas.
+        chambers: Chambers.
+    """
+    par, state, work = chambers.par, chambers.state, chambers.work
+    for c in range(state.shape[0]):
+        for j in range(state.shape[2]):
+            vol = par[c, L.C_VOLUME, j]
+            com = par[c, L.C_COMPLIANCE, j]
+            rest = par[c, L.C_REST_P, j]
+            p = chamber_pressure(state[c, 1, j], vol, com, rest, gas.gamma)
+            work[c, L.H_PRESSURE, j] = p
+            work[c, L.H_TEMPERATURE, j] = p * (vol + com * (p - rest)) / (state[c, 0, j] * gas.r)
+
+
+@branching
+def find_middle(gas, order, dt, cells, ends, chambers):
+    """Pressure of every chamber at the middle of the step, implicit in what its pipes bring.
+
+    With the pressure at the step's beginning instead, a chamber would feed an oscillation.
+
+    Args:
+        gas: The gas.
+        order: 1 Godunov, 2 MUSCL-Hancock.
+        dt: Step, s.
+        cells: All slots.
+        ends: Ends of pipes.
+        chambers: Chambers.
+    """
+    w, par, work, gamma = cells.lanes, chambers.par, chambers.work, gas.gamma
+    for c in range(work.shape[0]):
+        for j in range(w):
+            work[c, L.H_MIDDLE, j] = work[c, L.H_PRESSURE, j]
+            work[c, L.H_WEIGHT, j] = 1.0
+    for e in range(ends.table.shape[0]):
+        if ends.table[e, L.E_KIND] == L.CHAMBER:
+            c = ends.table[e, L.E_REF]
+            for j in range(w):
+                d, v, p = face_state(e, j, order, cells, ends)
+                z = math.sqrt(gamma * p * d)
+                q = work[c, L.H_PRESSURE, j]
+                vol = par[c, L.C_VOLUME, j] + par[c, L.C_COMPLIANCE, j] * (
+                    (gamma + 1.0) * q - par[c, L.C_REST_P, j]
+                )
+                a = cells.par[L.FACE, ends.table[e, L.E_FACE] * w + j]
+                k = 0.5 * dt * gamma * q * a / (z * vol)
+                work[c, L.H_MIDDLE, j] += k * (p + z * v)
+                work[c, L.H_WEIGHT, j] += k
+    for c in range(work.shape[0]):
+        for j in range(w):
+            work[c, L.H_MIDDLE, j] = max(
+                work[c, L.H_MIDDLE, j] / work[c, L.H_WEIGHT, j], 0.05 * work[c, L.H_PRESSURE, j]
+            )
+
+
+@branching
+def heat_chambers(gas, dt, chambers):
+    """Heat that passes between the walls of chambers and the gas in them.
+
+    Args:
+        gas: The gas.
+        dt: Step, s.
+        chambers: Chambers.
+    """
+    par, state, work = chambers.par, chambers.state, chambers.work
+    cv = gas.r / (gas.gamma - 1.0)
+    for c in range(state.shape[0]):
+        for j in range(state.shape[2]):
+            h = dt * par[c, L.C_HEAT, j]
+            if h > 0.0:
+                gain = h / (1.0 + h / (state[c, 0, j] * cv))
+                state[c, 1, j] += gain * (par[c, L.C_WALL_T, j] - work[c, L.H_TEMPERATURE, j])

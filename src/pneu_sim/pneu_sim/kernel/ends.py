@@ -1,0 +1,395 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ends of pipes: what lies beyond them, what flows through, and what that feeds."""
+
+import math
+
+from pneu_sim import layout as L
+from pneu_sim.compiling import branching, folded
+
+
+@folded
+def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
+    """State at a pipe end that opens into a large vessel.
+
+    Outflow leaves at the vessel's pressure, or sonic; inflow comes from rest at the vessel's
+    pressure and temperature, less ``loss`` velocity heads. Either way the wave that arrives from
+    the pipe fixes the rest (linearised characteristic p + rho c v).
+
+    Args:
+        d: Density in the pipe's end, kg/m^3.
+        v: Velocity there, positive out of the pipe, m/s.
+        p: Pressure there, Pa.
+        p0: Pressure of the vessel, Pa.
+        t0: Temperature of the vessel, K.
+        loss: Velocity heads lost on inflow.
+        gamma: Ratio of specific heats.
+        r_gas: Specific gas constant, J/(kg K).
+
+    Returns:
+        Density, outward velocity and pressure at the end.
+    """
+    z = math.sqrt(gamma * p * d)
+    wave = p + z * v
+    if wave >= p0:
+        out = (wave - p0) / z
+        pf = p0
+        df = d * math.exp(math.log(pf / p) / gamma)
+        if out * out * df > gamma * pf:
+            # sonic at the face: along the isentrope of the end cell
+            c = z / d
+            g = (gamma - 1.0) / (gamma + 1.0)
+            cf = 2.0 / (gamma + 1.0) * c + g * v
+            out = cf
+            pf = p * (cf / c) ** (2.0 * gamma / (gamma - 1.0))
+            df = gamma * pf / (cf * cf)
+        return df, out, pf
+    c0sq = gamma * r_gas * t0
+    k = 0.5 * (gamma - 1.0) * (1.0 + loss) / c0sq
+    e = gamma / (gamma - 1.0)
+    w_max = math.sqrt(2.0 / (gamma + 1.0) * c0sq / (1.0 + loss))
+    # Bernoulli's law to first order in the velocity head, then Newton's method.
+    drive = p0 - wave
+    w = min(2.0 * drive / (z + math.sqrt(z * z + 4.0 * e * k * p0 * drive)), w_max)
+    for _ in range(4):
+        x = max(1.0 - k * w * w, 0.05)
+        y = math.exp(e * math.log(x))
+        f = p0 * y - wave - z * w
+        df_dw = -p0 * e * y / x * 2.0 * k * w - z
+        step = f / df_dw
+        w = min(max(w - step, 0.0), w_max)
+        if abs(step) < 1e-6 * w:  # the next one would be of the order of rounding
+            break
+    pf = wave + z * w if w < w_max else p0 * math.exp(e * math.log(1.0 - k * w * w))
+    tf = t0 - 0.5 * (gamma - 1.0) / (gamma * r_gas) * w * w
+    return pf / (r_gas * tf), -w, pf
+
+
+@folded
+def face_state(e, j, order, cells, ends):
+    """Density, outward velocity and pressure of the gas at a pipe end.
+
+    Args:
+        e: The end.
+        j: The lane.
+        order: 1 Godunov, 2 MUSCL-Hancock.
+        cells: All slots.
+        ends: Ends of pipes.
+    """
+    S, X = cells.state, cells.work
+    i = ends.table[e, L.E_CELL] * cells.lanes + j
+    sign = float(ends.table[e, L.E_SIGN])
+    if order == 1:
+        return S[L.RHO, i], sign * X[L.W_U, i], X[L.W_P, i]
+    if sign > 0:
+        return X[L.W_RR, i], X[L.W_UR, i], X[L.W_PR, i]
+    return X[L.W_RL, i], -X[L.W_UL, i], X[L.W_PL, i]
+
+
+@folded
+def turned(index, e, other):
+    """Sign with which a velocity at one end is one at another, by the directions of their pipes.
+
+    Args:
+        index: Table of ends.
+        e: The end.
+        other: The other end.
+    """
+    return -1.0 if index[other, L.E_SIGN] == index[e, L.E_SIGN] else 1.0
+
+
+@branching
+def join(gas, order, cells, ends):
+    """Common pressure of every joint of three or more ends, and what each end passes to it.
+
+    The outgoing characteristic of each end gives its mass flow against the common static pressure;
+    the flows sum to zero. What flows out has the mixed total enthalpy of what flows in. Sums are
+    kept with the first end of a joint.
+
+    Args:
+        gas: The gas.
+        order: 1 Godunov, 2 MUSCL-Hancock.
+        cells: All slots.
+        ends: Ends of pipes.
+    """
+    w, index, joint, gamma = cells.lanes, ends.table, ends.joint, gas.gamma
+    h = gamma / (gamma - 1.0)
+    joint[:, : L.J_FLOW] = 0.0
+    for e in range(index.shape[0]):
+        if index[e, L.E_KIND] == L.JUNCTION:
+            ref = index[e, L.E_REF]
+            for j in range(w):
+                d, v, p = face_state(e, j, order, cells, ends)
+                a = cells.par[L.FACE, index[e, L.E_FACE] * w + j]
+                k = a / math.sqrt(gamma * p / d)
+                joint[ref, L.J_PUSH, j] += a * d * v + k * p
+                joint[ref, L.J_GIVE, j] += k
+    for e in range(index.shape[0]):
+        if index[e, L.E_KIND] == L.JUNCTION:
+            ref = index[e, L.E_REF]
+            for j in range(w):
+                d, v, p = face_state(e, j, order, cells, ends)
+                q = joint[ref, L.J_PUSH, j] / joint[ref, L.J_GIVE, j]
+                m = d * v + (p - q) / math.sqrt(gamma * p / d)
+                joint[e, L.J_FLOW, j] = m
+                joint[e, L.J_PRESSURE, j] = q
+                if m > 0.0:
+                    a = cells.par[L.FACE, index[e, L.E_FACE] * w + j]
+                    joint[ref, L.J_MASS, j] += a * m
+                    joint[ref, L.J_HEAT, j] += a * m * (h * p / d + 0.5 * v * v)
+
+
+@folded
+def _beyond_vessel(e, j, gas, cells, ends, reservoirs, chambers):
+    """Density, velocity and pressure that a ghost beyond a tank, chamber or joint takes.
+
+    Extrapolated through the state at the end, so that slopes stay second order.
+    """
+    S, X, index = cells.state, cells.work, ends.table
+    i = index[e, L.E_CELL] * cells.lanes + j
+    kind = index[e, L.E_KIND]
+    ref = index[e, L.E_REF]
+    sign = float(index[e, L.E_SIGN])
+    d, v, q = S[L.RHO, i], sign * X[L.W_U, i], X[L.W_P, i]
+    if kind == L.TANK:
+        t0 = reservoirs.par[ref, L.R_TEMPERATURE, j]
+        loss = reservoirs.par[ref, L.R_LOSS, j]
+        d1, v1, q1 = vessel_state(d, v, q, reservoirs.supplied[ref, j], t0, loss, gas.gamma, gas.r)
+    elif kind == L.CHAMBER:
+        p0 = chambers.work[ref, L.H_PRESSURE, j]
+        t0 = chambers.work[ref, L.H_TEMPERATURE, j]
+        d1, v1, q1 = vessel_state(d, v, q, p0, t0, 0.0, gas.gamma, gas.r)
+    else:
+        q1 = ends.joint[e, L.J_PRESSURE, j]
+        d1 = d * (1.0 + (q1 - q) / (gas.gamma * q))
+        v1 = ends.joint[e, L.J_FLOW, j] / d1
+    beyond = max(2.0 * d1 - d, 0.2 * min(d, d1))
+    return beyond, sign * (2.0 * v1 - v), max(2.0 * q1 - q, 0.2 * min(q, q1))
+
+
+@branching
+def fill_ghosts(gas, vessels, cells, ends, reservoirs, chambers):
+    """Set the ghost beyond every pipe end to what the end sees.
+
+    Without ``vessels``, those beyond tanks, chambers and junctions keep their old state: there the
+    flux comes from `cross_ends`, and only slopes and taps in the last half cell look at the ghost.
+
+    Args:
+        gas: The gas.
+        vessels: Whether those beyond tanks, chambers and joints are set too.
+        cells: All slots.
+        ends: Ends of pipes.
+        reservoirs: Reservoirs.
+        chambers: Chambers.
+    """
+    w, S, X, index, gamma = cells.lanes, cells.state, cells.work, ends.table, gas.gamma
+    rho, mom, ene = S[L.RHO], S[L.MOM], S[L.ENE]
+    for e in range(index.shape[0]):
+        kind = index[e, L.E_KIND]
+        ref = index[e, L.E_REF]
+        vessel = kind == L.TANK or kind == L.CHAMBER or kind == L.JUNCTION
+        if vessel and not vessels:
+            continue
+        for j in range(w):
+            i = index[e, L.E_CELL] * w + j
+            g = index[e, L.E_GHOST] * w + j
+            if kind == L.WALL:
+                rho[g] = rho[i]
+                mom[g] = -mom[i]
+                ene[g] = ene[i]
+            elif kind == L.PORTED:
+                v = 2.0 * ends.velocity[e, j] - X[L.W_U, i]
+                rho[g] = rho[i]
+                mom[g] = rho[i] * v
+                ene[g] = ene[i] + 0.5 * rho[i] * (v * v - X[L.W_U, i] ** 2)
+            elif kind == L.RESERVOIR:
+                p = reservoirs.supplied[ref, j]
+                rho[g] = p / (gas.r * reservoirs.par[ref, L.R_TEMPERATURE, j])
+                mom[g] = 0.0
+                ene[g] = p / (gamma - 1.0)
+            elif vessel:
+                d, v, p = _beyond_vessel(e, j, gas, cells, ends, reservoirs, chambers)
+                rho[g] = d
+                mom[g] = d * v
+                ene[g] = p / (gamma - 1.0) + 0.5 * d * v * v
+            else:  # LINK and BRANCH see the partner's cell, turned to this pipe's direction
+                k = index[ref, L.E_CELL] * w + j
+                rho[g] = rho[k]
+                mom[g] = turned(index, e, ref) * mom[k]
+                ene[g] = ene[k]
+            m = rho[g]
+            X[L.W_U, g] = mom[g] / m
+            X[L.W_P, g] = (gamma - 1.0) * (ene[g] - 0.5 * mom[g] ** 2 / m)
+            X[L.W_C, g] = math.sqrt(gamma * X[L.W_P, g] / m)
+            X[L.W_T, g] = X[L.W_P, g] / (m * gas.r)
+            X[L.W_RI, g] = 1.0 / m
+
+
+@branching
+def mirror_faces(cells, ends):
+    """Give ghosts at walls and links the reconstructed face state of what they mirror.
+
+    Args:
+        cells: All slots.
+        ends: Ends of pipes.
+    """
+    w, X, index = cells.lanes, cells.work, ends.table
+    for e in range(index.shape[0]):
+        kind = index[e, L.E_KIND]
+        if kind != L.WALL and kind != L.LINK:
+            continue
+        source = e if kind == L.WALL else index[e, L.E_REF]
+        turn = -1.0 if kind == L.WALL else turned(index, e, source)
+        for j in range(w):
+            i = index[source, L.E_CELL] * w + j
+            if index[source, L.E_SIGN] > 0:
+                d, v, p, r = X[L.W_RR, i], X[L.W_UR, i], X[L.W_PR, i], X[L.W_IR, i]
+            else:
+                d, v, p, r = X[L.W_RL, i], X[L.W_UL, i], X[L.W_PL, i], X[L.W_IL, i]
+            g = index[e, L.E_GHOST] * w + j
+            if index[e, L.E_SIGN] > 0:
+                X[L.W_RL, g], X[L.W_UL, g], X[L.W_PL, g], X[L.W_IL, g] = d, turn * v, p, r
+            else:
+                X[L.W_RR, g], X[L.W_UR, g], X[L.W_PR, g], X[L.W_IR, g] = d, turn * v, p, r
+
+
+@folded
+def _through_ports(e, j, gas, order, cells, ends, ports):
+    """Outward fluxes of mass, momentum and energy where a pipe ends at ports, per area."""
+    w, X = cells.lanes, cells.work
+    i = ends.table[e, L.E_CELL] * w + j
+    face = cells.par[L.FACE, ends.table[e, L.E_FACE] * w + j]
+    out = ends.ported[e, L.N_MASS, j]
+    push = ends.ported[e, L.N_PUSH, j]
+    if push != 0.0:  # through a variable area, see `ports`
+        out = 0.0
+        for k in range(ports.table.shape[0]):
+            if ports.table[k, L.P_A] == L.SIDE_END and ports.table[k, L.P_AI] == e:
+                out += ports.flow[k, 0, j]
+            if ports.table[k, L.P_B] == L.SIDE_END and ports.table[k, L.P_BI] == e:
+                out -= ports.flow[k, 0, j]
+        p = X[L.W_P, i] + push / face
+    else:
+        d, v, p = face_state(e, j, order, cells, ends)
+        c = math.sqrt(gas.gamma * p / d)
+        uf = out / (d * face)
+        p = max(p + d * c * (v - uf), 0.05 * p) + d * uf * uf
+    return out / face, p, ends.ported[e, L.N_HEAT, j] / face
+
+
+@folded
+def _into_vessel(e, j, gas, order, cells, ends, reservoirs, chambers):
+    """Outward fluxes of mass, momentum and energy where a pipe opens into a vessel, per area."""
+    ref, gamma = ends.table[e, L.E_REF], gas.gamma
+    if ends.table[e, L.E_KIND] == L.CHAMBER:
+        p0 = chambers.work[ref, L.H_MIDDLE, j]
+        t0 = chambers.work[ref, L.H_TEMPERATURE, j]
+        loss = 0.0
+    else:
+        p0 = reservoirs.supplied[ref, j]
+        t0 = reservoirs.par[ref, L.R_TEMPERATURE, j]
+        loss = reservoirs.par[ref, L.R_LOSS, j]
+    d, v, p = face_state(e, j, order, cells, ends)
+    d, v, p = vessel_state(d, v, p, p0, t0, loss, gamma, gas.r)
+    m = d * v
+    return m, p + m * v, v * (gamma / (gamma - 1.0) * p + 0.5 * m * v)
+
+
+@folded
+def _into_joint(e, j, gas, order, cells, ends):
+    """Outward fluxes of mass, momentum and energy where a pipe meets others, per area."""
+    joint, ref, gamma = ends.joint, ends.table[e, L.E_REF], gas.gamma
+    d, v, p = face_state(e, j, order, cells, ends)
+    m = joint[e, L.J_FLOW, j]
+    q = joint[e, L.J_PRESSURE, j]
+    if m > 0.0:
+        h = gamma / (gamma - 1.0) * p / d + 0.5 * v * v
+        d += (q - p) * d / (gamma * p)
+    else:
+        h = joint[ref, L.J_HEAT, j] / max(joint[ref, L.J_MASS, j], 1e-300)
+        if m < 0.0:
+            d = gamma / (gamma - 1.0) * q / h
+    return m, q + m * m / d, m * h
+
+
+@folded
+def _pass_on(e, j, dt, cells, ends, reservoirs, chambers):
+    """What flows through an end reaches the vessel, the partner's face or the partner's cell."""
+    w, S, X, index = cells.lanes, cells.state, cells.work, ends.table
+    fm, fp, fe = X[L.W_FM], X[L.W_FP], X[L.W_FE]
+    kind = index[e, L.E_KIND]
+    ref = index[e, L.E_REF]
+    f = index[e, L.E_FACE] * w + j
+    sign = float(index[e, L.E_SIGN])
+    face = cells.par[L.FACE, f]
+    if kind == L.CHAMBER:
+        k = dt * face * sign
+        chambers.state[ref, 0, j] += k * fm[f]
+        chambers.state[ref, 1, j] += k * fe[f]
+    elif kind == L.RESERVOIR or kind == L.TANK:
+        par = reservoirs.par
+        a = dt / (dt + par[ref, L.R_TAU, j])
+        drawn = -sign * fm[f] * face
+        goal = par[ref, L.R_PRESSURE, j] - par[ref, L.R_DROOP, j] * drawn
+        reservoirs.pressure[ref, j] += a * (goal - reservoirs.pressure[ref, j])
+    elif kind == L.LINK:
+        if e > ref:  # the first of the two ends carries the common face
+            o = index[ref, L.E_FACE] * w + j
+            turn = turned(index, e, ref)
+            fm[f] = turn * fm[o]
+            fp[f] = fp[o]
+            fe[f] = turn * fe[o]
+    elif kind == L.BRANCH:
+        # Thesis fig. 5.6: mass and energy join the partner's cell; its fictitious wall
+        # opposite takes up the push of the branch.
+        k = index[ref, L.E_CELL] * w + j
+        g = sign * dt * face * cells.par[L.INV_VOLUME, k]
+        S[L.RHO, k] += g * fm[f]
+        S[L.MOM, k] += g * turned(index, e, ref) * (fp[f] - X[L.W_P, k])
+        S[L.ENE, k] += g * fe[f]
+
+
+@branching
+def cross_ends(gas, order, dt, cells, ends, ports, reservoirs, chambers):
+    """Overwrite the fluxes of pipe ends that are not simple faces, and update what they feed.
+
+    Args:
+        gas: The gas.
+        order: 1 Godunov, 2 MUSCL-Hancock.
+        dt: Step, s.
+        cells: All slots.
+        ends: Ends of pipes.
+        ports: Ports.
+        reservoirs: Reservoirs.
+        chambers: Chambers.
+    """
+    w, X, index = cells.lanes, cells.work, ends.table
+    fm, fp, fe = X[L.W_FM], X[L.W_FP], X[L.W_FE]
+    for e in range(index.shape[0]):
+        kind = index[e, L.E_KIND]
+        sign = float(index[e, L.E_SIGN])
+        for j in range(w):
+            f = index[e, L.E_FACE] * w + j
+            if kind == L.WALL:
+                fm[f] = 0.0
+                fe[f] = 0.0
+            elif kind == L.PORTED:
+                m, push, h = _through_ports(e, j, gas, order, cells, ends, ports)
+                fm[f], fp[f], fe[f] = sign * m, push, sign * h
+                i = index[e, L.E_CELL] * w + j
+                ends.velocity[e, j] = sign * m / cells.state[L.RHO, i]
+            elif kind == L.CHAMBER or kind == L.TANK:
+                m, push, h = _into_vessel(e, j, gas, order, cells, ends, reservoirs, chambers)
+                fm[f], fp[f], fe[f] = sign * m, push, sign * h
+            elif kind == L.JUNCTION:
+                m, push, h = _into_joint(e, j, gas, order, cells, ends)
+                fm[f], fp[f], fe[f] = sign * m, push, sign * h
+            _pass_on(e, j, dt, cells, ends, reservoirs, chambers)
+    for k in range(ports.table.shape[0]):
+        for side in range(2):
+            kind = ports.table[k, L.P_A if side == 0 else L.P_B]
+            ref = ports.table[k, L.P_AI if side == 0 else L.P_BI]
+            g = -dt if side == 0 else dt
+            if kind == L.SIDE_CHAMBER:
+                for j in range(w):
+                    chambers.state[ref, 0, j] += g * ports.flow[k, 0, j]
+                    chambers.state[ref, 1, j] += g * ports.flow[k, 1, j]

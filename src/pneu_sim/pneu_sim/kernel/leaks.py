@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What leaks from lines and chambers to the room, or enters from there."""
+
+from pneu_sim import layout as L
+from pneu_sim.compiling import branching, folded
+from pneu_sim.kernel.orifices import orifice_flow
+
+
+@folded
+def leak_flow(kind, size, opens, span, p, t, p_room, t_room, gamma, r_gas):
+    """Mass flow of a leak to the room in kg/s, negative inwards.
+
+    Args:
+        kind: ORIFICE, POROUS or RELIEF.
+        size: Effective area, m2; of a POROUS leak its flow over p^2 - p_room^2, kg/(s Pa^2).
+        opens: Pressure at which a RELIEF begins to open, Pa.
+        span: By how much more it is fully open, Pa.
+        p: Pressure inside, Pa.
+        t: Temperature inside, K.
+        p_room: Pressure of the room, Pa.
+        t_room: Temperature of the room, K.
+        gamma: Ratio of specific heats.
+        r_gas: Specific gas constant, J/(kg K).
+    """
+    if kind == L.POROUS:
+        return size * (p - p_room) * (p + p_room)
+    if kind == L.RELIEF:
+        if p <= opens or p <= p_room:
+            return 0.0
+        size *= min((p - opens) / span, 1.0)
+    if p >= p_room:
+        return orifice_flow(p, t, p_room, size, gamma, r_gas)
+    return -orifice_flow(p_room, t_room, p, size, gamma, r_gas)
+
+
+@branching
+def leak(gas, dt, cells, chambers, leaks):
+    """Take from lines and chambers what leaks to the room, or add what enters from there.
+
+    Args:
+        gas: The gas.
+        dt: Step, s.
+        cells: All slots.
+        chambers: Chambers.
+        leaks: Leaks.
+    """
+    w, S, X, par = cells.lanes, cells.state, cells.work, leaks.par
+    gamma, r_gas = gas.gamma, gas.r
+    cp = gamma * (r_gas / (gamma - 1.0))
+    for q in range(leaks.table.shape[0]):
+        slot = leaks.table[q, L.K_SLOT]
+        kind = leaks.table[q, L.K_KIND]
+        for j in range(w):
+            size = par[q, L.LEAK_SIZE, j]
+            if size <= 0.0:
+                continue
+            opens = par[q, L.LEAK_SET, j]
+            span = par[q, L.LEAK_RANGE, j]
+            pa = leaks.room[0, j]
+            ta = leaks.room[1, j]
+            if slot < 0:
+                c = -1 - slot
+                p = chambers.work[c, L.H_PRESSURE, j]
+                t = chambers.work[c, L.H_TEMPERATURE, j]
+                m = leak_flow(kind, size, opens, span, p, t, pa, ta, gamma, r_gas)
+                h = m * cp * (t if p >= pa else ta)
+                chambers.state[c, 0, j] -= dt * m
+                chambers.state[c, 1, j] -= dt * h
+            else:
+                i = slot * w + j
+                p = X[L.W_P, i]
+                t = X[L.W_T, i]
+                m = leak_flow(kind, size, opens, span, p, t, pa, ta, gamma, r_gas)
+                if p >= pa:
+                    v = X[L.W_U, i]
+                    h = m * (cp * t + 0.5 * v**2)
+                else:
+                    v = 0.0
+                    h = m * cp * ta
+                g = dt * cells.par[L.INV_VOLUME, i]
+                S[L.RHO, i] -= g * m
+                S[L.MOM, i] -= g * m * v
+                S[L.ENE, i] -= g * h

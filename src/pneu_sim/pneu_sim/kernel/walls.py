@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the walls of lines do to the gas: friction and heat, steady or with memory."""
+
+import math
+
+from pneu_sim import layout as L
+from pneu_sim.compiling import inlined, vectorised
+
+M0, M1, M2, M3, M4, M5 = L.UNSTEADY_WEIGHTS
+
+
+@vectorised
+def find_coefficients(gas, cells):
+    """Steady wall drag relative to laminar, phi = f Re / 64, and wall heat, at any Reynolds number.
+
+    Laminar below the onset (Re 2300), Haaland's friction factor and with it Gnielinski's (1976)
+    Nusselt number above 1.74 times that (4000), a smooth blend between. Haaland's logarithm is
+    ln x = 8 ln x^(1/8), with a Pade form of the inner logarithm: relative error < 1e-4 in the
+    friction factor, and nothing but square roots and divisions, which vectorise.
+
+    Args:
+        gas: The gas.
+        cells: All slots.
+    """
+    P, mom = cells.par, cells.state[L.MOM]
+    re_coef, rough, turb, onset = P[L.REYNOLDS], P[L.ROUGH], P[L.TURBULENT], P[L.ONSET]
+    relax, heat, heat_turb = P[L.RELAX], P[L.HEAT], P[L.HEAT_TURBULENT]
+    phi, film = cells.work[L.W_PHI], cells.work[L.W_FILM]
+    gamma, prandtl = gas.gamma, gas.prandtl
+    # wall heat of a Nusselt number of 1, pi k / A, over RELAX: k / mu is cp / Pr
+    per_relax = gamma * gas.r / ((gamma - 1.0) * prandtl * L.UNSTEADY_RATE)
+    gnielinski = 12.7 * (prandtl ** (2.0 / 3.0) - 1.0) / math.sqrt(8.0)
+    for i in range(mom.size):
+        re = abs(mom[i]) * re_coef[i] + 1.0
+        x = 6.9 / re + rough[i]
+        y = math.sqrt(math.sqrt(math.sqrt(x)))
+        z = (y - 0.4) / (y + 0.4)
+        z2 = z * z
+        ln_y = 2.0 * z * (1.0 + z2 * (1.0 / 3.0 + z2 * (0.2 + z2 * (1.0 / 7.0 + z2 / 9.0))))
+        # log10(x) = 8 (ln y) / ln 10, ln y = ln_y + ln 0.4
+        # below Re 30 or so, where nothing asks for it, the formula has no meaning: f is 1 at most
+        g = max(-1.8 * 8.0 * 0.43429448190325176 * (ln_y - 0.916290731874155), 1.0)
+        s = min(max((re * onset[i] - 1.0) / 0.74, 0.0), 1.0)
+        blend = s * s * (3.0 - 2.0 * s)
+        phi[i] = 1.0 + blend * turb[i] * max(re / (64.0 * g * g) - 1.0, 0.0)
+        # f / 8 = 1 / (8 g^2)
+        nusselt = (re - 1000.0) * prandtl / (8.0 * g * (g + gnielinski))
+        more = max(nusselt - L.NUSSELT_LAMINAR, 0.0) * per_relax * relax[i]
+        film[i] = heat[i] + blend * heat_turb[i] * more
+
+
+@vectorised
+def find_decay(gas, dt, cells):
+    """Decay over one step of the slowest memory states of wall drag and wall heat.
+
+    ``exp(-x)`` as a Pade quotient; each faster state decays by the fourth power of the one before.
+    In turbulent flow every memory fades faster (after Vardy and Brown 2003, with their decay tied
+    to the drag ratio; QUICKEN is the gain on that).
+
+    Args:
+        gas: The gas.
+        dt: Step, s.
+        cells: All slots.
+    """
+    rho, relax, quicken = cells.state[L.RHO], cells.par[L.RELAX], cells.par[L.QUICKEN]
+    phi, fade = cells.work[L.W_PHI], cells.work[L.W_FADE]
+    a_u, a_t = cells.work[L.W_AU], cells.work[L.W_AT]
+    i_pr = 1.0 / gas.prandtl
+    for i in range(rho.size):
+        x = dt * relax[i] / rho[i]
+        y = x * i_pr
+        a_u[i] = (12.0 - 6.0 * x + x * x) / (12.0 + 6.0 * x + x * x)
+        a_t[i] = (12.0 - 6.0 * y + y * y) / (12.0 + 6.0 * y + y * y)
+        fade[i] = 1.0 / (1.0 + quicken[i] * (110.0 / 28.0) * x * (phi[i] - 1.0))
+
+
+@vectorised
+def act_steadily(gas, dt, cells):
+    """Quasi-steady friction and heat, implicit in the end-of-step velocity and temperature.
+
+    Args:
+        gas: The gas.
+        dt: Step, s.
+        cells: All slots.
+    """
+    P, X = cells.par, cells.work
+    rho, mom, ene = cells.state[L.RHO], cells.state[L.MOM], cells.state[L.ENE]
+    visc, loss, wall_t = P[L.VISCOUS], P[L.LOSS], P[L.WALL_T]
+    phi, film, drag, warm = X[L.W_PHI], X[L.W_FILM], X[L.W_DRAG], X[L.W_WARM]
+    cv = gas.r / (gas.gamma - 1.0)
+    i_dt = 1.0 / dt
+    for i in range(rho.size):
+        ri = 1.0 / rho[i]
+        v0 = mom[i] * ri
+        v = v0 / (1.0 + dt * (visc[i] * phi[i] * ri + 0.5 * loss[i] * abs(v0)))
+        t0 = (ene[i] * ri - 0.5 * v0 * v0) / cv
+        h = dt * film[i] * ri / cv
+        t = (t0 + h * wall_t[i]) / (1.0 + h)
+        # Friction turns kinetic energy into heat, so it leaves the total alone (thesis 5.1).
+        mom[i] = rho[i] * v
+        g = rho[i] * cv * (t - t0)
+        ene[i] += g
+        drag[i] = rho[i] * (v - v0) * i_dt
+        warm[i] = g * i_dt
+
+
+@inlined
+def _fading(a):
+    """Decay of the six memory states over a step, and how much of a change each takes up.
+
+    Args:
+        a: Decay of the slowest; each next one decays four times faster.
+    """
+    a2 = a * a
+    a4 = a2 * a2
+    a8 = a4 * a4
+    a16 = a8 * a8
+    a32 = a16 * a16
+    a64 = a32 * a32
+    a128 = a64 * a64
+    a256 = a128 * a128
+    a512 = a256 * a256
+    a1024 = a512 * a512
+    b0 = M0 - M0 * a
+    b1 = M1 * 0.25 - M1 * 0.25 * a4
+    b2 = M2 * 0.0625 - M2 * 0.0625 * a16
+    b3 = M3 * 0.015625 - M3 * 0.015625 * a64
+    b4 = M4 * 0.00390625 - M4 * 0.00390625 * a256
+    b5 = M5 * 0.0009765625 - M5 * 0.0009765625 * a1024
+    return a, a4, a16, a64, a256, a1024, b0, b1, b2, b3, b4, b5
+
+
+@inlined
+def _remember(given, hold, tie, before, xi, a, f, x0, x1, x2, x3, x4, x5):
+    """One step of recursive convolution (Zielke 1968, Kagawa 1983), implicit in what is sought.
+
+    Steady part and memory are solved together; the memory acts with its mean of before and after.
+
+    Args:
+        given: What there would be without memory, times `hold`.
+        hold: How hard that is held.
+        tie: How hard the memory holds.
+        before: What it was at the step's beginning.
+        xi: How much of a change is remembered.
+        a: Decay of the slowest memory state.
+        f: Further decay of all of them.
+        x0: Memory states.
+        x1: The next.
+        x2: The next.
+        x3: The next.
+        x4: The next.
+        x5: The fastest.
+
+    Returns:
+        What it is then, and the memory states then.
+    """
+    a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b5 = _fading(a)
+    z0, z1, z2, z3, z4, z5 = a0 * x0, a1 * x1, a2 * x2, a3 * x3, a4 * x4, a5 * x5
+    b = 0.5 * xi * (b0 + b1 + b2 + b3 + b4 + b5)
+    s = 0.5 * ((x0 + x1 + x2 + x3 + x4 + x5) + f * (z0 + z1 + z2 + z3 + z4 + z5))
+    v = (given - tie * (s - b * before)) / (hold + tie * b)
+    d = xi * (v - before)
+    return (
+        v,
+        f * z0 + b0 * d,
+        f * z1 + b1 * d,
+        f * z2 + b2 * d,
+        f * z3 + b3 * d,
+        f * z4 + b4 * d,
+        f * z5 + b5 * d,
+    )
+
+
+@vectorised
+def drag_with_memory(dt, cells):
+    """Wall friction with memory.
+
+    Args:
+        dt: Step, s.
+        cells: All slots.
+    """
+    P, S, X = cells.par, cells.state, cells.work
+    rho, mom, ri, u, phi = S[L.RHO], S[L.MOM], X[L.W_RI], X[L.W_U], X[L.W_PHI]
+    decay, fade, stay, drag = X[L.W_AU], X[L.W_FADE], X[L.W_STAY], X[L.W_DRAG]
+    visc, loss, unst = P[L.VISCOUS], P[L.LOSS], P[L.UNSTEADY]
+    y0, y1, y2 = S[L.Y0], S[L.Y0 + 1], S[L.Y0 + 2]
+    y3, y4, y5 = S[L.Y0 + 3], S[L.Y0 + 4], S[L.Y0 + 5]
+    i_dt = 1.0 / dt
+    half = 0.5 * dt
+    for i in range(rho.size):
+        v0 = mom[i] * ri[i]
+        h = dt * ri[i]
+        v, y0[i], y1[i], y2[i], y3[i], y4[i], y5[i] = _remember(
+            v0,
+            1.0 + h * visc[i] * phi[i] + half * loss[i] * abs(v0),
+            h * unst[i],
+            u[i],
+            rho[i] * stay[i] * i_dt,
+            decay[i],
+            fade[i],
+            y0[i],
+            y1[i],
+            y2[i],
+            y3[i],
+            y4[i],
+            y5[i],
+        )
+        m = rho[i] * v
+        drag[i] = (m - mom[i]) * i_dt
+        mom[i] = m
+
+
+@vectorised
+def heat_with_memory(gas, dt, cells):
+    """Wall heat with memory: the thermal twin of the drag, at the thermal diffusivity.
+
+    Args:
+        gas: The gas.
+        dt: Step, s.
+        cells: All slots.
+    """
+    P, S, X = cells.par, cells.state, cells.work
+    rho, mom, ene, ri, t_old = S[L.RHO], S[L.MOM], S[L.ENE], X[L.W_RI], X[L.W_T]
+    decay, fade, stay, warm = X[L.W_AT], X[L.W_FADE], X[L.W_STAY], X[L.W_WARM]
+    film, unst, wall_t = X[L.W_FILM], P[L.HEAT_UNSTEADY], P[L.WALL_T]
+    y0, y1, y2 = S[L.Z0], S[L.Z0 + 1], S[L.Z0 + 2]
+    y3, y4, y5 = S[L.Z0 + 3], S[L.Z0 + 4], S[L.Z0 + 5]
+    cv = gas.r / (gas.gamma - 1.0)
+    i_cv = 1.0 / cv
+    i_dt = 1.0 / dt
+    i_rate = gas.prandtl / dt
+    per_heat = dt * i_cv
+    for i in range(rho.size):
+        v0 = mom[i] * ri[i]
+        t0 = (ene[i] * ri[i] - 0.5 * v0 * v0) * i_cv
+        h = per_heat * ri[i]
+        q = h * film[i]
+        t, y0[i], y1[i], y2[i], y3[i], y4[i], y5[i] = _remember(
+            t0 + q * wall_t[i],
+            1.0 + q,
+            h * unst[i],
+            t_old[i],
+            rho[i] * stay[i] * i_rate,
+            decay[i],
+            fade[i],
+            y0[i],
+            y1[i],
+            y2[i],
+            y3[i],
+            y4[i],
+            y5[i],
+        )
+        g = rho[i] * cv * (t - t0)
+        ene[i] += g
+        warm[i] = g * i_dt

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled kernels that are kept on disk are those of the sources as they are."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pneu_common
+import pneu_sim
+
+LEAK = (
+    "from pneu_sim.kernel.leaks import leak_flow;"
+    "print(repr(leak_flow(0, 1e-6, 0.0, 1.0, 3e5, 293.0, 1e5, 293.0, 1.4, 287.0)),"
+    " sum(leak_flow.stats.cache_hits.values()))"
+)
+
+
+def test_a_change_in_a_file_that_a_kernel_calls_into_is_compiled(tmp_path: Path) -> None:
+    for package in (pneu_sim, pneu_common):
+        source = Path(package.__file__).parent
+        ignore = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(source, tmp_path / source.name, ignore=ignore)
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": ""}
+
+    def leaks() -> tuple[float, int]:
+        command = [sys.executable, "-c", LEAK]
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        )
+        flow, hits = done.stdout.split()
+        return float(flow), int(hits)
+
+    before, hits = leaks()
+    assert before > 0.0 and hits == 0
+    assert leaks() == (before, 1)
+    callee = tmp_path / "pneu_sim" / "kernel" / "orifices.py"
+    text = callee.read_text()
+    assert "area * p_a" in text
+    callee.write_text(text.replace("area * p_a", "2.0 * area * p_a"))
+    assert leaks() == (2.0 * before, 0)
