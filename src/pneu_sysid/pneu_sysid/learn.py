@@ -399,17 +399,17 @@ def _reconsider(
         still: list[AttachedEffect] = []
         for option in options:
             effects = list(model.rig.effects)
-            replaced, effects[given + k] = effects[given + k], option
+            effects[given + k] = option
             other, found = _together(
                 bench, model.rig.model_copy(update={"effects": effects}), given, 3
             )
             ahead = lead(other.residual, model.residual, bench.blocks)
             tied = abs(ahead) < bench.thresholds.tied
-            if ahead > 0.0:
-                still = [*still, replaced] if tied else []
-                model, estimate = other, found
-            elif tied:
+            if tied:  # what stands stays: rounding would choose between them
                 still.append(option)
+            elif ahead > 0.0:
+                still = []
+                model, estimate = other, found
         kept[k] = still
     return model, estimate, kept
 
