@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.progress import track
 
 from pneu_sim.effects import registry
+from pneu_sim.models import kind_of
 from pneu_sim.rig import Rig, load_rig
 from pneu_sim.rig.build import build
 from pneu_sim.rig.plan import plan_grid
@@ -63,7 +64,7 @@ def commands(rig: Rig, seed: int) -> dict[str, Floats]:
 def variants(name: str, rig: Rig, all_effects: bool) -> Iterator[tuple[str, Rig]]:
     """A rig as it is, with every scheme, and with every effect where it can sit."""
     yield name, rig
-    if rig.model != "pde":
+    if not kind_of(rig).along_lines:
         return
     for scheme in SCHEMES:
         grid = rig.grid.model_copy(update=scheme)
@@ -88,7 +89,7 @@ def variants(name: str, rig: Rig, all_effects: bool) -> Iterator[tuple[str, Rig]
 def answers(rig: Rig) -> dict[str, Floats]:
     """What a rig does: along commands, and along readings by which its gas is corrected."""
     volts = commands(rig, seed=7)
-    if rig.model != "pde":
+    if not kind_of(rig).along_lines:
         return dict(run_rig(rig, volts, SAMPLE_S)) if volts else {}
     simulator = Simulator(rig)
     out: dict[str, Floats] = {}

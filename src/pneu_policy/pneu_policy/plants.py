@@ -21,7 +21,8 @@ from pneu_sim import tile as tiles
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.lumped import batch as lumped_batch
 from pneu_sim.lumped import filling
-from pneu_sim.lumped.build import build as build_lumped
+from pneu_sim.lumped.kinds import Lumped
+from pneu_sim.models import kind_of
 from pneu_sim.rig.build import build
 from pneu_sim.rig.model import S_BIAS, S_GAIN, S_LAG, S_OFFSET, V_DELAY, V_NULL, Model
 from pneu_sim.rig.plan import Plan, common_plan, reservoir_of_pipes
@@ -387,7 +388,13 @@ class LumpedPlant(Plant):
             InputError: The rigs do not share one structure, or have no such reduction.
         """
         plan, _ = _on_one_plan(rigs, None, gas)
-        models = [build_lumped(rig, plan, gas) for rig in rigs]
+        kind = kind_of(rigs[0])
+        if not isinstance(kind, Lumped):
+            raise InputError(
+                f"rig {rigs[0].name!r}: model: found {rigs[0].model}, with which no controller can"
+                " be trained"
+            )
+        models = [kind.build(rig, plan, gas) for rig in rigs]
         super().__init__(rigs, [m.base for m in models], period_s)
         first = models[0]
         self._gas = gas
@@ -505,6 +512,6 @@ def make_plant(
     Raises:
         InputError: The rigs do not share one structure, or cannot be controlled so.
     """
-    if rigs[0].model == "pde":
+    if kind_of(rigs[0]).along_lines:
         return PdePlant(rigs, period_s, dx_m, gas)
     return LumpedPlant(rigs, period_s, gas)

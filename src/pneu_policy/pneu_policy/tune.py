@@ -26,6 +26,7 @@ from pneu_policy.plants import make_plant
 from pneu_policy.search import Search
 from pneu_policy.targets import Target
 from pneu_policy.tune_settings import TuneSettings
+from pneu_sim.models import kind_of
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 
@@ -156,7 +157,7 @@ class Trials:
         self.steps = round(s.seconds / s.period_s)
         self._noise = s.noise_pa * rng.normal(size=(self.steps, n))
         rigs = draw_rigs(rig, n, s.seed, s.spread)
-        dx_m = s.dx_m if rig.model == "pde" else None
+        dx_m = s.dx_m if kind_of(rig).along_lines else None
         self._plant = make_plant(rigs * s.candidates, s.period_s, dx_m)
         self._tap = self._plant.taps.index(s.tap)
 

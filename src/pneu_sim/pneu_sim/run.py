@@ -8,13 +8,8 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim import sensors
-from pneu_sim.lumped.batch import predict as predict_lumped
-from pneu_sim.lumped.build import build as build_lumped
-from pneu_sim.rig.plan import plan_grid
+from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import Rig
-from pneu_sim.signals import Signal
-from pneu_sim.simulate import Course, rest
-from pneu_sim.simulator import Simulator
 
 Floats = NDArray[np.float64]
 
@@ -56,22 +51,7 @@ def run_rig(rig: Rig, commands: Mapping[str, Floats], sample_s: float) -> dict[s
     samples = max((series.size for series in commands.values()), default=0)
     if samples < 2:
         raise InputError(f"rig {rig.name!r}: found {samples} samples to run along, needed are 2")
-    if rig.model == "pde":
-        return Simulator(rig).run((samples - 1) * sample_s, commands, sample_s).taps
-    plan = plan_grid(rig)
-    time = sample_s * np.arange(samples, dtype=np.float64)
-    nothing = np.full((len(rig.taps), samples), np.nan)
-    course = Course(
-        {name: Signal(time, np.asarray(volts, dtype=float)) for name, volts in commands.items()},
-        0.0,
-        float(time[-1]),
-        np.tile(time, (len(rig.taps), 1)),
-        nothing,
-        np.zeros_like(nothing),
-        rest(rig, plan),
-    )
-    out = predict_lumped([[build_lumped(rig, plan)]], [course])[0]
-    return {name: out.readings[0, t] for t, name in enumerate(rig.taps)}
+    return kind_of(rig).from_rest(rig, commands, sample_s)
 
 
 def add_noise(

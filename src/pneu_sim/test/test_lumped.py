@@ -15,10 +15,12 @@ from tests.references import iso6358
 
 from pneu_common.errors import InputError
 from pneu_sim.lumped.batch import predict
-from pneu_sim.lumped.build import build
+from pneu_sim.lumped.kinds import Lumped
+from pneu_sim.lumped.model import LumpedModel
+from pneu_sim.models import kind_of
 from pneu_sim.rig import with_parameters
 from pneu_sim.rig.load import load_rig
-from pneu_sim.rig.plan import plan_grid
+from pneu_sim.rig.plan import Plan, plan_grid
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.run import run_rig
 from pneu_sim.simulate import Prediction, even_course, initial_field
@@ -32,6 +34,13 @@ CONDUCTANCE = 0.3e-8  # of the line's valve
 VESSEL, STUB = 20e-6, 0.5 * 4e-6  # m3: a chamber, and a closed tube that hangs on it
 VOLUME = VESSEL + STUB
 RIG_A = Path(__file__).parents[3] / "rigs" / "rig_a.yaml"
+
+
+def reduced(rig: Rig, plan: Plan | None = None) -> LumpedModel:
+    """The lumped model that a rig names."""
+    kind = kind_of(rig)
+    assert isinstance(kind, Lumped)
+    return kind.build(rig, plan)
 
 
 def vessel_rig(outside_pa: float, exponent: float, **changes: Any) -> Rig:
@@ -105,7 +114,7 @@ def roll(
     plan = plan_grid(rigs[0])
     measured = np.broadcast_to(np.asarray(taps_pa, dtype=float), (samples, len(plan.taps)))
     commands = {} if volts is None else {"volts": volts}
-    models = [build(rig, plan) for rig in rigs]
+    models = [reduced(rig, plan) for rig in rigs]
     field = initial_field(rigs[0], plan)
     course = even_course(field, commands, dt_s, measured, **more)
     return predict([models], [course], flows=True)[0]
@@ -291,7 +300,7 @@ def test_one_pressure_for_a_branched_volume() -> None:
 )
 def test_rigs_without_a_reduction_are_refused(changes: dict[str, Any], fault: str) -> None:
     with pytest.raises(InputError, match=fault):
-        build(vessel_rig(8e5, 1.0, **changes))
+        reduced(vessel_rig(8e5, 1.0, **changes))
 
 
 def test_batch_is_the_same_as_one_by_one() -> None:

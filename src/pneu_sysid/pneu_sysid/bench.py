@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.candidates import Project, Sensitivity, residual_matrix, sensitivities
 from pneu_sysid.compare import grid_check
@@ -110,7 +111,7 @@ class Bench:
             rig: The rig about which they are.
             readings: What it predicts on its own cells, where that is known.
         """
-        if rig.model != "pde":
+        if not kind_of(rig).along_lines:
             return self.problem
         longer = self.problem.coarsened(rig, REFIT_CELLS, readings)
         if rig is self.rig:
@@ -188,7 +189,7 @@ def bench_of(
     readings = problem.predict([rig])[0]
     problem = problem.keeping_alike(residual_matrix(problem, readings))
     rough = problem
-    if rig.model == "pde":
+    if kind_of(rig).along_lines:
         rough = problem.coarsened(rig, SCORE_CELLS, readings)
     nuisance = nuisance_of(rig, rough)
     lines = lines_of(problem, residual_matrix(problem, readings))
@@ -215,7 +216,7 @@ def _grid(problem: Problem, rig: Rig, refine: bool) -> Numerics | None:
 
     The beginning of long recordings tells it: shorter cells cost four times as much.
     """
-    if not refine or rig.model != "pde":
+    if not refine or not kind_of(rig).along_lines:
         return None
     part = [recording.until(min(GRID_S, recording.end_s)) for recording in problem.recordings]
     problem = make_problem(rig, part, workers=problem.workers)

@@ -359,7 +359,9 @@ def compare(
 
 
 def _model_name(rig: "Rig", path: Path) -> str:
-    return path.stem if rig.model == "pde" else f"{path.stem} ({rig.model.replace('_', '-')})"
+    from pneu_sim.models import kind_of
+
+    return path.stem if kind_of(rig).along_lines else f"{path.stem} ({rig.model.replace('_', '-')})"
 
 
 def diagnose(

@@ -17,6 +17,7 @@ from pneu_common.errors import InputError
 from pneu_common.tables import Column, NamedTable
 from pneu_common.tally import Tally
 from pneu_sim import sensors
+from pneu_sim.models import kind_of
 from pneu_sim.rig import rig_in_recording
 from pneu_sim.rig.build import build
 from pneu_sim.rig.plan import plan_grid
@@ -84,8 +85,9 @@ def compare(
     taps = _common_taps(recordings, names, models)
     problems = _problems(source, models)
     first = problems[0]
-    kinds = [str(getattr(rig, "model", "pde")) for rig in models]
-    gridded = kinds.index("pde") if refine and "pde" in kinds else None
+    kinds = [rig.model for rig in models]
+    along_lines = [k for k, rig in enumerate(models) if kind_of(rig).along_lines]
+    gridded = along_lines[0] if refine and along_lines else None
     # The second run has half the cells' length and half the time step: four times the work.
     weights = [1.0] * len(models) + ([4.0] if gridded is not None else [])
     tally = Tally(weights, progress)

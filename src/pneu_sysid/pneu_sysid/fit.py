@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_common.progress import Tell
+from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import Calibration, FitParameter, Rig
 from pneu_sysid.curves import Mirrors, mirrors_of, with_own_curves
 from pneu_sysid.gauss_newton import Estimate, jacobian
@@ -155,7 +156,7 @@ def fit_rig(
     recordings = [recording] if isinstance(recording, Recording) else list(recording)
     given = parameters or rig.fit.parameters
     drawn, measured = _with_measured_spools(rig, recordings)
-    if rig.model == "pde" and approach and not given:
+    if kind_of(rig).along_lines and approach and not given:
         drawn = with_own_curves(drawn, never_wide(drawn, recordings))
     every, held = _list_of(drawn, given, recordings)
     if all(p.path in held or p.path in measured for p in every):
@@ -218,7 +219,7 @@ def parameters_of(rig: Rig) -> list[FitParameter]:
         rig: The rig.
     """
     given = rig.fit.parameters
-    drawn = with_own_curves(rig) if rig.model == "pde" and not given else rig
+    drawn = with_own_curves(rig) if kind_of(rig).along_lines and not given else rig
     return _list_of(drawn, given, [])[0]
 
 
@@ -283,7 +284,9 @@ def _list_of(
     rig: Rig, given: list[FitParameter], recordings: list[Recording]
 ) -> tuple[list[FitParameter], list[str]]:
     """Parameters of a rig, those with one value in each recording once for each; held paths."""
-    base = given or (calibrated_parameters(rig) if rig.model == "pde" else default_parameters(rig))
+    base = given or (
+        calibrated_parameters(rig) if kind_of(rig).along_lines else default_parameters(rig)
+    )
     listed, held = listed_parameters(rig, base)
     return one_each(listed, [r.name for r in recordings]), held
 
@@ -374,7 +377,7 @@ def _at_known_scale(job: _Job, last: _Taken) -> _Taken:
     """
     centres = [job.centres[_key(p)] for p in last.fitted]
     shift, deviations = off_scale(last.fitted, last.estimate.values, centres)
-    if last.rig.model != "pde" or abs(deviations) < DRIFTED:
+    if not kind_of(last.rig).along_lines or abs(deviations) < DRIFTED:
         return last
     now = rig_at(last.rig, last.fitted, rescaled(last.fitted, last.estimate.values, shift))
     for _ in range(STEPS_THERE):
@@ -456,7 +459,7 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
     ]
     times = _times_noise(problem, rmse, last, job)
     effects: list[str] = []
-    if now.model == "pde" and max(times.values(), default=0.0) > ENOUGH:
+    if kind_of(now).along_lines and max(times.values(), default=0.0) > ENOUGH:
         effects = effects_that_help(now, last.problem, job.used(last.problem), last.estimate)
     bound = [p for p, beyond in zip(every, known.beyond, strict=True) if beyond]
     shortfall = shortfall_of(now, problem, out, times, bound, effects)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_sim.effects import find_effect
 from pneu_sim.effects.base import POSITION
+from pneu_sim.models import kind_of
 from pneu_sim.rig import save_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sysid.along import positions
@@ -301,7 +302,7 @@ def _placed(bench: Bench, model: _Model, estimate: Estimate, given: int) -> tupl
         readings = bench.problem.predict([fitted])[0]
         return _Model(fitted, readings, bench.residual(readings)), found
 
-    if problem is bench.problem and model.rig.model == "pde":
+    if problem is bench.problem and kind_of(model.rig).along_lines:
         model, estimate = refitted(model.rig)
     along = positions(problem, model.rig, last, bench.blocks, bench.project, wrong)
     if along.better is not None:

@@ -6,6 +6,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from pneu_common.errors import InputError
+from pneu_sim.models import kind_of
 from pneu_sim.rig.parameters import get_parameter, value_of, with_parameters
 from pneu_sim.rig.schema import CLOSED, FitParameter, Rig
 from pneu_sysid.gauss_newton import Variable
@@ -34,7 +35,7 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
         value = get_parameter(rig, path)
         add(path, value / factor, value * factor, value * relative_std, log=True)
 
-    lumped = rig.model != "pde"
+    lumped = not kind_of(rig).along_lines
     for v, valve in rig.valves.items():
         if valve.spool.bandwidth_hz is not None:
             around(f"valves.{v}.spool.bandwidth_hz", 3.0, 0.3)
@@ -126,7 +127,7 @@ def calibrated_parameters(rig: Rig) -> list[FitParameter]:
         rig: The rig.
     """
     out = default_parameters(rig)
-    if rig.model != "pde":
+    if not kind_of(rig).along_lines:
         return out
 
     def add(path: str, lower: float, upper: float, std: float, log: bool = False) -> None:

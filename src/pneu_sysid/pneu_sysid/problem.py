@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim import layout as L
-from pneu_sim.lumped.batch import predict as predict_lumped
-from pneu_sim.lumped.build import build as build_lumped
+from pneu_sim.models import kind_of
 from pneu_sim.rig import rig_in_recording
 from pneu_sim.rig.build import build
 from pneu_sim.rig.model import Model
@@ -292,7 +291,7 @@ class Problem:
         ]
         self._settle_noise(rig, ready)
         ready.modes[:] = [None] * len(chosen)
-        if rig.model == "pde" and rig.fit.horizon_s is not None:
+        if kind_of(rig).along_lines and rig.fit.horizon_s is not None:
             for c in range(len(chosen)):
                 self._look_back(rig, ready, c)
         self._prepared[key] = ready
@@ -402,16 +401,12 @@ class Problem:
         strict: bool,
         flows: bool,
     ) -> list[Prediction]:
-        plan = ready.plan
-        own = [[rig_in_recording(rig, self.recordings[c].name) for rig in rigs] for c in of]
-        if rigs[0].model != "pde":
-            reduced = [[build_lumped(rig, plan) for rig in of_course] for of_course in own]
-            return predict_lumped(reduced, courses, self.workers, progress, flows)
+        own: list[Sequence[Rig]] = [rigs] * len(courses)
         if any(rig.recordings for rig in rigs):
-            models = [[build(rig, plan) for rig in of_course] for of_course in own]
-        else:
-            models = [[build(rig, plan) for rig in rigs]] * len(courses)
-        return predict(models, courses, ready.field, None, self.workers, progress, strict, flows)
+            own = [[rig_in_recording(rig, self.recordings[c].name) for rig in rigs] for c in of]
+        return kind_of(rigs[0]).predict(
+            own, ready.plan, courses, ready.field, self.workers, progress, strict, flows
+        )
 
     def _arranged(self, readings: Floats, c: int) -> Floats:
         """(K, n_taps, m) values along a recording as (K, its stretches, horizon, n_taps)."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.progress import Tell
+from pneu_sim.models import kind_of
 from pneu_sim.rig.parameters import value_of
 from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import FitParameter, Rig
@@ -97,7 +98,7 @@ def steps_of(rig: Rig, approach: bool, iterations: int) -> list[Step]:
         approach: Whether it has to come near first; else it is nearly right.
         iterations: Iterations of a step on the rig's own horizon, at most.
     """
-    if rig.model != "pde" or not approach:
+    if not kind_of(rig).along_lines or not approach:
         return [
             Step("all", rig.grid.dx_m, None, iterations),
             Step("all again", rig.grid.dx_m, None, max(3, iterations // 2)),

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
+from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
 from pneu_sysid.records import Finding, Recording
@@ -146,7 +147,7 @@ def _check_time(rig: Rig, path: str, recording: Recording) -> None:
         )
     steps = [float(np.median(np.diff(s.time_s))) for s in recording.pressures.values()]
     period = min(steps)
-    if rig.model != "pde" or period < SLOW_S or recording.end_s < LONG_S:
+    if not kind_of(rig).along_lines or period < SLOW_S or recording.end_s < LONG_S:
         return
     raise InputError(
         f"{path}: lasts {recording.end_s:.4g} s with a reading every {period:.3g} s; if its times"

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim import sensors
+from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Simulator
 
@@ -328,7 +329,7 @@ class Stepper:
         Raises:
             InputError: The rig cannot be simulated step by step.
         """
-        if rig.model != "pde":
+        if not kind_of(rig).along_lines:
             raise InputError(
                 f"rig {rig.name!r}: found model {rig.model}, the simulator steps pde models only"
             )

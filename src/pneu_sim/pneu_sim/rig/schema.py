@@ -9,9 +9,10 @@ wall. All quantities are SI, pressures absolute.
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from pneu_sim.channels import Channel, TextFormat
+from pneu_sim.rig.kinds import checked
 
 SCHEMA_VERSION = 1
 CLOSED = "closed"
@@ -625,7 +626,7 @@ class Rig(Part):
     pneu_rig: Literal[1] = 1
     name: str
     description: str = ""
-    model: Literal["pde", "thin_plate", "delay_line"] = "pde"
+    model: Annotated[str, AfterValidator(checked)] = "pde"
     lumped: Lumped = Lumped()
     grid: Grid = Grid()
     ambient: Ambient = Ambient()

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
+from pneu_sim.models import kind_of
 from pneu_sim.rig.parameters import get_parameter
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.gross.findings import GrossError
@@ -60,7 +61,7 @@ def refuse_gross_errors(
     Raises:
         InputError: Something in the rig is wrong beyond what a fit makes good.
     """
-    if rig.model != "pde":
+    if not kind_of(rig).along_lines:
         return
     problem = make_problem(
         rig, recordings, dx_m=COARSER * rig.grid.dx_m, pull_s=PULL_S, workers=workers
@@ -84,7 +85,7 @@ def gross_errors(rig: Rig, problem: Problem) -> list[GrossError]:
     Returns:
         The errors, the worst first.
     """
-    if rig.model != "pde":
+    if not kind_of(rig).along_lines:
         return []
     recordings = [_liveliest(r, USED_S / len(problem.recordings)) for r in problem.recordings]
     errors, corrected = wrong_reservoirs(rig, problem)

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The model in full: the equations of gas dynamics along every pipe."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sim.models import ModelKind
+from pneu_sim.rig.build import build
+from pneu_sim.rig.plan import Plan
+from pneu_sim.rig.schema import Rig
+from pneu_sim.simulate import Course, InitialField, Prediction, predict
+from pneu_sim.simulator import Simulator
+
+Floats = NDArray[np.float64]
+
+
+class Full(ModelKind):
+    """Quasi-one-dimensional Euler equations on the rig's network (thesis ch. 4 and 5)."""
+
+    along_lines: ClassVar[bool] = True
+
+    def predict(
+        self,
+        rigs: Sequence[Sequence[Rig]],
+        plan: Plan,
+        courses: Sequence[Course],
+        field: InitialField,
+        workers: int | None = None,
+        progress: Callable[[float], None] | None = None,
+        strict: bool = True,
+        flows: bool = False,
+    ) -> list[Prediction]:
+        """Runs rigs along recordings; see `ModelKind.predict`.
+
+        Args:
+            rigs: (n_courses, n_rigs).
+            plan: Their grid plan.
+            courses: The recordings.
+            field: How readings spread over lines and chambers.
+            workers: Threads.
+            progress: Called with the fraction done.
+            strict: Whether an unstable run is an error.
+            flows: Whether flows and pressures are kept from tick to tick.
+        """
+        built = {id(own): [build(rig, plan) for rig in own] for own in rigs}
+        models = [built[id(own)] for own in rigs]
+        return predict(models, courses, field, None, workers, progress, strict, flows)
+
+    def from_rest(
+        self, rig: Rig, commands: Mapping[str, Floats], sample_s: float
+    ) -> dict[str, Floats]:
+        """Tap readings of a rig that starts from rest; see `ModelKind.from_rest`.
+
+        Args:
+            rig: The rig.
+            commands: (T,) volts per command.
+            sample_s: Interval of commands and readings, s.
+        """
+        samples = max(series.size for series in commands.values())
+        return Simulator(rig).run((samples - 1) * sample_s, commands, sample_s).taps

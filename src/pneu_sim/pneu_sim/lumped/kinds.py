@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lumped models as kinds: closed volumes behind orifices, with or without the line's delay."""
+
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+
+from pneu_sim.gas import AIR, Gas
+from pneu_sim.lumped import batch, delay_line, thin_plate
+from pneu_sim.lumped.model import LumpedModel
+from pneu_sim.models import ModelKind
+from pneu_sim.rig.plan import Plan
+from pneu_sim.rig.schema import Rig
+from pneu_sim.simulate import Course, InitialField, Prediction
+
+
+class Lumped(ModelKind):
+    """A rig reduced to volumes and sources."""
+
+    @abstractmethod
+    def build(self, rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> LumpedModel:
+        """Reduces a rig.
+
+        Args:
+            rig: The rig; its attached effects are applied as far as a lumped model knows them.
+            plan: Grid plan of the rig, from which volumes are summed; None makes the rig's own.
+            gas: The gas.
+
+        Raises:
+            InputError: The rig has no such reduction.
+        """
+
+    def predict(
+        self,
+        rigs: Sequence[Sequence[Rig]],
+        plan: Plan,
+        courses: Sequence[Course],
+        field: InitialField,
+        workers: int | None = None,
+        progress: Callable[[float], None] | None = None,
+        strict: bool = True,
+        flows: bool = False,
+    ) -> list[Prediction]:
+        """Runs rigs along recordings; see `ModelKind.predict`.
+
+        Args:
+            rigs: (n_courses, n_rigs).
+            plan: Their grid plan.
+            courses: The recordings.
+            field: Not looked at: volumes are drawn to the mean of their taps.
+            workers: Threads.
+            progress: Called with the fraction done.
+            strict: Not looked at: the step follows the fastest volume.
+            flows: Whether flows and pressures are kept from tick to tick.
+        """
+        del field, strict
+        models = [[self.build(rig, plan) for rig in own] for own in rigs]
+        return batch.predict(models, courses, workers, progress, flows)
+
+
+class ThinPlate(Lumped):
+    """Closed volumes filled through orifices (thesis 3.2.1)."""
+
+    def build(self, rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> LumpedModel:
+        """Reduces a rig; see `Lumped.build`.
+
+        Args:
+            rig: The rig.
+            plan: Grid plan of the rig.
+            gas: The gas.
+        """
+        return thin_plate.build(rig, plan, gas)
+
+
+class DelayLine(Lumped):
+    """The same with the delay and attenuation of the line (thesis 3.2.2)."""
+
+    def build(self, rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> LumpedModel:
+        """Reduces a rig; see `Lumped.build`.
+
+        Args:
+            rig: The rig.
+            plan: Grid plan of the rig.
+            gas: The gas.
+        """
+        return delay_line.build(rig, plan, gas)

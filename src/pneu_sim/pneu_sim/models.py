@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a kind of model can do, and the one that a rig names.
+
+A kind is one class: it runs rigs along recordings. All else, such as a run from rest or the
+comparison of kinds on one recording, is made of that. It is named in `pneu_sim.rig.kinds`, or by an
+entry point of another distribution.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_common.errors import InputError
+from pneu_sim.rig.kinds import found
+from pneu_sim.rig.plan import Plan, plan_grid
+from pneu_sim.rig.schema import Rig
+from pneu_sim.signals import Signal
+from pneu_sim.simulate import Course, InitialField, Prediction, rest
+
+Floats = NDArray[np.float64]
+
+
+class ModelKind(ABC):
+    """A way to compute the gas of a rig.
+
+    Attributes:
+        along_lines: Whether there is gas along lines, cell by cell, with waves and walls; else a
+            line is a volume. What looks at grids and at numbers of walls asks for this.
+    """
+
+    along_lines: ClassVar[bool] = False
+
+    @abstractmethod
+    def predict(
+        self,
+        rigs: Sequence[Sequence[Rig]],
+        plan: Plan,
+        courses: Sequence[Course],
+        field: InitialField,
+        workers: int | None = None,
+        progress: Callable[[float], None] | None = None,
+        strict: bool = True,
+        flows: bool = False,
+    ) -> list[Prediction]:
+        """Runs rigs along recordings, in one batch.
+
+        Args:
+            rigs: (n_courses, n_rigs) of one structure; a course may share its list with others.
+            plan: Their grid plan.
+            courses: The recordings.
+            field: How readings spread over lines and chambers, for kinds that have any.
+            workers: Threads; None is one per core.
+            progress: Called with the fraction done.
+            strict: Whether an unstable run is an error; else its predictions are not finite.
+            flows: Whether flows, chamber and tap pressures are kept from tick to tick.
+
+        Returns:
+            The predictions, one per course.
+
+        Raises:
+            InputError: A rig cannot be computed so, or a prediction is not finite and ``strict``.
+        """
+
+    def from_rest(
+        self, rig: Rig, commands: Mapping[str, Floats], sample_s: float
+    ) -> dict[str, Floats]:
+        """Tap readings of a rig that starts from rest, its lines at their reservoirs' pressures.
+
+        Args:
+            rig: The rig.
+            commands: (T,) volts per command, each held until the next.
+            sample_s: Interval of commands and readings, s.
+
+        Returns:
+            Per tap its (T,) readings, Pa, without noise.
+
+        Raises:
+            InputError: The rig cannot be computed so.
+        """
+        plan = plan_grid(rig)
+        samples = max(series.size for series in commands.values())
+        time = sample_s * np.arange(samples, dtype=np.float64)
+        nothing = np.full((len(rig.taps), samples), np.nan)
+        course = Course(
+            {name: Signal(time, np.asarray(v, dtype=float)) for name, v in commands.items()},
+            0.0,
+            float(time[-1]),
+            np.tile(time, (len(rig.taps), 1)),
+            nothing,
+            np.zeros_like(nothing),
+            rest(rig, plan),
+        )
+        nowhere = InitialField(
+            np.zeros((plan.slots, len(rig.taps))),
+            np.zeros(plan.slots),
+            np.zeros((len(plan.chambers), len(rig.taps))),
+            np.zeros(len(plan.chambers)),
+        )
+        readings = self.predict([[rig]], plan, [course], nowhere)[0].readings
+        return {name: readings[0, t] for t, name in enumerate(rig.taps)}
+
+
+def kind_of(rig: Rig) -> ModelKind:
+    """The kind of model that a rig names.
+
+    Args:
+        rig: The rig.
+
+    Raises:
+        InputError: What is named is no kind of model.
+    """
+    point = found(rig.model)
+    kind = point.load()
+    if not (isinstance(kind, type) and issubclass(kind, ModelKind)):
+        raise InputError(f"model {rig.model}: {point.value} is no subclass of ModelKind")
+    return kind()
