@@ -15,6 +15,7 @@ from pneu_sim.models import ModelKind, kind_of
 from pneu_sim.rig import Rig, load_rig
 from pneu_sim.run import add_noise, run_rig
 from pneu_sim.signals import Signal
+from pneu_sim.simulator import Simulator
 from pneu_sysid.compare import compare
 from pneu_sysid.records import Recording
 
@@ -47,6 +48,12 @@ def test_kinds_of_the_package(name: str, kind: type[ModelKind]) -> None:
     rig = load_rig(RIG_A).model_copy(update={"model": name})
     assert type(kind_of(rig)) is kind
     assert kind_of(rig).along_lines == (name == "pde")
+
+
+def test_the_simulator_runs_no_other_model_than_the_one_that_is_named() -> None:
+    rig = load_rig(RIG_A).model_copy(update={"model": "thin_plate"})
+    with pytest.raises(InputError, match="found thin_plate, which knows no gas along lines"):
+        Simulator(rig)
 
 
 def test_a_kind_that_is_none_is_refused_with_those_that_are(tmp_path: Path) -> None:

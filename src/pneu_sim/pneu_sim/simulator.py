@@ -13,6 +13,7 @@ from pneu_sim import layout as L
 from pneu_sim import sensors
 from pneu_sim import tile as tiles
 from pneu_sim.gas import AIR, Gas
+from pneu_sim.models import kind_of
 from pneu_sim.rig.build import build
 from pneu_sim.rig.model import S_LAG, S_OFFSET
 from pneu_sim.rig.plan import common_plan, reservoir_of_pipes
@@ -63,9 +64,16 @@ class Simulator:
             gas: The gas.
 
         Raises:
-            InputError: The rigs do not share one structure, or ask for an unstable time step.
+            InputError: The rigs do not share one structure, ask for an unstable time step, or are
+                of a kind of model that knows no gas along lines.
         """
         self._single = isinstance(rig, Rig)
+        for one in [rig] if isinstance(rig, Rig) else rig:
+            if not kind_of(one).along_lines:
+                raise InputError(
+                    f"rig {one.name!r}: model: found {one.model}, which knows no gas along lines;"
+                    " `pneu_sim.run.run_rig` runs it"
+                )
         self.rigs: list[Rig] = [rig] if isinstance(rig, Rig) else list(rig)
         self._plan = common_plan(self.rigs, dx_m)
         self._models = [build(r, self._plan, gas) for r in self.rigs]
