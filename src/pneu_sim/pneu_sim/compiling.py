@@ -19,6 +19,7 @@ from typing import Any
 
 from numba import njit
 from numba.core import event
+from numba.core.caching import IndexDataCacheFile
 
 FAST = {"contract", "nsz", "nnan", "ninf", "arcp"}
 """No reassociation: sums keep their order, so that results do not depend on the batch size."""
@@ -46,8 +47,11 @@ def _digest_of_sources() -> str:
 def _compile(function: Callable[..., Any], **options: Any) -> Any:
     """A function that is compiled when it is first called, and kept on disk."""
     compiled = njit(cache=True, nogil=True, error_model="numpy", **options)(function)
-    # Numba looks at the function's own file alone, and has no setting for that.
-    compiled._cache._cache_file._source_stamp = _digest_of_sources()
+    # Numba looks at the function's own file alone, and has no setting for that. The digest is in
+    # the name as well: what another version kept may name classes that are no more.
+    digest, kept = _digest_of_sources(), compiled._cache
+    name = f"{kept._impl.filename_base}-{digest[:12]}"
+    kept._cache_file = IndexDataCacheFile(kept._cache_path, name, digest)
     return compiled
 
 
@@ -58,6 +62,16 @@ def compiled(function: Callable[..., Any]) -> Any:
         function: The function.
     """
     return _compile(function)
+
+
+def uncached(function: Callable[..., Any]) -> Any:
+    """Compiles a pass that is put together while the program runs, for this process alone.
+
+    Args:
+        function: The pass.
+    """
+    options: dict[str, Any] = {"_nrt": False}
+    return njit(nogil=True, error_model="numpy", **options)(function)
 
 
 # The passes of a step make none, which the compiler is told, and refuses where they would: it then

@@ -147,10 +147,10 @@ RIPPLE_RATE: Final = 1  # angular frequency, rad/s
 RIPPLE_PHASE: Final = 2  # at time zero, rad
 RIPPLE_PARAMS: Final = 3
 
-# --- leaks to the room ----------------------------------------------------------------------------
-K_SLOT: Final = 0  # slot that leaks, or -1 - chamber
+# --- terms, and leaks to the room -----------------------------------------------------------------
+K_SLOT: Final = 0  # slot that a term acts on, or -1 - chamber
 K_KIND: Final = 1
-LEAK_COLUMNS: Final = 2
+TERM_COLUMNS: Final = 2
 
 ORIFICE: Final = 0  # isentropic orifice
 POROUS: Final = 1  # laminar flow, in proportion to the difference of the pressures' squares

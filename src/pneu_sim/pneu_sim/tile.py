@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A batch of rigs on one grid, as the arrays that the kernel works on, and stepping it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -59,8 +59,10 @@ class Tile:
         chamber_work: (n_chambers, CHAMBER_ROWS, lanes) scratch.
         ripple_index: (n_ripples,) reservoirs whose pressure ripples.
         ripple: (n_ripples, RIPPLE_PARAMS, lanes).
-        leak_index: (n_leaks, LEAK_COLUMNS) what leaks to the room, and how.
+        leak_index: (n_leaks, TERM_COLUMNS) what leaks to the room, and how.
         leak: (n_leaks, LEAK_PARAMS, lanes).
+        own: What further terms act on: (rows, TERM_COLUMNS) and (rows, columns, lanes) of each.
+        acts: Those terms, compiled.
         ambient: (2, lanes) room pressure and temperature.
         tap_slot: (n_taps, lanes).
         tap_weight: (n_taps, lanes).
@@ -93,6 +95,8 @@ class Tile:
     ripple: Floats
     leak_index: Ints
     leak: Floats
+    own: Sequence[tuple[Ints, Floats]]
+    acts: tuple[Callable[..., Any], ...]
     ambient: Floats
     tap_slot: Ints
     tap_weight: Floats
@@ -182,7 +186,21 @@ def _leaks(models: Sequence[Model]) -> tuple[Ints, Floats]:
         slots, of_kind = _rows(tables, L.LEAK_PARAMS)
         index += [(slot, kind) for slot in slots]
         rows.append(of_kind)
-    return np.array(index, dtype=np.int64).reshape(-1, L.LEAK_COLUMNS), np.concatenate(rows)
+    return np.array(index, dtype=np.int64).reshape(-1, L.TERM_COLUMNS), np.concatenate(rows)
+
+
+def _own_terms(
+    models: Sequence[Model],
+) -> tuple[list[tuple[Ints, Floats]], tuple[Callable[..., Any], ...]]:
+    """What the terms of effects act on in any of the models, and those terms."""
+    own, acts = [], []
+    for name in sorted({name for model in models for name in model.terms}):
+        found = [model.terms.get(name) for model in models]
+        first = next(term for term in found if term is not None)
+        slots, par = _rows([{} if term is None else term.rows for term in found], first.columns)
+        own.append((np.array([(slot, 0) for slot in slots], dtype=np.int64), par))
+        acts.append(first.act)
+    return own, tuple(acts)
 
 
 def pack(
@@ -205,6 +223,7 @@ def pack(
     work[L.W_STAY] = 1.0 / np.maximum(cell[L.RELAX], 1e-12)
     ripple_of, ripple = _rows([m.ripples for m in models], L.RIPPLE_PARAMS)
     leak_index, leak = _leaks(models)
+    own, acts = _own_terms(models)
     step_index, step_area = area_steps(models)
     return Tile(
         models=models,
@@ -231,6 +250,8 @@ def pack(
         ripple=ripple,
         leak_index=leak_index,
         leak=leak,
+        own=own,
+        acts=acts,
         ambient=lanes([m.ambient for m in models]),
         tap_slot=np.ascontiguousarray(np.stack([m.tap_slot for m in models], axis=-1)),
         tap_weight=lanes([m.tap_weight for m in models]),
@@ -400,7 +421,10 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
             tile.ripple,
         ),
         kernel.Chambers(tile.chamber, tile.chamber_state, tile.chamber_work),
-        kernel.Leaks(tile.leak_index, tile.leak, tile.ambient),
+        (
+            kernel.Term(tile.leak_index, tile.leak, tile.ambient),
+            *(kernel.Term(index, par, tile.ambient) for index, par in tile.own),
+        ),
         kernel.Taps(
             tile.tap_slot,
             tile.tap_weight,
@@ -458,7 +482,7 @@ def advance(
         np.zeros((samples, len(tile.plan.chambers), tile.lanes)),
     )
     clock = kernel.Clock(samples, n_sub, dt_s, knots, tile.clock, watch.step, closing)
-    kernel.advance(arrays(tile, watch), clock, opening, record)
+    kernel.advancing(tile.acts)(arrays(tile, watch), clock, opening, record)
     watch.step += (samples - 1) * n_sub
     tile.clock[1] += (samples - 1) * n_sub
     if strict and not np.isfinite(record.taps).all():
@@ -524,13 +548,17 @@ def some_lanes(tile: Tile, which: Ints) -> Tile:
         tile: The batch.
         which: The lanes.
     """
-    common = ("models", "compliant", "memory", "ripple_index", "leak_index", "step_index", "dt_s")
+    common = (
+        *("models", "compliant", "memory", "ripple_index", "leak_index", "step_index", "dt_s"),
+        *("own", "acts"),
+    )
     arrays: dict[str, Any] = {
         f.name: np.ascontiguousarray(getattr(tile, f.name)[..., which])
         for f in fields(tile)
         if f.name not in common
     }
-    return replace(tile, models=[tile.models[int(j)] for j in which], **arrays)
+    own = [(index, np.ascontiguousarray(par[..., which])) for index, par in tile.own]
+    return replace(tile, models=[tile.models[int(j)] for j in which], own=own, **arrays)
 
 
 def courant(tile: Tile, dt_s: float) -> Floats:

@@ -35,6 +35,10 @@ def test_a_change_in_a_file_that_a_kernel_calls_into_is_compiled(tmp_path: Path)
     before, hits = leaks()
     assert before > 0.0 and hits == 0
     assert leaks() == (before, 1)
+    # what another version has kept may be of no use to this one, and not even readable
+    for index in (tmp_path / "pneu_sim" / "kernel" / "__pycache__").glob("*.nbi"):
+        whole = index.read_bytes()
+        index.write_bytes(whole[: len(whole) // 2])
     callee = tmp_path / "pneu_sim" / "kernel" / "orifices.py"
     text = callee.read_text()
     assert "area * p_a" in text

@@ -6,12 +6,12 @@ Read `advance` first: it is the list of passes. `arrays` says what they work on.
 
 from pneu_sim.kernel.advance import WALL_EVERY as WALL_EVERY
 from pneu_sim.kernel.advance import advance as advance
+from pneu_sim.kernel.advance import advancing as advancing
 from pneu_sim.kernel.arrays import Cells as Cells
 from pneu_sim.kernel.arrays import Chambers as Chambers
 from pneu_sim.kernel.arrays import Clock as Clock
 from pneu_sim.kernel.arrays import Ends as Ends
 from pneu_sim.kernel.arrays import Gas as Gas
-from pneu_sim.kernel.arrays import Leaks as Leaks
 from pneu_sim.kernel.arrays import Ports as Ports
 from pneu_sim.kernel.arrays import Record as Record
 from pneu_sim.kernel.arrays import Reservoirs as Reservoirs
@@ -19,6 +19,7 @@ from pneu_sim.kernel.arrays import Rigs as Rigs
 from pneu_sim.kernel.arrays import Scheme as Scheme
 from pneu_sim.kernel.arrays import Steps as Steps
 from pneu_sim.kernel.arrays import Taps as Taps
+from pneu_sim.kernel.arrays import Term as Term
 from pneu_sim.kernel.chambers import chamber_pressure as chamber_pressure
 from pneu_sim.kernel.ends import vessel_state as vessel_state
 from pneu_sim.kernel.faces import at_face as at_face

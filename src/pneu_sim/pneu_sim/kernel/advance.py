@@ -7,8 +7,13 @@ compiled for other targets. Everything that a step needs is passed in; nothing i
 nothing is kept from call to call but the arrays. How a run is cut into calls changes no bit of it.
 """
 
+import functools
+from collections.abc import Callable
+from types import FunctionType
+from typing import Any
+
 from pneu_sim import layout as L
-from pneu_sim.compiling import branching
+from pneu_sim.compiling import branching, uncached
 from pneu_sim.kernel.chambers import find_chambers, find_middle, heat_chambers
 from pneu_sim.kernel.ends import cross_ends, fill_ghosts, join, mirror_faces
 from pneu_sim.kernel.faces import (
@@ -19,7 +24,6 @@ from pneu_sim.kernel.faces import (
     reconstruct,
     taper,
 )
-from pneu_sim.kernel.leaks import leak
 from pneu_sim.kernel.lines import (
     conserve,
     find_primitive,
@@ -31,6 +35,8 @@ from pneu_sim.kernel.lines import (
 from pneu_sim.kernel.ports import cross_ports, open_ports
 from pneu_sim.kernel.recording import correct, read, write_down
 from pneu_sim.kernel.reservoirs import supply
+from pneu_sim.kernel.terms import act as act_terms
+from pneu_sim.kernel.terms import acting
 from pneu_sim.kernel.walls import (
     act_steadily,
     drag_with_memory,
@@ -97,7 +103,7 @@ def advance(rigs, clock, opening, record):
         opening: ((samples - 1) * knots + 1, n_ports, lanes) opening fractions.
         record: What is written down at every sample, a `Record`.
     """
-    gas, scheme, cells, steps, ends, ports, reservoirs, chambers, leaks, taps = rigs
+    gas, scheme, cells, steps, ends, ports, reservoirs, chambers, terms, taps = rigs
     dt, order = clock.dt, scheme.order
     reading = taps.time.shape[1] > 0
     corrected = True  # the state may have been set
@@ -137,8 +143,24 @@ def advance(rigs, clock, opening, record):
             find_middle(gas, order, dt, cells, ends, chambers)
             cross_ends(gas, order, dt, cells, ends, ports, reservoirs, chambers)
             heat_chambers(gas, dt, chambers)
-            leak(gas, dt, cells, chambers, leaks)
+            act_terms(gas, dt, cells, chambers, terms)
             _conserve(dt, scheme, cells)
             _act_of_walls(gas, scheme, dt, s, cells)
             if corrected:
                 correct(cells, chambers, taps)
+
+
+@functools.lru_cache(maxsize=16)
+def advancing(terms: tuple[Callable[..., Any], ...]) -> Any:
+    """`advance` with further terms, compiled for this process where there are any.
+
+    The passes are those that are kept on disk; only their list is compiled.
+
+    Args:
+        terms: Compiled terms, see `pneu_sim.kernel.terms`.
+    """
+    if not terms:
+        return advance
+    own = advance.py_func
+    scope = {**own.__globals__, "act_terms": acting(terms)}
+    return uncached(FunctionType(own.__code__, scope, "advance_with_terms"))

@@ -146,12 +146,12 @@ class Chambers(NamedTuple):
     work: Floats
 
 
-class Leaks(NamedTuple):
-    """What leaks to the room.
+class Term(NamedTuple):
+    """What a term of the equations acts on.
 
     Attributes:
-        table: (n_leaks, LEAK_COLUMNS) which slot or chamber, and how.
-        par: (n_leaks, LEAK_PARAMS, lanes).
+        table: (rows, TERM_COLUMNS) which slot, or -1 - chamber, and of which kind.
+        par: (rows, columns, lanes) numbers; zeros where a lane does not have the row.
         room: (2, lanes) pressure Pa and temperature K.
     """
 
@@ -206,7 +206,7 @@ class Rigs(NamedTuple):
     ports: Ports
     reservoirs: Reservoirs
     chambers: Chambers
-    leaks: Leaks
+    terms: tuple[Term, ...]
     taps: Taps
 
 

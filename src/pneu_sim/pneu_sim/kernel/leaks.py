@@ -34,7 +34,7 @@ def leak_flow(kind, size, opens, span, p, t, p_room, t_room, gamma, r_gas):
 
 
 @branching
-def leak(gas, dt, cells, chambers, leaks):
+def leak(gas, dt, cells, chambers, term):
     """Take from lines and chambers what leaks to the room, or add what enters from there.
 
     Args:
@@ -42,22 +42,22 @@ def leak(gas, dt, cells, chambers, leaks):
         dt: Step, s.
         cells: All slots.
         chambers: Chambers.
-        leaks: Leaks.
+        term: What leaks, and how.
     """
-    w, S, X, par = cells.lanes, cells.state, cells.work, leaks.par
+    w, S, X, par = cells.lanes, cells.state, cells.work, term.par
     gamma, r_gas = gas.gamma, gas.r
     cp = gamma * (r_gas / (gamma - 1.0))
-    for q in range(leaks.table.shape[0]):
-        slot = leaks.table[q, L.K_SLOT]
-        kind = leaks.table[q, L.K_KIND]
+    for q in range(term.table.shape[0]):
+        slot = term.table[q, L.K_SLOT]
+        kind = term.table[q, L.K_KIND]
         for j in range(w):
             size = par[q, L.LEAK_SIZE, j]
             if size <= 0.0:
                 continue
             opens = par[q, L.LEAK_SET, j]
             span = par[q, L.LEAK_RANGE, j]
-            pa = leaks.room[0, j]
-            ta = leaks.room[1, j]
+            pa = term.room[0, j]
+            ta = term.room[1, j]
             if slot < 0:
                 c = -1 - slot
                 p = chambers.work[c, L.H_PRESSURE, j]

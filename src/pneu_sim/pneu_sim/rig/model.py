@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One rig in numbers, as the kernels take them and as effects may change them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +26,21 @@ VALVE_COLUMNS = 11
 # Columns of a tap's row (see Model.sensor).
 S_LAG, S_GAIN, S_BIAS, S_OFFSET = 0, 1, 2, 3
 SENSOR_COLUMNS = 4
+
+
+@dataclass
+class OwnTerm:
+    """A term that an effect adds to the equations of the gas.
+
+    Attributes:
+        act: The compiled term, see `pneu_sim.kernel.terms`.
+        columns: How many numbers it takes for a slot.
+        rows: Slot, or -1 - chamber, to those numbers, as often as it acts there.
+    """
+
+    act: Callable[..., Any]
+    columns: int
+    rows: dict[int, list[tuple[float, ...]]] = field(default_factory=dict)
 
 
 @dataclass
@@ -53,6 +70,7 @@ class Model:
         ambient: (2,) pressure, temperature.
         end_area: (n_ends,) area of each pipe at its ends.
         thesis_joints: Whether pipes are joined as in the thesis, see the rig's grid.
+        terms: Terms that effects add to the equations, by the effect's name.
     """
 
     plan: Plan
@@ -80,3 +98,18 @@ class Model:
     memory: bool = True
     compliant: bool = field(default=False)
     thesis_joints: bool = False
+    terms: dict[str, OwnTerm] = field(default_factory=dict)
+
+    def add_term(
+        self, name: str, act: Callable[..., Any], slot: int, numbers: tuple[float, ...]
+    ) -> None:
+        """Has a term of an effect act on a slot.
+
+        Args:
+            name: Name of the effect.
+            act: The compiled term, see `pneu_sim.kernel.terms`; the same for all of the name.
+            slot: The slot, or -1 - chamber.
+            numbers: What it takes there; all zero where it is to do nothing.
+        """
+        term = self.terms.setdefault(name, OwnTerm(act, len(numbers)))
+        term.rows.setdefault(slot, []).append(numbers)
