@@ -93,7 +93,7 @@ def answers(rig: Rig) -> dict[str, Floats]:
         return dict(run_rig(rig, volts, SAMPLE_S)) if volts else {}
     simulator = Simulator(rig)
     out: dict[str, Floats] = {}
-    # two rooms: without commands nothing but what is left in it moves a rig
+    # a rig without valves moves only by what is left in it
     full = {name: 3.0 * rig.ambient.pressure_pa for name in [*rig.pipes, *rig.chambers][:1]}
     simulator.reset(full)
     seen = simulator.run(SECONDS, volts, SAMPLE_S)

@@ -13,21 +13,13 @@ import typing
 from pathlib import Path
 
 import pytest
+from tests.packages import PACKAGES
 
 from pneu_runtime import hook
 
 hook.install()
 
 SOURCES = Path(__file__).parent.parent / "src"
-PACKAGES = (
-    "pneu_common",
-    "pneu_runtime",
-    "pneu_graph",
-    "pneu_sim",
-    "pneu_hw_bridge",
-    "pneu_sysid",
-    "pneu_policy",
-)
 
 OPTIONAL = {"torch", "gymnasium", "stable_baselines3", "matplotlib"}
 """What only the extras of `pyproject.toml` bring."""

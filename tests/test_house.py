@@ -10,18 +10,10 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
+from tests.packages import PACKAGES
 from tests.parts import MIXED, REALTIME
 
 ROOT = Path(__file__).parent.parent
-PACKAGES = (
-    "pneu_common",
-    "pneu_runtime",
-    "pneu_graph",
-    "pneu_sim",
-    "pneu_hw_bridge",
-    "pneu_sysid",
-    "pneu_policy",
-)
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 SPDX = "# SPDX-License-Identifier: Apache-2.0"
 

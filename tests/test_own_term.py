@@ -23,13 +23,13 @@ def known() -> None:
 
 def tube(power_w: float | None) -> Rig:
     """A closed tube whose wall passes no heat."""
-    wall = {"nusselt": 0.0, "memory_gain": 0.0}
-    pipe = {"from": "closed", "to": "closed", "length_m": LENGTH_M, "area_m2": AREA_M2}
+    ends = {"from": "closed", "to": "closed"}
+    pipe = {**ends, "length_m": LENGTH_M, "area_m2": AREA_M2, "wall": {"nusselt": 0.0}}
     own = {"effect": "heated_wire", "place": "tube", "parameters": {"power_w": power_w}}
     return Rig.model_validate(
         {
             "name": "tube",
-            "pipes": {"tube": {**pipe, "wall": {k: v for k, v in wall.items() if k == "nusselt"}}},
+            "pipes": {"tube": pipe},
             "grid": {"memory": False},
             "taps": {"middle": {"pipe": "tube", "position_m": 0.5}},
             "effects": [] if power_w is None else [own],

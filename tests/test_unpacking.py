@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from pneu_common.cli import build_app
 from pneu_common.errors import InputError
-from pneu_common.unpacking import FREE_BYTES, Allowance, bounded, unzstd
+from pneu_graph.bag.unpacking import FREE_BYTES, Allowance, bounded, unzstd
 from pneu_sim.rig import load_rig
 from pneu_sysid.records.write import write_bag
 

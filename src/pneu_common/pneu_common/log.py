@@ -8,7 +8,7 @@ the nodes and the tasks of the identification hand it on to where their users lo
 import logging
 from collections.abc import Callable
 
-LOG = "pneu_sim"
+LOG = "pneu"
 """Name of the log, at level INFO."""
 
 

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiler of the kernels, which says so when it has work: the first time, and once only.
 
-What is compiled is kept on disk, under
-a digest of all files with kernels, since one file's code ends up in another's: whatever changes,
-nothing old is run. A message comes at the first start on a machine and after an update; it goes to
-the log (`pneu_common.log`).
+What is compiled is kept on disk under a digest of all files with kernels, since one file's code
+ends up in another's: whatever changes, nothing old is run. A message comes at the first start on a
+machine and after an update; it goes to the log (`pneu_common.log`).
 """
 
 import functools
@@ -20,6 +19,8 @@ from typing import Any
 from numba import njit
 from numba.core import event
 from numba.core.caching import IndexDataCacheFile
+
+from pneu_common.log import LOG
 
 FAST = {"contract", "nsz", "nnan", "ninf", "arcp"}
 """No reassociation: sums keep their order, so that results do not depend on the batch size."""
@@ -118,7 +119,7 @@ class _Compilations(event.Listener):
     """Says when compiling begins, for the first time, and how long a kernel that took long took."""
 
     def __init__(self) -> None:
-        self._log = logging.getLogger(__name__)
+        self._log = logging.getLogger(LOG)
         self._depth = threading.local()
         self._told = False
 

@@ -4,12 +4,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.rig import model as M
+from pneu_sim.rig.model import Model
 
 Floats = NDArray[np.float64]
 
 
-def read(model: "M.Model", pressures: Floats, dt_s: float) -> Floats:
+def read(model: Model, pressures: Floats, dt_s: float) -> Floats:
     """Readings of the sensors of a rig.
 
     Args:

@@ -548,16 +548,13 @@ def some_lanes(tile: Tile, which: Ints) -> Tile:
         tile: The batch.
         which: The lanes.
     """
-    common = (
-        *("models", "compliant", "memory", "ripple_index", "leak_index", "step_index", "dt_s"),
-        *("own", "acts"),
-    )
+    own = [(index, np.ascontiguousarray(par[..., which])) for index, par in tile.own]
+    common = {"compliant", "memory", "ripple_index", "leak_index", "step_index", "dt_s", "acts"}
     arrays: dict[str, Any] = {
         f.name: np.ascontiguousarray(getattr(tile, f.name)[..., which])
         for f in fields(tile)
-        if f.name not in common
+        if f.name not in common | {"models", "own"}
     }
-    own = [(index, np.ascontiguousarray(par[..., which])) for index, par in tile.own]
     return replace(tile, models=[tile.models[int(j)] for j in which], own=own, **arrays)
 
 

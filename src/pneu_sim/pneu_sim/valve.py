@@ -322,7 +322,7 @@ def spool_positions(
         command: (past + T,) volts, held between samples.
         dt: Sample interval, s.
         knots: Knots per sample interval.
-        row: Valve parameters, see ``pneu_sim.rig.build``.
+        row: Valve parameters, see ``pneu_sim.rig.model``.
         past: How many of the commands lie before the first position.
         memory: (4,) command after backlash, position, speed (of a spool that follows at once but
             for its speed, how far its mean position over half an interval of the knots before
@@ -390,7 +390,7 @@ def batch_openings(
         dt: Sample interval, s.
         knots: Knots per sample interval.
         past: How many of the commands lie before the first opening.
-        spool: (lanes, valves, VALVE_COLUMNS) valve parameters, see ``pneu_sim.rig.build``.
+        spool: (lanes, valves, VALVE_COLUMNS) valve parameters, see ``pneu_sim.rig.model``.
         memory: (lanes, valves, 4) where the spools stand, changed in place; see `spool_positions`.
         port_valve: (ports,) valve of each port; -1 for an orifice, which is open.
         curve_v: (lanes, ports, 2) voltage range of the opening curve.
@@ -462,7 +462,7 @@ class SpoolState:
 
 
 def openings(
-    model: "M.Model",
+    model: M.Model,
     commands: dict[str, NDArray[np.float64]],
     dt_s: float,
     knots: int = KNOTS_PER_SAMPLE,
@@ -506,7 +506,7 @@ def openings(
     return _of_ports(model, positions, count)
 
 
-def _of_ports(model: "M.Model", positions: dict[int, Floats], count: int) -> Floats:
+def _of_ports(model: M.Model, positions: dict[int, Floats], count: int) -> Floats:
     """(count, n_ports) openings where the spools of the valves stand; orifices are open."""
     result = np.ones((count, model.plan.ports.shape[0]))
     for q, v in enumerate(model.plan.port_valve):
@@ -519,7 +519,7 @@ def _of_ports(model: "M.Model", positions: dict[int, Floats], count: int) -> Flo
 
 
 def openings_along(
-    model: "M.Model",
+    model: M.Model,
     commands: Mapping[str, Signal],
     begin_s: float,
     step_s: float,
@@ -563,7 +563,7 @@ def positions_along(
     """Positions of one spool along a command that has times of its own.
 
     Args:
-        row: Valve parameters, see ``pneu_sim.rig.build``.
+        row: Valve parameters, see ``pneu_sim.rig.model``.
         command: Volts, each held until the next.
         begin_s: Time of the first position, s.
         step_s: Interval of the positions, s.

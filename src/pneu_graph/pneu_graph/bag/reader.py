@@ -21,9 +21,9 @@ from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata,
 from mcap.stream_reader import StreamReader
 
 from pneu_common.errors import InputError
-from pneu_common.unpacking import Allowance, bounded, chunk_records
 from pneu_graph.bag.metadata import BagMetadata, File, Topic, read_metadata
 from pneu_graph.bag.qos import parse_profiles
+from pneu_graph.bag.unpacking import Allowance, bounded, chunk_records
 
 MAGIC = b"\x89MCAP0\r\n"
 

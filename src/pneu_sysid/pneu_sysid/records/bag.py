@@ -30,7 +30,7 @@ from rosbags.typesys.store import Typestore
 
 from pneu_common.documents import read_yaml
 from pneu_common.errors import InputError
-from pneu_common.unpacking import Allowance, Bounded, chunk_records, unzstd
+from pneu_graph.bag.unpacking import Allowance, Bounded, chunk_records, unzstd
 from pneu_sim.channels import Channel
 from pneu_sim.topics import same_topic
 from pneu_sysid.records.recording import Finding, absent
