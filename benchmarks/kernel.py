@@ -81,14 +81,14 @@ def nanoseconds(cells: int, batch: int, order: int, budget_s: float = 1.0) -> fl
     for _ in range(batch // width):
         simulator = Simulator([rig] * width)
         simulator.run(0.005, {"voltage": 7.5})  # gas moves, and the walls remember
-        tiles.append(simulator._tile)
+        tiles.append(simulator.plant.solver.tiles[0][0])
     plan = tiles[0].plan
     steps = max(20, 200_000 // (cells * width))
-    opening = np.full((KNOTS_PER_SAMPLE + 1, plan.ports.shape[0], width), 0.5)
+    opening = np.full((1, KNOTS_PER_SAMPLE + 1, plan.ports.shape[0], width), 0.5)
 
     def run() -> None:
         for one in tiles:
-            tile.advance(one, 2, steps, plan.dt_s, opening)
+            tile.advance(one, steps, plan.dt_s, opening)
 
     return best_s(run, budget_s=budget_s) / (steps * cells * batch) * 1e9
 

@@ -52,7 +52,7 @@ def measure() -> list[Table]:
             for key, count in (("single", 1), ("batch", 8)):
                 rig = rig_a(order)
                 simulator = Simulator(rig if count == 1 else [rig] * count, dx_m=dx_m)
-                row["cells"] = sum(n for _, n in simulator._plan.pipes.values())
+                row["cells"] = sum(n for _, n in simulator.plant.plan.pipes.values())
                 volts = command(DURATION_S)
                 time_s = best_s(
                     lambda s=simulator, v=volts: s.run(DURATION_S, v, sample_s=SAMPLE_S),

@@ -273,3 +273,21 @@ def test_no_test_is_left_out_when_the_parts_run_one_after_the_other():
     assert all(path.startswith(REALTIME + MIXED) for path in found), found
     for start in REALTIME + MIXED:
         assert list(ROOT.glob(f"{start.rstrip('/')}*")), f"{start}: no test begins so"
+
+
+LONGEST_LINES, MOST_ARGUMENTS = 120, 15
+
+
+def test_no_function_of_the_simulator_is_too_long_or_takes_too_much():
+    """The physics can be read aloud: no function fills more than two pages, or takes a parade."""
+    unreadable = []
+    for path in sorted((ROOT / "src" / "pneu_sim" / "pneu_sim").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                continue
+            given = node.args
+            arguments = len([*given.posonlyargs, *given.args, *given.kwonlyargs])
+            lines = node.end_lineno - node.lineno + 1
+            if lines > LONGEST_LINES or arguments > MOST_ARGUMENTS:
+                unreadable.append(f"{path.name}: {node.name}: {lines} lines, {arguments} arguments")
+    assert not unreadable

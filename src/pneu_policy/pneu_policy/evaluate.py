@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_policy.controllers import Controller, PolicyController, load_controller
 from pneu_policy.metrics import EARLY_S, Track
-from pneu_policy.plants import make_plant
+from pneu_policy.plants import ControlPlant
 from pneu_policy.results import LIMIT, Evaluation, Run
 from pneu_policy.targets import Target
 from pneu_policy.tasks import Conditions, Tasks
@@ -149,7 +149,7 @@ def simulated_tracks(
             parameters={"delay_s": c.delay_s},
         )
         rig = rig.model_copy(update={"effects": [*rig.effects, late]})
-    plant = make_plant([rig] * len(targets), first.period_s, c.dx_m)
+    plant = ControlPlant([rig] * len(targets), first.period_s, c.dx_m)
     room_pa = rig.ambient.pressure_pa
     clean = plant.reset(room_pa if c.start_pa is None else c.start_pa)
     taps = [rig.taps[tap] for tap in plant.taps]

@@ -19,10 +19,11 @@ from scipy.optimize import lsq_linear
 from pneu_common.errors import InputError
 from pneu_policy.evaluate import target_series
 from pneu_policy.metrics import Track
-from pneu_policy.plants import Plant, State, make_plant
+from pneu_policy.plants import ControlPlant
 from pneu_policy.results import LIMIT, Evaluation, Run
 from pneu_policy.targets import Target
 from pneu_policy.tasks import Tasks
+from pneu_sim.plant import State
 from pneu_sim.rig.schema import Rig
 
 Floats = NDArray[np.float64]
@@ -148,7 +149,7 @@ def physical_limit(
         raise InputError(f"tap {tap!r}: rig {rig.name!r} has {', '.join(rig.taps)}")
     dx_m = s.dx_m or longest_line_m(rig) / 30.0
     search = _Search(rig, tap, dx_m, s)
-    one = make_plant([rig], s.period_s, dx_m)
+    one = ControlPlant([rig], s.period_s, dx_m)
     at = one.taps.index(tap)
     pressure = [float(one.reset(start_pa)[0, at])]
     volts: list[float] = []
@@ -178,7 +179,7 @@ class _Search:
         self.knots = round(settings.horizon_s / settings.knot_s)
         self._held = round(settings.knot_s / settings.period_s)
         count = -(-(self.knots + 1) // LANES) * LANES
-        self._plant: Plant = make_plant([rig] * count, settings.period_s, dx_m)
+        self._plant = ControlPlant([rig] * count, settings.period_s, dx_m)
         self._at = self._plant.taps.index(tap)
         self._lanes = np.zeros(count, dtype=np.int64)
         self._count = 0

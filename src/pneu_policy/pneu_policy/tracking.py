@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_policy.ensembles import draw_rigs
 from pneu_policy.observations import Observer, Recipe
-from pneu_policy.plants import PdePlant, make_plant
+from pneu_policy.plants import ControlPlant
 from pneu_policy.targets import KINDS, Kind, Target
 from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import Rig
@@ -208,7 +208,7 @@ class PressureTracking(gymnasium.vector.VectorEnv):
                 f" {', '.join(self.rig.taps)}"
             )
         rigs = draw_rigs(self.rig, s.num_envs, s.seed, s.spread)
-        self.plant = make_plant(rigs, r.period_s, s.dx_m)
+        self.plant = ControlPlant(rigs, r.period_s, s.dx_m)
         _check_step(s, self.plant)
         if r.line:
             self.plant.reset(s.low_pa)
@@ -309,7 +309,7 @@ class PressureTracking(gymnasium.vector.VectorEnv):
         return self._observer.observe(seen, self._targets[self._step], line).astype(np.float32)
 
 
-def _check_step(settings: EnvSettings, plant: Any) -> None:
+def _check_step(settings: EnvSettings, plant: ControlPlant) -> None:
     """Raises InputError unless the control period is a whole number of physics steps."""
     asked = settings.physics_step_s
     if asked is None:
@@ -321,7 +321,7 @@ def _check_step(settings: EnvSettings, plant: Any) -> None:
             f"physics_step_s: found {asked:g}, the control period of {period_s:g} s must be a whole"
             " multiple of it"
         )
-    longest = plant.plan.dt_s if isinstance(plant, PdePlant) else plant.step_s
+    longest = plant.step_s
     if asked > longest * (1.0 + 1e-9):
         raise InputError(
             f"physics_step_s: found {asked:g}, stable is up to {longest:.3g} s with these cells"

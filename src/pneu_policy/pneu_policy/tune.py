@@ -22,7 +22,7 @@ from pneu_policy.controllers import FeedForwardPid, PidController
 from pneu_policy.ensembles import draw_rigs
 from pneu_policy.feed_forward import HALF_WINDOW_S, FeedForward
 from pneu_policy.pid import Gains
-from pneu_policy.plants import make_plant
+from pneu_policy.plants import ControlPlant
 from pneu_policy.search import Search
 from pneu_policy.targets import Target
 from pneu_policy.tune_settings import TuneSettings
@@ -158,7 +158,7 @@ class Trials:
         self._noise = s.noise_pa * rng.normal(size=(self.steps, n))
         rigs = draw_rigs(rig, n, s.seed, s.spread)
         dx_m = s.dx_m if kind_of(rig).along_lines else None
-        self._plant = make_plant(rigs * s.candidates, s.period_s, dx_m)
+        self._plant = ControlPlant(rigs * s.candidates, s.period_s, dx_m)
         self._tap = self._plant.taps.index(s.tap)
 
     def run(self, candidates: Sequence[PidController | FeedForwardPid]) -> Floats:

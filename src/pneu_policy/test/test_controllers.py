@@ -20,7 +20,7 @@ from pneu_policy.controllers import (
 from pneu_policy.feed_forward import FeedForward
 from pneu_policy.observations import Observer, Recipe
 from pneu_policy.pid import Gains, Pid
-from pneu_policy.plants import make_plant
+from pneu_policy.plants import ControlPlant
 from pneu_policy.policy_file import PolicyFile, rig_identity
 from pneu_policy.targets import Target
 from pneu_sim.rig import load_rig
@@ -179,7 +179,7 @@ def test_feed_forward_alone_follows_a_ramp_of_the_simulated_vessel(slope):
     rig = chamber_like()
     ahead = FeedForward.of_rig(rig, "end")
     assert ahead.volume_m3 == pytest.approx(1e-5)
-    plant = make_plant([rig], 0.01)
+    plant = ControlPlant([rig], 0.01)
     start = 300e3
     plant.reset(np.array([start]))
     for k in range(40):
@@ -198,7 +198,7 @@ def test_feed_forward_opens_wide_where_the_reservoir_cannot_drive_the_flow(rig):
 
 def tracking_error(rig, controller, kind):
     """RMS of target minus pressure, with sensor noise and a command that is a period late, Pa."""
-    plant = make_plant([rig], controller.period_s)
+    plant = ControlPlant([rig], controller.period_s)
     target = Target(kind, 150e3, 550e3, 0.6, seed=3)
     rng = np.random.default_rng(0)
     seen = plant.reset(np.array([float(target.at(0.0))]))[0]

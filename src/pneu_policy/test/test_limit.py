@@ -8,7 +8,7 @@ import pytest
 
 from pneu_common.errors import InputError
 from pneu_policy.limit import LimitSettings, physical_limit
-from pneu_policy.plants import make_plant
+from pneu_policy.plants import ControlPlant
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import AttachedEffect
 
@@ -19,7 +19,7 @@ QUICK = LimitSettings(dx_m=DX_M, period_s=PERIOD_S, knot_s=0.02, horizon_s=0.2, 
 
 def run_with(rig, volts):
     """What the end of the tube shows under known voltages, the start included."""
-    plant = make_plant([rig], PERIOD_S, DX_M)
+    plant = ControlPlant([rig], PERIOD_S, DX_M)
     at = plant.taps.index("end")
     return np.array([plant.reset(START_PA)[0, at], *(plant.step(v)[0, at] for v in volts)])
 

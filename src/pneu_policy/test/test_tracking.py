@@ -9,7 +9,7 @@ gymnasium = pytest.importorskip("gymnasium")
 from pneu_common.errors import InputError  # noqa: E402
 from pneu_policy.ensembles import draw_rigs  # noqa: E402
 from pneu_policy.observations import Observer, Recipe  # noqa: E402
-from pneu_policy.plants import make_plant  # noqa: E402
+from pneu_policy.plants import ControlPlant  # noqa: E402
 from pneu_policy.targets import Target  # noqa: E402
 from pneu_policy.tracking import EnvSettings, PressureTracking, Reward, make_env  # noqa: E402
 from pneu_sim.rig.load import load_rig  # noqa: E402
@@ -40,7 +40,7 @@ def run(plant, volts, start_pa=101e3):
 def test_a_plant_does_what_the_simulator_does(name, delay_s, lag_s, volts):
     rig = load_rig(name)
     rig = with_parameters(rig, {"valves.valve.spool.delay_s": delay_s, "taps.end.lag_s": lag_s})
-    plant = make_plant([rig] * 3, 0.01, 0.125)
+    plant = ControlPlant([rig] * 3, 0.01, 0.125)
     got = run(plant, volts)
     held = np.repeat(volts, 5)  # the plant follows openings every 2 ms
     if rig.model == "pde":
@@ -58,7 +58,7 @@ def test_a_plant_has_the_spool_of_the_simulator(volts):
     rig = load_rig(SHORT)
     spool = rig.valves["valve"].spool
     spool.delay_s, spool.closing_delay_s, spool.max_speed_v_s = 0.002, 0.009, 200.0
-    plant = make_plant([rig] * 2, 0.01, 0.125)
+    plant = ControlPlant([rig] * 2, 0.01, 0.125)
     plant.set_delay(np.array([0.0, 0.003]))
     got = run(plant, volts)
     held = np.repeat(volts, 5)
@@ -74,15 +74,15 @@ def test_a_plant_takes_as_many_steps_as_its_gas_needs(volts):
     runs = []
     for speed_m_s in (900.0, 200.0):
         rig.grid.wave_speed_m_s = speed_m_s
-        runs.append(run(make_plant([rig] * 3, 0.01, 0.125), volts))
+        runs.append(run(ControlPlant([rig] * 3, 0.01, 0.125), volts))
     assert np.abs(runs[1] - runs[0]).max() < 4e3
     assert np.ptp(runs[0]) > 1e5
 
 
 def test_a_plant_comes_back_to_a_state_and_puts_it_into_other_lanes():
     rig = load_rig(SHORT)
-    one = make_plant([rig], 0.01, 0.25)
-    many = make_plant([rig] * 19, 0.01, 0.25)
+    one = ControlPlant([rig], 0.01, 0.25)
+    many = ControlPlant([rig] * 19, 0.01, 0.25)
     for plant in (one, many):
         plant.set_delay(np.full(plant.count, 0.006))
     run(one, [8.0, 7.0, 3.0])
@@ -100,7 +100,7 @@ def test_a_plant_comes_back_to_a_state_and_puts_it_into_other_lanes():
 def test_a_plant_keeps_the_time_of_a_ripple(volts):
     rig = load_rig(SHORT)
     rig.reservoirs["supply"].ripples = [Ripple(amplitude_pa=2e4, frequency_hz=7.0)]
-    plant = make_plant([rig] * 3, 0.01, 0.125)
+    plant = ControlPlant([rig] * 3, 0.01, 0.125)
     got = [run(plant, volts) for _ in range(2)]
     assert np.abs(got[1] - got[0]).max() < 5.0  # a reset begins anew, of the walls nearly so
     held = np.repeat(volts, 5)
@@ -116,7 +116,7 @@ def test_a_plant_keeps_the_time_of_a_ripple(volts):
 
 def test_lines_of_a_plant_are_told_and_a_lumped_one_has_none():
     rig = load_rig(SHORT)
-    plant = make_plant([rig] * 2, 0.01, 0.125)
+    plant = ControlPlant([rig] * 2, 0.01, 0.125)
     plant.reset(350e3)
     gas = plant.line((("tube", 4),))
     assert gas.shape == (2, 12)
@@ -131,7 +131,7 @@ def test_lines_of_a_plant_are_told_and_a_lumped_one_has_none():
     with pytest.raises(InputError, match="pipe 'hose'"):
         plant.line((("hose", 2),))
     with pytest.raises(InputError, match="knows no gas along its lines"):
-        make_plant([load_rig(PLATE)], 0.01).line((("tube", 4),))
+        ControlPlant([load_rig(PLATE)], 0.01).line((("tube", 4),))
 
 
 def test_features_are_what_their_names_say():

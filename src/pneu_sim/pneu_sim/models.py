@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
+from pneu_sim.gas import AIR, Gas
 from pneu_sim.rig.kinds import found
 from pneu_sim.rig.plan import Plan, plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
 from pneu_sim.simulate import Course, InitialField, Prediction, rest
+from pneu_sim.solver import Solver
 
 Floats = NDArray[np.float64]
 
@@ -63,6 +65,22 @@ class ModelKind(ABC):
         Raises:
             InputError: A rig cannot be computed so, or a prediction is not finite and ``strict``.
         """
+
+    def solver(self, rigs: Sequence[Rig], plan: Plan, gas: Gas = AIR) -> Solver:
+        """What steps rigs of one structure side by side, as commands come in.
+
+        Args:
+            rigs: The rigs.
+            plan: Their grid plan.
+            gas: The gas.
+
+        Raises:
+            InputError: Rigs cannot be stepped so: this kind only runs along recordings.
+        """
+        del plan, gas
+        raise InputError(
+            f"rig {rigs[0].name!r}: model: found {rigs[0].model}, which runs along recordings only"
+        )
 
     def from_rest(
         self, rig: Rig, commands: Mapping[str, Floats], sample_s: float

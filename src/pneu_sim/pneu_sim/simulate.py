@@ -17,12 +17,12 @@ from pneu_sim.rig.model import S_BIAS, S_GAIN, S_LAG, S_OFFSET, Model
 from pneu_sim.rig.plan import Plan, reservoir_of_pipes
 from pneu_sim.rig.schema import CLOSED, Rig
 from pneu_sim.signals import Signal
+from pneu_sim.spool import MEMORY
 from pneu_sim.tile import (
     MORE_STEPS,
     Tile,
     Watch,
     advance,
-    courant,
     fill_chambers,
     fill_pipes,
     finite_lanes,
@@ -425,7 +425,7 @@ def _pass(
     fill_chambers(tile, lanes([s.chamber_pressure for s in starts]), lanes(warm))
     tile.set_time(course.begin_s)
     watch = _watch(models, course, field, dt)
-    memory = np.full((len(models), len(plan.valves), 4), np.nan)
+    memory = np.full((len(models), len(plan.valves), MEMORY), np.nan)
     valves = [
         (m.spool.tobytes(), m.curve.tobytes(), m.curve_v.tobytes(), s.at_null)
         for m, s in zip(models, starts, strict=True)
@@ -436,34 +436,38 @@ def _pass(
     for kept in (out.flows, out.chambers, out.taps):
         kept[rows] = np.nan
     for first in range(0, ticks - 1, CHUNK):
-        samples = min(CHUNK, ticks - 1 - first) + 1
-        knots = (samples - 1) * KNOTS + 1
-        begin_s = course.begin_s + first * TICK_S
+        count = min(CHUNK, ticks - 1 - first)
         opened: list[Floats] = []
         for j, k in enumerate(like):
             if k < j:  # valves as an earlier model has them
                 opened.append(opened[k])
                 continue
-            at_null = starts[j].at_null
+            shape, at_null = (count, KNOTS), starts[j].at_null
             opened.append(
                 openings_along(
-                    models[j], course.commands, begin_s, TICK_S / KNOTS, knots, memory[j], at_null
+                    models[j],
+                    course.commands,
+                    course.begin_s,
+                    first,
+                    shape,
+                    TICK_S,
+                    memory[j],
+                    at_null,
                 )
             )
-        opening = lanes(opened)
-        closing = first + samples >= ticks
-        taps, flows, chambers = advance(
-            tile, samples, n_sub, dt, opening, watch, closing, KNOTS, strict=False
-        )
+        series = advance(tile, n_sub, dt, lanes(opened), watch, first + count + 1 >= ticks)
         if out.flows.shape[1]:
-            span = slice(first, first + samples)
-            out.flows[rows, span] = np.moveaxis(flows, -1, 0)
-            out.chambers[rows, span] = np.moveaxis(chambers, -1, 0)
-            out.taps[rows, span] = np.moveaxis(taps, -1, 0)
-        wrong |= ~finite_lanes(taps) | np.isnan(courant(tile, dt))
+            span = slice(first, first + count + 1)
+            for kept, found in (
+                (out.flows, series.flows),
+                (out.chambers, series.chambers),
+                (out.taps, series.taps),
+            ):
+                kept[rows, span] = np.moveaxis(found, -1, 0)
+        wrong |= ~finite_lanes(series.taps) | np.isnan(tile.work[L.W_P]).any(axis=0)
         if wrong.all():
             break
-        tell((first + samples) / ticks)
+        tell((first + count + 1) / ticks)
     out.readings[rows] = readings = np.moveaxis(watch.readings_pa, -1, 0)
     due = np.isfinite(course.time_s)
     return wrong | ~np.isfinite(readings[:, due]).all(axis=1)

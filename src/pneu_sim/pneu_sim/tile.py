@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A batch of rigs on one grid, as the arrays that the kernel works on, and stepping it."""
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -14,7 +15,7 @@ from pneu_sim import layout as L
 from pneu_sim.rig.build import area_steps
 from pneu_sim.rig.model import Model
 from pneu_sim.rig.plan import Plan
-from pneu_sim.valve import KNOTS_PER_SAMPLE
+from pneu_sim.solver import Series
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -139,6 +140,11 @@ class Tile:
         """Number of rigs."""
         return len(self.models)
 
+    @functools.cached_property
+    def free(self) -> kernel.Rigs:
+        """The batch as the kernel takes it, with taps that are not read."""
+        return arrays(self, unwatched(self))
+
 
 def lanes(arrays: Sequence[Floats]) -> Floats:
     """Stacks per-rig arrays with the rig as the innermost index.
@@ -215,23 +221,20 @@ def pack(
     """
     plan, w = models[0].plan, len(models)
     ends, ports, chambers = plan.ends.shape[0], plan.ports.shape[0], len(plan.chambers)
+    reservoirs = models[0].reservoir.shape[0]
     compliant = any(m.compliant for m in models) if compliant is None else compliant
-    reservoir = lanes([m.reservoir for m in models])
     cell = lanes([m.cell for m in models])
-    work = np.zeros((L.WORK_ROWS, plan.slots, w))
-    # Ghosts have no wall; the floor keeps their unused memory finite.
-    work[L.W_STAY] = 1.0 / np.maximum(cell[L.RELAX], 1e-12)
     ripple_of, ripple = _rows([m.ripples for m in models], L.RIPPLE_PARAMS)
     leak_index, leak = _leaks(models)
     own, acts = _own_terms(models)
     step_index, step_area = area_steps(models)
-    return Tile(
+    tile = Tile(
         models=models,
         compliant=compliant,
         memory=any(m.memory for m in models) if memory is None else memory,
         cell=cell,
         state=np.zeros((L.STATE_ROWS, plan.slots, w)),
-        work=work,
+        work=np.zeros((L.WORK_ROWS, plan.slots, w)),
         soft=np.zeros((L.SOFT_ROWS, plan.slots if compliant else 0, w)),
         end_velocity=np.zeros((ends, w)),
         joint=np.zeros((ends, L.JOINT_ROWS, w)),
@@ -239,10 +242,9 @@ def pack(
         port=lanes([m.port for m in models]),
         port_flow=np.zeros((ports, 2, w)),
         opening=np.zeros((ports, w)),
-        reservoir=reservoir,
-        # A copy: of one reservoir, a view would be contiguous, and change with the pressure.
-        reservoir_p=reservoir[:, L.R_PRESSURE].copy(),
-        supplied=np.zeros((reservoir.shape[0], w)),
+        reservoir=np.zeros((*models[0].reservoir.shape, w)),
+        reservoir_p=np.zeros((reservoirs, w)),
+        supplied=np.zeros((reservoirs, w)),
         chamber=lanes([m.chamber for m in models]),
         chamber_state=np.zeros((chambers, 2, w)),
         chamber_work=np.zeros((chambers, L.CHAMBER_ROWS, w)),
@@ -259,6 +261,22 @@ def pack(
         step_area=step_area,
         clock=np.zeros((2, w)),
     )
+    forget(tile)
+    return tile
+
+
+def forget(tile: Tile) -> None:
+    """Has a batch as if nothing had ever flowed: time zero, and reservoirs as the rigs have them.
+
+    Args:
+        tile: The batch.
+    """
+    for name in (*CHANGING, "soft", "joint", "ported", "chamber_work"):
+        getattr(tile, name)[:] = 0.0
+    # Ghosts have no wall; the floor keeps their unused memory finite.
+    tile.work[L.W_STAY] = 1.0 / np.maximum(tile.cell[L.RELAX], 1e-12)
+    tile.reservoir[:] = lanes([m.reservoir for m in tile.models])
+    tile.reservoir_p[:] = tile.reservoir[:, L.R_PRESSURE]
 
 
 def fill_pipes(
@@ -272,19 +290,9 @@ def fill_pipes(
         temperature: (slots, lanes) or broadcast to it, K.
         velocity: (slots, lanes) m/s.
     """
-    gas = tile.models[0].gas
-    k, rest = tile.cell[L.COMPLIANCE], tile.cell[L.REST_P]
-    stretch = 1.0 + k * (pressure - rest)
-    rho = pressure * stretch / (gas.r_specific * temperature)
-    tile.state[:] = 0.0
     tile.end_velocity[:] = 0.0
-    tile.state[L.RHO] = rho
-    tile.state[L.MOM] = rho * velocity
-    tile.state[L.ENE] = (
-        pressure * stretch / (gas.gamma - 1.0)
-        + 0.5 * k * (pressure**2 - rest**2)
-        + 0.5 * rho * velocity**2
-    )
+    rho = pressure / (tile.models[0].gas.r_specific * temperature)
+    hold_gas(tile, slice(None), rho, np.broadcast_to(velocity, rho.shape), pressure)
 
 
 def gas_in(tile: Tile, slots: slice | Ints) -> tuple[Floats, Floats, Floats]:
@@ -304,21 +312,23 @@ def gas_in(tile: Tile, slots: slice | Ints) -> tuple[Floats, Floats, Floats]:
     return mass / (1.0 + k * (p - rest)), u, p
 
 
-def fill_chambers(tile: Tile, pressure: Floats, temperature: Floats) -> None:
-    """Sets the gas in the chambers.
+def fill_chambers(
+    tile: Tile, pressure: Floats, temperature: Floats, which: slice = slice(None)
+) -> None:
+    """Sets the gas in chambers.
 
     Args:
         tile: The batch.
-        pressure: (n_chambers, lanes) Pa.
-        temperature: (n_chambers, lanes) K.
+        pressure: (chambers, lanes) Pa.
+        temperature: (chambers, lanes) K.
+        which: Which chambers.
     """
     gas = tile.models[0].gas
-    com, rest = tile.chamber[:, L.C_COMPLIANCE], tile.chamber[:, L.C_REST_P]
-    volume = tile.chamber[:, L.C_VOLUME] + com * (pressure - rest)
-    tile.chamber_state[:, 0] = pressure * volume / (gas.r_specific * temperature)
-    tile.chamber_state[:, 1] = pressure * volume / (gas.gamma - 1.0) + 0.5 * com * (
-        pressure**2 - rest**2
-    )
+    rows, state = tile.chamber[which], tile.chamber_state[which]
+    com, rest = rows[:, L.C_COMPLIANCE], rows[:, L.C_REST_P]
+    volume = rows[:, L.C_VOLUME] + com * (pressure - rest)
+    state[:, 0] = pressure * volume / (gas.r_specific * temperature)
+    state[:, 1] = pressure * volume / (gas.gamma - 1.0) + 0.5 * com * (pressure**2 - rest**2)
 
 
 @dataclass
@@ -445,100 +455,122 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
 
 def advance(
     tile: Tile,
-    samples: int,
     n_sub: int,
     dt_s: float,
     opening: Floats,
     watch: Watch | None = None,
     closing: bool = True,
-    knots: int = KNOTS_PER_SAMPLE,
-    strict: bool = True,
-) -> tuple[Floats, Floats, Floats]:
-    """Advances a batch in place.
+    fastest: Floats | None = None,
+) -> Series:
+    """Advances a batch in place, whatever comes of it.
 
     Args:
         tile: The batch.
-        samples: Recorded samples; the first is the present state.
         n_sub: Steps between samples.
         dt_s: Step, s.
-        opening: ((samples - 1) * knots + 1, n_ports, lanes) openings.
+        opening: (intervals, knots + 1, n_ports, lanes) openings between the samples, linear from
+            knot to knot; both ends of an interval are its own.
         watch: Taps that are read at times of their own, brought up to the new state.
         closing: Whether they are read at the very end too, no further call taking up from here.
-        knots: Openings per sample interval.
-        strict: Whether an unstable lane is an error; else its predictions are not finite.
+        fastest: (intervals + 1, lanes) written: cells that the fastest wave crosses, 1/s.
 
     Returns:
-        (samples, n_taps, lanes) tap pressures, (samples, n_ports, lanes) port flows and
-        (samples, n_chambers, lanes) chamber pressures.
-
-    Raises:
-        InputError: A prediction is not finite, and ``strict``.
+        What was recorded, intervals + 1 samples.
     """
-    watch = watch or unwatched(tile)
     tile.count_by(dt_s)
+    intervals, knots, ports, w = opening.shape
+    out = Series.empty(tile.plan, intervals + 1, tile.lanes)
     record = kernel.Record(
-        np.zeros((samples, len(tile.plan.taps), tile.lanes)),
-        np.zeros((samples, tile.plan.ports.shape[0], tile.lanes)),
-        np.zeros((samples, len(tile.plan.chambers), tile.lanes)),
+        out.taps, out.flows, out.chambers, np.zeros((0, w)) if fastest is None else fastest
     )
-    clock = kernel.Clock(samples, n_sub, dt_s, knots, tile.clock, watch.step, closing)
-    kernel.advancing(tile.acts)(arrays(tile, watch), clock, opening, record)
-    watch.step += (samples - 1) * n_sub
-    tile.clock[1] += (samples - 1) * n_sub
-    if strict and not np.isfinite(record.taps).all():
-        raise unstable(dt_s, ())
-    return record.taps, record.flows, record.chambers
+    rigs, step = (tile.free, 0) if watch is None else (arrays(tile, watch), watch.step)
+    clock = kernel.Clock(intervals + 1, n_sub, dt_s, knots - 1, tile.clock, step, closing)
+    flat = np.ascontiguousarray(opening).reshape(intervals * knots, ports, w)
+    kernel.advancing(tile.acts)(rigs, clock, flat, record)
+    if watch is not None:
+        watch.step += intervals * n_sub
+    tile.clock[1] += intervals * n_sub
+    return out
 
 
-def advance_safely(
-    tile: Tile, samples: int, n_sub: int, dt_s: float, opening: Floats, strict: bool = True
-) -> tuple[Floats, Floats, Floats]:
-    """Advances a batch in place; lanes that are too fast for the step are done again with more.
+def advance_safely(tile: Tile, n_sub: int, dt_s: float, opening: Floats) -> Series:
+    """Advances a batch in place; lanes that are too fast for the step take more, for a while.
 
-    The step is chosen before anything flows, for waves of ``grid.wave_speed_m_s`` at most; a lane
-    with faster ones, or one that is not finite, takes more steps for this piece.
+    The step is chosen before anything flows, for waves of ``grid.wave_speed_m_s`` at most. A lane
+    that has faster ones at the end of an interval, or is not finite, takes more steps for that one;
+    one that still is not finite stays so.
 
     Args:
         tile: The batch.
-        samples: Recorded samples; the first is the present state.
-        n_sub: Steps between samples.
+        n_sub: Steps in an interval.
         dt_s: Step, s.
-        opening: ((samples - 1) * KNOTS_PER_SAMPLE + 1, n_ports, lanes) openings.
-        strict: Whether a lane that stays unstable is an error; else it is not finite.
+        opening: (intervals, knots + 1, n_ports, lanes) openings, see `advance`.
 
     Returns:
         As `advance`.
-
-    Raises:
-        InputError: A prediction is not finite however many steps it is given, and ``strict``.
     """
-    before = {name: getattr(tile, name).copy() for name in CHANGING}
-    series = advance(tile, samples, n_sub, dt_s, opening, strict=False)
-    wrong = ~finite_lanes(series[0]) | ~(courant(tile, dt_s) <= 1.0)
+    intervals = len(opening)
+    out = None
+    tile.count_by(dt_s)
+    first, ahead = 0, intervals
+    while True:
+        piece = opening[first : first + ahead]
+        before = {name: getattr(tile, name).copy() for name in CHANGING}
+        fastest = np.empty((len(piece) + 1, tile.lanes))
+        part = advance(tile, n_sub, dt_s, piece, fastest=fastest)
+        wrong = _wrong(part, dt_s * fastest)
+        if wrong.any() and len(piece) > 1:
+            # as far as all went well once more, then what did not by itself
+            for name, array in before.items():
+                getattr(tile, name)[:] = array
+            ahead = max(int(np.argmax(wrong.any(axis=1))), 1)
+            continue
+        if out is None:
+            if len(piece) == intervals and not wrong.any():
+                return part
+            out = Series.empty(tile.plan, intervals + 1, tile.lanes)
+        out.put(first, part)
+        if wrong.any():
+            which = np.flatnonzero(wrong[0])
+            out.put(first, _with_more_steps(tile, before, which, n_sub, dt_s, piece), which)
+        first += len(piece)
+        ahead *= 2
+        if first >= intervals:
+            return out
+
+
+def _wrong(part: Series, courant: Floats) -> NDArray[np.bool_]:
+    """(intervals, lanes) which became too fast for their step, or no numbers, being so before."""
+    fine = np.isfinite(part.taps).all(axis=1) & np.isfinite(courant)
+    return np.asarray(fine[:-1] & ~(fine & (courant <= 1.0))[1:])
+
+
+def _with_more_steps(
+    tile: Tile,
+    before: Mapping[str, Floats],
+    which: Ints,
+    n_sub: int,
+    dt_s: float,
+    opening: Floats,
+) -> Series:
+    """Advances some lanes of a batch once more, from what it was before, with more steps."""
+    out = Series.empty(tile.plan, len(opening) + 1, which.size)
+    left = np.arange(which.size)
     for more in MORE_STEPS:
-        which = np.flatnonzero(wrong)
-        if which.size == 0:
-            break
-        part = some_lanes(tile, which)
+        mine = which[left]
+        part = some_lanes(tile, mine)
         for name, array in before.items():
-            getattr(part, name)[:] = array[..., which]
-        again = advance(
-            part,
-            samples,
-            n_sub * more,
-            dt_s / more,
-            np.ascontiguousarray(opening[..., which]),
-            strict=False,
-        )
-        for whole, some in zip(series, again, strict=True):
-            whole[..., which] = some
+            getattr(part, name)[:] = array[..., mine]
+        fastest = np.empty((len(opening) + 1, mine.size))
+        again = advance(part, n_sub * more, dt_s / more, opening[..., mine], fastest=fastest)
+        out.put(0, again, left)
         part.count_by(dt_s)
         for name in CHANGING:
-            getattr(tile, name)[..., which] = getattr(part, name)
-        wrong[which] = ~finite_lanes(again[0]) | ~(courant(part, dt_s / more) <= 1.0)
-    if strict and not np.isfinite(series[0]).all():
-        raise unstable(dt_s)
-    return series
+            getattr(tile, name)[..., mine] = getattr(part, name)
+        left = left[_wrong(again, dt_s / more * fastest).any(axis=0)]
+        if left.size == 0:
+            break
+    return out
 
 
 def some_lanes(tile: Tile, which: Ints) -> Tile:
@@ -558,19 +590,42 @@ def some_lanes(tile: Tile, which: Ints) -> Tile:
     return replace(tile, models=[tile.models[int(j)] for j in which], own=own, **arrays)
 
 
-def courant(tile: Tile, dt_s: float) -> Floats:
-    """How many cells the fastest wave of each lane crosses in a step, as of the last sample.
+def hold_gas(tile: Tile, slots: slice, density: Floats, velocity: Floats, pressure: Floats) -> None:
+    """Sets the gas in some slots, whose walls forget what they remember.
 
     Args:
         tile: The batch.
-        dt_s: Step, s.
-
-    Returns:
-        (lanes,); NaN where the gas is not finite.
+        slots: Which.
+        density: (slots, lanes) kg/m^3; what follows likewise.
+        velocity: m/s.
+        pressure: Pa.
     """
-    speed = np.abs(tile.work[L.W_U]) + tile.work[L.W_C]
-    crossed: Floats = dt_s * np.max(speed / tile.cell[L.LENGTH], axis=0)  # negative in ghosts
-    return crossed
+    cell, state = tile.cell[:, slots], tile.state[:, slots]
+    k, rest = cell[L.COMPLIANCE], cell[L.REST_P]
+    stretch = 1.0 + k * (pressure - rest)
+    state[:] = 0.0
+    state[L.RHO] = density * stretch
+    state[L.MOM] = density * stretch * velocity
+    state[L.ENE] = (
+        pressure * stretch / (tile.models[0].gas.gamma - 1.0)
+        + 0.5 * k * (pressure**2 - rest**2)
+        + 0.5 * density * stretch * velocity**2
+    )
+
+
+def held(tile: Tile) -> tuple[Floats, Floats]:
+    """Mass, kg, and energy, J, of all gas and yielding walls, each (lanes,).
+
+    Args:
+        tile: The batch.
+    """
+    inverse = tile.cell[L.INV_VOLUME]
+    volume = np.where(inverse > 0.0, 1.0 / np.where(inverse > 0.0, inverse, 1.0), 0.0)
+    mass, energy = (
+        np.sum(tile.state[row] * volume, axis=0) + tile.chamber_state[:, column].sum(axis=0)
+        for row, column in ((L.RHO, 0), (L.ENE, 1))
+    )
+    return mass, energy
 
 
 def finite_lanes(series: Floats) -> NDArray[np.bool_]:

@@ -19,7 +19,7 @@ from pneu_sim.rig.schema import AttachedEffect, Chamber, Opening
 from pneu_sim.signals import Signal
 from pneu_sim.simulate import Prediction, even_course, initial_field, predict
 from pneu_sim.simulator import Simulator
-from pneu_sim.valve import KNOTS_PER_SAMPLE, openings
+from pneu_sim.valve import KNOTS_PER_SAMPLE, evenly_open
 
 HOUSE = Path(__file__).parents[3]
 DT_S = 0.002
@@ -27,6 +27,13 @@ SUPPLY_PA, ROOM_PA, ROOM_K = 635e3, 101e3, 293.15
 SUPPLY, VALVE_OUT, MIDDLE, END, EXHAUST = range(5)
 FILL, DRAIN = 0, 1  # ports of rig A
 CHOKED = 0.0404149  # m sqrt(T) / (A p) of the isentropic orifice in air, K^0.5 s/m
+
+
+def openings(model, commands, dt_s, knots=KNOTS_PER_SAMPLE):
+    """Openings along commands that are held between samples, so many times per sample."""
+    signals = {name: Signal(dt_s * np.arange(v.size), v) for name, v in commands.items()}
+    count = (len(next(iter(commands.values()))) - 1) * knots + 1
+    return evenly_open(model, signals, 0.0, dt_s / knots, count)
 
 
 @pytest.fixture

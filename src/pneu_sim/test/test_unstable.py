@@ -127,7 +127,7 @@ def test_what_no_step_helps_is_told_in_one_sentence() -> None:
     out = predicted(models, strict=False)
     assert np.isfinite(out.readings[0]).all() and not np.isfinite(out.readings[1, :, 1:]).any()
     simulator = Simulator(rig(600.0))
-    simulator._tile.cell[L.VISCOUS] = np.nan
+    simulator.plant.solver.tiles[0][0].cell[L.VISCOUS] = np.nan
     with pytest.raises(InputError, match="8 times as many steps; "):
         simulator.run(0.01, {"volts": 5.0})
 

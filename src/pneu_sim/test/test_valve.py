@@ -15,7 +15,7 @@ from pneu_sim.rig.build import build
 from pneu_sim.rig.model import Model
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
-from pneu_sim.valve import SpoolState, batch_openings, openings, openings_along
+from pneu_sim.valve import Spools, evenly_open, openings_along
 
 Floats = NDArray[np.float64]
 
@@ -49,35 +49,24 @@ def valve(**spool: Any) -> Model:
 
 
 def along(
-    time_s: list[float] | Floats,
-    volts: list[float] | Floats,
-    end_s: float,
-    pieces: int = 1,
-    **spool: Any,
+    time_s: list[float] | Floats, volts: list[float] | Floats, end_s: float, **spool: Any
 ) -> tuple[Floats, Floats]:
     """Times and positions of a spool along a command, from 0 s on."""
-    model = valve(**spool)
     signal = Signal(np.asarray(time_s, dtype=float), np.asarray(volts, dtype=float))
-    memory = np.full((1, 4), np.nan)
-    count = round(end_s / STEP_S / pieces)
-    found = []
-    for k in range(pieces):
-        part = openings_along(
-            model, {"volts": signal}, k * count * STEP_S, STEP_S, count + 1, memory
-        )
-        found.append(part[1 if k else 0 :, 0])
-    x = 10.0 * np.concatenate(found)
+    count = round(end_s / STEP_S) + 1
+    x = 10.0 * evenly_open(valve(**spool), {"volts": signal}, 0.0, STEP_S, count)[:, 0]
     return STEP_S * np.arange(x.size), x
 
 
-def in_steps(volts: Floats, period_s: float, cuts: list[int], **spool: Any) -> Floats:
-    """Positions of a spool that is commanded piece by piece, as the simulator does it."""
-    model, spools = valve(**spool), SpoolState()
-    found = []
-    for a, b in zip([0, *cuts], [*cuts, volts.size - 1], strict=True):
-        part = np.append(volts[a:b], volts[b - 1])
-        x = openings(model, {"volts": part}, period_s, knots=4, spools=spools)
-        found.append(x[1 if a else 0 :, 0])
+def in_steps(
+    volts: Floats, period_s: float, cuts: list[int], begin_s: float, **spool: Any
+) -> Floats:
+    """(periods, 5) positions of a spool that is commanded piece by piece, as a plant does it."""
+    spools = Spools([valve(**spool)])
+    found = [
+        spools.follow(volts[None, None, a:b], begin_s, a, period_s, knots=4)[:, :, 0, 0]
+        for a, b in zip([0, *cuts], [*cuts, volts.size], strict=True)
+    ]
     return 10.0 * np.concatenate(found)
 
 
@@ -305,33 +294,50 @@ SPOOLS = [
 ]
 
 
+@pytest.mark.parametrize("period_s", [1e-3, 7e-3])
 @pytest.mark.parametrize("spool", SPOOLS)
-def test_a_run_in_pieces_is_one_run(spool: dict[str, Any]) -> None:
+def test_a_run_in_pieces_is_one_run(spool: dict[str, Any], period_s: float) -> None:
     volts = np.repeat(np.random.default_rng(7).uniform(0.0, 10.0, 60), 3)
-    whole = in_steps(volts, 1e-3, [], **spool)
-    cut = in_steps(volts, 1e-3, [1, 2, 7, 40, 41, 42, 100, 170], **spool)
+    begin_s = 12.34567
+    whole = in_steps(volts, period_s, [], begin_s, **spool)
+    for cuts in ([1, 2, 7, 40, 41, 42, 100, 170], list(range(1, volts.size))):
+        assert np.array_equal(in_steps(volts, period_s, cuts, begin_s, **spool), whole)
     assert np.ptp(whole) > 3.0
-    # A spool without a lag is told the mean about a piece's last knot before the next begins.
-    within = np.arange(whole.size) % 4 != 0
-    assert np.abs(cut - whole)[within].max() < 1e-9
-    if "bandwidth_hz" in spool:
-        assert np.abs(cut - whole).max() < 1e-9
-    # The same from signals with times of their own, in pieces or not.
-    time = 1e-3 * np.arange(volts.size)
-    t, x = along(time, volts, 0.16, **spool)
-    assert np.abs(np.interp(2.5e-4 * np.arange(600), t, x) - whole[:600]).mean() < 0.02
-    assert np.abs(along(time, volts, 0.16, pieces=8, **spool)[1] - x).max() < 1e-9
+    # The same along signals with times of their own, in pieces or not.
+    model = valve(**spool)
+    signals = {"volts": Signal(begin_s + period_s * np.arange(volts.size), volts)}
+    found = []
+    for pieces in (1, 9):
+        memory, count = np.full((1, 4), np.nan), volts.size // pieces
+        parts = [
+            openings_along(
+                model, signals, begin_s, k * count, (count, 4), period_s, memory, at_null=True
+            )
+            for k in range(pieces)
+        ]
+        found.append(10.0 * np.concatenate(parts)[:, :, 0])
+    assert np.array_equal(found[0], found[1])
+    assert np.array_equal(found[0], whole)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.0013, 0.0078])
+def test_both_ends_of_a_period_are_its_own(delay_s: float) -> None:
+    """What is commanded next shows in no period before it acts, and at once where it does."""
+    volts = np.array([5.0, 8.0, 2.0, 2.0, 9.0, 9.0, 9.0, 9.0, 9.0, 9.0, 9.0, 9.0])
+    x = in_steps(volts, 1e-3, [], 0.0, delay_s=delay_s)
+    area = 1e-3 * (x[:, :-1] + x[:, 1:]).sum(axis=1) / 8.0
+    edges = 1e-3 * np.arange(volts.size + 1)
+    told = Signal(edges[:-1] + delay_s, volts)
+    assert np.allclose(area, 1e-3 * told.mean_between(edges), rtol=1e-12)
+    if delay_s == 0.0:
+        assert np.array_equal(x, np.repeat(volts[:, None], 5, axis=1))
 
 
 @pytest.mark.parametrize("spool", SPOOLS)
 def test_spools_side_by_side_are_those_alone(spool: dict[str, Any]) -> None:
-    volts = np.repeat(np.random.default_rng(8).uniform(0.0, 10.0, (3, 30)), 4, axis=1)
+    volts = np.repeat(np.random.default_rng(8).uniform(0.0, 10.0, (3, 1, 30)), 4, axis=2)
     models = [valve(**spool), valve(), valve(**spool)]
-    out = np.empty(((volts.shape[1] - 1) * 4 + 1, 1, 3))
-    batch_openings(
-        volts[:, None, :], 1e-3, 4, 0, np.stack([m.spool for m in models]),
-        np.full((3, 1, 4), np.nan), np.zeros(1, dtype=np.int64),
-        np.stack([m.curve_v for m in models]), np.stack([m.curve for m in models]), out,
-    )  # fmt: skip
+    together = Spools(models).follow(volts, 0.0, 0, 1e-3)
     for k, model in enumerate(models):
-        assert np.array_equal(out[:, :, k], openings(model, {"volts": volts[k]}, 1e-3))
+        alone = Spools([model]).follow(volts[k : k + 1], 0.0, 0, 1e-3)
+        assert np.array_equal(together[..., k], alone[..., 0])

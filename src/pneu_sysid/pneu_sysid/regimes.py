@@ -14,7 +14,7 @@ from pneu_sim.rig.build import build
 from pneu_sim.rig.plan import Plan, plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import TICK_S, initial_field
-from pneu_sim.valve import openings_along
+from pneu_sim.valve import evenly_open
 from pneu_sysid.problem import Problem, Rollouts
 from pneu_sysid.results import RegimeKind
 from pneu_sysid.volumes import volume_of_tap, volumes_of
@@ -113,12 +113,9 @@ def operation(problem: Problem, rig: Rig, out: Rollouts) -> Operation:
     rigs = [rig_in_recording(rig, recording.name) for recording in problem.recordings]
     opened = []
     for recording, own, along in zip(problem.recordings, rigs, out.along, strict=True):
-        memory = np.full((len(plan.valves), 4), np.nan)
         model = build(own, plan)
         tick_s = along.tick_s
-        opened.append(
-            openings_along(model, recording.commands, tick_s[0], TICK_S, tick_s.size, memory)
-        )
+        opened.append(evenly_open(model, recording.commands, float(tick_s[0]), TICK_S, tick_s.size))
     common = _opening_sets(plan, opened)
     common += _choked_sets(rigs, plan, opened, [along.taps[0] for along in out.along])
     seen = np.isfinite(problem.measured)

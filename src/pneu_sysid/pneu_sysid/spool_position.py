@@ -219,9 +219,7 @@ class _Data:
         paths = []
         for p in self.pieces:
             count = math.ceil((float(p.measured.time_s[-1]) - p.begin_s) / step_s) + 2
-            paths.append(
-                positions_along(row, p.command, p.begin_s, step_s, count, np.full(4, np.nan))
-            )
+            paths.append(positions_along(row, p.command, p.begin_s, step_s, count))
         return paths
 
     def predict(self, values: Values, step_s: float) -> Floats:

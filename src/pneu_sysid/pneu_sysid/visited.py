@@ -10,7 +10,7 @@ from pneu_sim.rig.build import build
 from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import TICK_S
-from pneu_sim.valve import openings_along
+from pneu_sim.valve import evenly_open
 from pneu_sysid.records import Recording
 
 WIDE = 0.75
@@ -36,9 +36,8 @@ def opened_to(rig: Rig, recordings: Sequence[Recording]) -> dict[str, float]:
     for recording in recordings:
         model = build(rig_in_recording(rig, recording.name), plan)
         begin = min(float(s.time_s[0]) for s in recording.commands.values())
-        count = max(int((recording.end_s - begin) / TICK_S), 1)
-        memory = np.full((len(plan.valves), 4), np.nan)
-        opened = openings_along(model, recording.commands, begin, TICK_S, count, memory)
+        count = max(int((recording.end_s - begin) / TICK_S), 2)
+        opened = evenly_open(model, recording.commands, begin, TICK_S, count)
         seen.append(opened / model.curve.max(axis=1))
     parts = -np.sort(-np.concatenate(seen), axis=0)
     rank = min(round(SOON_S / TICK_S), len(parts) - 1)

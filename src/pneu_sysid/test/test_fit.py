@@ -234,8 +234,7 @@ def test_a_spool_whose_position_was_recorded_is_fitted_to_it() -> None:
     spool = rig.valves["valve"].spool
     command = recording.commands["voltage"]
     at = np.arange(0.0, 2.9, 2e-3)
-    memory = np.full(4, np.nan)
-    seen = positions_along(spool_row(spool), command, 0.0, 2e-3, at.size, memory)
+    seen = positions_along(spool_row(spool), command, 0.0, 2e-3, at.size)
     recording.positions["valve"] = Signal(at, seen + 0.01 * rng.normal(size=at.size))
     datasheet = rig.model_copy(deep=True)
     datasheet.valves["valve"].spool.bandwidth_hz = 1.4 * spool.bandwidth_hz

@@ -81,7 +81,7 @@ def recorded(
     read = time[:-1] + 0.0007
     knots = int(6.0 / step)
     row = spool_row(Spool(**spool))
-    path = positions_along(row, command, 0.0, step, knots, np.full(4, np.nan))
+    path = positions_along(row, command, 0.0, step, knots)
     x = np.interp(read, step * np.arange(knots), path)
     shown = gain * x + offset_v + NOISE_V * rng.standard_normal(x.size)
     gas = Signal(read, 1e5 + rng.standard_normal(read.size))

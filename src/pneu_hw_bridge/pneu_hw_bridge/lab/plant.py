@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_sim import sensors
 from pneu_sim.effects.places import sources
-from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Simulator
 
@@ -163,8 +162,6 @@ class Plant:
             raise InputError(
                 f"rig {rig.name!r} and the register map differ in command {missing[0]!r}"
             )
-        if not kind_of(rig).along_lines:
-            raise InputError(f"rig {rig.name!r}: the lab needs model pde, found {rig.model}")
         self.rig = rig
         self._simulator = Simulator(rig, dx_m=dx_m)
         self._sample_s = sample_s

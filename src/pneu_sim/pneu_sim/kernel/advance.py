@@ -33,7 +33,7 @@ from pneu_sim.kernel.lines import (
     widen_faces,
 )
 from pneu_sim.kernel.ports import cross_ports, open_ports
-from pneu_sim.kernel.recording import correct, read, write_down
+from pneu_sim.kernel.recording import correct, find_fastest, read, write_down
 from pneu_sim.kernel.reservoirs import supply
 from pneu_sim.kernel.terms import act as act_terms
 from pneu_sim.kernel.terms import acting
@@ -100,7 +100,8 @@ def advance(rigs, clock, opening, record):
     Args:
         rigs: The batch, a `Rigs`.
         clock: How many steps of what length, a `Clock`.
-        opening: ((samples - 1) * knots + 1, n_ports, lanes) opening fractions.
+        opening: ((samples - 1) * (knots + 1), n_ports, lanes) opening fractions; both ends of an
+            interval are its own.
         record: What is written down at every sample, a `Record`.
     """
     gas, scheme, cells, steps, ends, ports, reservoirs, chambers, terms, taps = rigs
@@ -122,12 +123,14 @@ def advance(rigs, clock, opening, record):
                 corrected = read(clock.watched + step, cells, chambers, taps)
             if s == 0:
                 write_down(k, cells, ports, chambers, taps, record)
+                if record.fastest.shape[0] > 0:
+                    find_fastest(k, cells, record)
                 if last:
                     if scheme.compliant:
                         give_back(cells)
                     break
             at = (s + 0.5) / clock.steps * clock.knots
-            open_ports(k * clock.knots + int(at), at - int(at), opening, ports)
+            open_ports(k * (clock.knots + 1) + int(at), at - int(at), opening, ports)
             if reservoirs.ripple_of.size > 0:
                 supply(step, dt, clock.lanes, reservoirs)
             if scheme.joints:

@@ -217,7 +217,7 @@ class Clock(NamedTuple):
         samples: Recorded samples; the first is the present state.
         steps: Steps between samples.
         dt: Step, s.
-        knots: Openings given per sample interval.
+        knots: Parts of a sample interval between whose ends openings are given.
         lanes: (2, lanes) time from which steps are counted, s, and how many there were before.
         watched: Steps from which readings are counted, before this run.
         closing: Whether the taps are read at the very end too, no further call taking up there.
@@ -239,8 +239,11 @@ class Record(NamedTuple):
         taps: (samples, n_taps, lanes) pressures, Pa.
         flows: (samples, n_ports, lanes) kg/s.
         chambers: (samples, n_chambers, lanes) pressures, Pa.
+        fastest: (samples, lanes) cells that the fastest wave crosses, 1/s; no samples where nobody
+            asks.
     """
 
     taps: Floats
     flows: Floats
     chambers: Floats
+    fastest: Floats

@@ -40,6 +40,27 @@ def write_down(k, cells, ports, chambers, taps, record):
 
 
 @branching
+def find_fastest(k, cells, record):
+    """How many cells the fastest wave crosses, by lane, at sample k; NaN where the gas is none.
+
+    Args:
+        k: Number of the sample.
+        cells: All slots.
+        record: Where to.
+    """
+    w, length = cells.lanes, cells.par[L.LENGTH]
+    u, c = cells.work[L.W_U], cells.work[L.W_C]
+    for j in range(w):
+        record.fastest[k, j] = 0.0
+    for first in range(0, length.size, w):
+        for j in range(w):
+            i = first + j
+            crossed = (abs(u[i]) + c[i]) / length[i]  # negative in ghosts
+            if crossed > record.fastest[k, j] or math.isnan(crossed):
+                record.fastest[k, j] = crossed
+
+
+@branching
 def read(step, cells, chambers, taps):
     """Read the taps that are due since the last step; return whether the state is to be corrected.
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Running lumped models along recordings: many parameter sets in one batch."""
 
-import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -11,10 +10,11 @@ from numpy.typing import NDArray
 
 from pneu_common.tally import Tally
 from pneu_sim import sensors
-from pneu_sim.lumped.filling import fill, port_flow
-from pneu_sim.lumped.model import V_VOLUME, LumpedModel
+from pneu_sim.lumped.model import LumpedModel
+from pneu_sim.lumped.solver import LumpedSolver
 from pneu_sim.simulate import TICK_S as RUN_TICK_S
-from pneu_sim.simulate import Course, Prediction, Start
+from pneu_sim.simulate import Course, Prediction
+from pneu_sim.spool import MEMORY
 from pneu_sim.valve import openings_along
 
 Floats = NDArray[np.float64]
@@ -23,8 +23,6 @@ TICKS = 4
 """Ticks of a lumped model in one of the full model's; without ports to open, one is enough."""
 GAP = 3.0
 """Readings further apart than this many periods have a gap between them."""
-STEP = 1.5
-"""Step times the fastest rate of any volume; the Runge-Kutta method is stable up to 2.8."""
 
 
 def predict(
@@ -91,39 +89,31 @@ def ticks_of(model: LumpedModel) -> int:
 
 def _along(model: LumpedModel, course: Course) -> tuple[Floats, Floats, Floats, Floats]:
     """Readings of one model along a course, and its flows, chambers and taps at every tick."""
-    plan, gas = model.plan, model.base.gas
+    plan, base = model.plan, model.base
     ticks = ticks_of(model)
-    samples, step_s = (course.ticks - 1) * ticks + 1, RUN_TICK_S / ticks
-    at = course.begin_s + step_s * np.arange(samples, dtype=np.float64)
-    rate = fastest(model)
-    pull = _pull(course)
-    # In powers of two, so that the step is the same for parameters that differ a little.
-    n_sub = 2 ** math.ceil(math.log2(max(step_s * max(rate, pull) / STEP, 1.0)))
-    opened = openings_along(
-        model.base,
-        course.commands,
-        course.begin_s,
-        step_s,
-        samples,
-        np.full((len(plan.valves), 4), np.nan),
-        course.start.at_null,
+    intervals, step_s = (course.ticks - 1) * ticks, RUN_TICK_S / ticks
+    at = course.begin_s + step_s * np.arange(intervals + 1, dtype=np.float64)
+    solver = LumpedSolver([model], pull := _pull(course))
+    start = course.start
+    solver.fill(
+        start.pressure[:, None],
+        start.chamber_pressure[:, None],
+        np.broadcast_to(base.ambient[1], (plan.slots, 1)),
+        np.broadcast_to(base.ambient[1], (len(plan.chambers), 1)),
     )
-    taps = np.empty((1, samples, len(plan.taps)))
-    flows = np.empty((1, samples, plan.ports.shape[0]))
-    chambers = np.empty((1, samples, len(plan.chambers)))
-    fill(
-        samples, n_sub, step_s / n_sub, 1, gas.gamma, gas.r_specific,
-        model.exponent, model.side, model.area, model.linear, model.source, model.volume,
-        model.tap, model.chamber, model.tap_delay_s, model.side_delay_s, model.drag,
-        model.base.ambient, np.zeros(1, dtype=np.int64), _start(model, course.start)[None], opened,
-        samples if pull > 0.0 else 0, pull, _goals(model, course, at), taps, flows, chambers,
-    )  # fmt: skip
-    shown = sensors.read(model.base, taps[0], step_s)
+    memory = np.full((len(plan.valves), MEMORY), np.nan)
+    opened = openings_along(
+        base, course.commands, course.begin_s, 0, (intervals, 1), step_s, memory, start.at_null
+    )
+    goals = _goals(model, course, at)[None] if pull > 0.0 else None
+    out = solver.advance(opened[..., None], step_s, goals)
+    taps, flows, chambers = (of[:, :, 0] for of in (out.taps, out.flows, out.chambers))
+    shown = sensors.read(base, taps, step_s)
     readings = np.full(course.time_s.shape, np.nan)
     for t in range(len(plan.taps)):
         due = np.isfinite(course.time_s[t])
         readings[t, due] = np.interp(course.time_s[t, due], at, shown[:, t])
-    return readings, flows[0], chambers[0], taps[0]
+    return readings, flows, chambers, taps
 
 
 def _pull(course: Course) -> float:
@@ -151,34 +141,3 @@ def _goals(model: LumpedModel, course: Course, at: Floats) -> Floats:
         right = np.clip(np.searchsorted(time, at), 1, time.size - 1)
         goals[time[right] - time[right - 1] > GAP * usual, t] = np.nan
     return goals
-
-
-def fastest(model: LumpedModel) -> float:
-    """Returns the fastest rate at which any volume may settle, 1/s: all ports open and linear.
-
-    Args:
-        model: The model.
-    """
-    gas = model.base.gas
-    warm = gas.gamma * max(model.base.ambient[1], *model.source[:, 1], 0.0)
-    rates = np.zeros(len(model.volume))
-    for q, (area, linear) in enumerate(zip(model.area, model.linear, strict=True)):
-        edge = port_flow(1.0, warm, linear, warm, area, linear, gas.gamma, gas.r_specific)
-        slope = model.base.curve[q].max() * edge / (1.0 - linear)
-        for place in model.side[2 * q : 2 * q + 2]:
-            if place >= 0:
-                row = model.volume[place]
-                rates[place] += model.exponent * gas.r_specific * warm * slope / row[V_VOLUME]
-    return float(rates.max(initial=0.0))
-
-
-def _start(model: LumpedModel, start: Start) -> Floats:
-    """Initial pressures of the volumes."""
-    base = np.full(len(model.volume), model.base.ambient[0])
-    for v, cells in enumerate(model.cells):
-        chambers = np.flatnonzero(model.chamber == v)
-        if cells.size:
-            base[v] = np.mean(start.pressure[cells])
-        elif chambers.size:
-            base[v] = np.mean(start.chamber_pressure[chambers])
-    return base

@@ -7,11 +7,21 @@ kept for as long as something still waits for it. Zero delays give the thin-plat
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sim.compiling import compiled
+from pneu_sim.compiling import branching, folded
+from pneu_sim.lumped.model import (
+    RELIEF_COLUMNS,
+    V_COMPLIANCE,
+    V_LEAK,
+    V_POROUS,
+    V_REST_P,
+    V_VOLUME,
+    VOLUME_COLUMNS,
+)
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -20,7 +30,7 @@ LEAK_LINEAR = 0.999
 """Pressure ratio above which a leak's flow is linear in the pressure drop."""
 
 
-@compiled
+@folded
 def flow_function(x: float, gamma: float) -> float:
     """Mass flow of an isentropic orifice over ``A p_u / sqrt(R T)`` (thesis eqs. 3.15-3.17).
 
@@ -33,7 +43,7 @@ def flow_function(x: float, gamma: float) -> float:
     return math.sqrt(2.0 * gamma / (gamma - 1.0) * max(root * (root - x), 0.0))
 
 
-@compiled
+@branching
 def port_flow(
     p_a: float,
     t_a: float,
@@ -74,33 +84,122 @@ def port_flow(
     return sign * area * p_a / math.sqrt(r_gas * t_a) * psi
 
 
-@compiled
-def _pressure(
-    v: int,
-    delay: Floats,
-    side: Ints,
-    base: Floats,
-    y: Floats,
-    y0: Floats,
-    ahead: float,
-    h: float,
-    ring: Floats,
-    head: int,
+class Volumes(NamedTuple):
+    """Rigs reduced to volumes and sources, see ``LumpedModel``; of one of them without the lanes.
+
+    Attributes:
+        gamma: Ratio of specific heats.
+        r_gas: Specific gas constant, J/(kg K).
+        exponent: (lanes,) polytropic exponents.
+        side: (2 n_ports,) place of each side, alike for all.
+        area: (lanes, n_ports) effective areas fully open, m^2.
+        linear: (lanes, n_ports) pressure ratios above which flow is linear.
+        source: (lanes, n_sources, 2) pressure, Pa, and temperature, K.
+        volume: (lanes, n_volumes, 5 + 3 n) volumes and what leaks from them.
+        tap: (n_taps,) place of each tap, alike for all.
+        chamber: (n_chambers,) place of each chamber, alike for all.
+        tap_delay: (lanes, n_taps, 2 n_ports) travel times, s.
+        side_delay: (lanes, 2 n_ports, 2 n_ports) travel times, s.
+        drag: (lanes, 2 n_ports, 2) laminar and turbulent resistance times length.
+        room: (lanes, 2) pressure and temperature of the room and of every wall.
+    """
+
+    gamma: float
+    r_gas: float
+    exponent: Floats
+    side: Ints
+    area: Floats
+    linear: Floats
+    source: Floats
+    volume: Floats
+    tap: Ints
+    chamber: Ints
+    tap_delay: Floats
+    side_delay: Floats
+    drag: Floats
+    room: Floats
+
+
+class Shares(NamedTuple):
+    """What the sides of ports have brought to the volumes; of one rig without the lanes.
+
+    Attributes:
+        base: (lanes, n_volumes) initial pressures, Pa.
+        now: (lanes, 2 n_ports + 2 n_volumes) pressures that each side has brought, those that all
+            of a volume have in common, Pa, and masses, kg.
+        past: (lanes, steps, 2 n_ports) what sides had brought, step by step, a ring.
+        head: (lanes, 1) newest row of that.
+        opening: (lanes, n_ports) of the ports at this moment; NaN before any has been told.
+    """
+
+    base: Floats
+    now: Floats
+    past: Floats
+    head: Ints
+    opening: Floats
+
+
+class Goals(NamedTuple):
+    """What volumes are drawn to.
+
+    Attributes:
+        pressure: (lanes, intervals + 1, n_taps) Pa, linear between, NaN where there is none; no
+            rows where nothing is drawn.
+        rate: 1/s.
+    """
+
+    pressure: Floats
+    rate: float
+
+
+class Room(NamedTuple):
+    """Scratch of a step of one rig.
+
+    Attributes:
+        before: Shares at its beginning.
+        after: Shares at its end, so far.
+        rate: Their rates of change.
+        opening: (n_ports,) at a stage.
+        flow: (n_ports,) kg/s at a stage.
+        goal: (n_taps,) at a stage.
+    """
+
+    before: Floats
+    after: Floats
+    rate: Floats
+    opening: Floats
+    flow: Floats
+    goal: Floats
+
+
+@folded
+def _one(rigs: Volumes, j: int) -> Volumes:
+    """One rig of several."""
+    return Volumes(
+        rigs.gamma, rigs.r_gas, rigs.exponent[j], rigs.side, rigs.area[j], rigs.linear[j],
+        rigs.source[j], rigs.volume[j], rigs.tap, rigs.chamber, rigs.tap_delay[j],
+        rigs.side_delay[j], rigs.drag[j], rigs.room[j],
+    )  # fmt: skip
+
+
+@folded
+def _felt(
+    v: int, delay: Floats, rig: Volumes, shares: Shares, before: Floats, ahead: float, h: float
 ) -> float:
     """Pressure of volume v at a point that each side's share reaches after its delay.
 
-    ``ahead`` is how far ``y`` is past ``y0``, whose shares are at ``head`` of the ring.
+    The shares are ``ahead`` past those before, which are at the head of the ring, ``h`` apart.
     """
-    n_sides = side.size
-    p = base[v] + y[n_sides + v]
-    for k in range(n_sides):
+    side, now, ring, head = rig.side, shares.now, shares.past, shares.head[0]
+    p = shares.base[v] + now[side.size + v]
+    for k in range(side.size):
         if side[k] != v:
             continue
         d = delay[k]
         if d <= 0.0:
-            p += y[k]
+            p += now[k]
         elif d < ahead:
-            p += y0[k] + (y[k] - y0[k]) * (ahead - d) / ahead
+            p += before[k] + (now[k] - before[k]) * (ahead - d) / ahead
         else:
             back = (d - ahead) / h
             i = int(back)
@@ -110,413 +209,264 @@ def _pressure(
     return p
 
 
-@compiled
-def _bulk(v: int, side: Ints, base: Floats, y: Floats) -> float:
+@folded
+def _bulk(v: int, rig: Volumes, shares: Shares) -> float:
     """Pressure that volume v has once all that entered it has spread."""
-    p = base[v] + y[side.size + v]
+    side = rig.side
+    p = shares.base[v] + shares.now[side.size + v]
     for k in range(side.size):
         if side[k] == v:
-            p += y[k]
+            p += shares.now[k]
     return float(p)
 
 
-@compiled
-def _temperature(
-    v: int, r_gas: float, volume: Floats, side: Ints, base: Floats, y: Floats
-) -> float:
+@folded
+def _size(row: Floats, p: float) -> float:
+    """Size of a volume at a pressure, m^3."""
+    return float(row[V_VOLUME] + row[V_COMPLIANCE] * (p - row[V_REST_P]))
+
+
+@folded
+def _temperature(v: int, rig: Volumes, shares: Shares) -> float:
     """Temperature of the gas in volume v, from its pressure and mass."""
-    p = _bulk(v, side, base, y)
-    size = volume[v, 0] + volume[v, 1] * (p - volume[v, 2])
-    return float(p * size / (y[side.size + base.size + v] * r_gas))
+    p = _bulk(v, rig, shares)
+    mass = shares.now[rig.side.size + shares.base.size + v]
+    return float(p * _size(rig.volume[v], p) / (mass * rig.r_gas))
 
 
-@compiled
-def _rates(
-    y: Floats,
-    y0: Floats,
-    ahead: float,
-    h: float,
-    ring: Floats,
-    head: int,
-    opening: Floats,
-    goal: Floats,
-    nudge_rate: float,
-    gamma: float,
-    r_gas: float,
-    exponent: float,
-    sound: float,
-    side: Ints,
-    area: Floats,
-    linear: Floats,
-    source: Floats,
-    volume: Floats,
-    tap: Ints,
-    tap_delay: Floats,
-    side_delay: Floats,
-    drag: Floats,
-    room: Floats,
-    base: Floats,
-    flow: Floats,
-    out: Floats,
+@folded
+def _at_side(
+    k: int, rig: Volumes, shares: Shares, before: Floats, ahead: float, h: float
+) -> tuple[float, float]:
+    """Pressure and temperature at one side of a port."""
+    v = rig.side[k]
+    if v < 0:
+        return rig.source[-1 - v, 0], rig.source[-1 - v, 1]
+    p = _felt(v, rig.side_delay[k], rig, shares, before, ahead, h)
+    return p, _temperature(v, rig, shares)
+
+
+@branching
+def _through_ports(
+    rig: Volumes, shares: Shares, room: Room, sound: float, ahead: float, h: float
 ) -> None:
-    """Rates of change of all shares, of the volumes' common shares and of their masses."""
-    n_sides = side.size
-    n_volumes = base.size
+    """What flows through the ports, and what that brings to both sides."""
+    gamma, r_gas, exponent, wall = rig.gamma, rig.r_gas, rig.exponent, rig.room[1]
+    masses = rig.side.size + shares.base.size
     # Of the enthalpy that enters, the wall sets the isothermal part (see thin_plate).
-    own = min((exponent - 1.0) / (gamma - 1.0), 1.0)
-    out[:] = 0.0
-    for q in range(area.size):
+    own = min(float((exponent - 1.0) / (gamma - 1.0)), 1.0)
+    for q in range(rig.area.size):
         a, b = 2 * q, 2 * q + 1
-        va, vb = side[a], side[b]
-        if va >= 0:
-            p_a = _pressure(va, side_delay[a], side, base, y, y0, ahead, h, ring, head)
-            t_a = _temperature(va, r_gas, volume, side, base, y)
-        else:
-            p_a, t_a = source[-1 - va, 0], source[-1 - va, 1]
-        if vb >= 0:
-            p_b = _pressure(vb, side_delay[b], side, base, y, y0, ahead, h, ring, head)
-            t_b = _temperature(vb, r_gas, volume, side, base, y)
-        else:
-            p_b, t_b = source[-1 - vb, 0], source[-1 - vb, 1]
-        m = port_flow(p_a, t_a, p_b, t_b, area[q] * opening[q], linear[q], gamma, r_gas)
-        flow[q] = m
+        p_a, t_a = _at_side(a, rig, shares, room.before, ahead, h)
+        p_b, t_b = _at_side(b, rig, shares, room.before, ahead, h)
+        area = rig.area[q] * room.opening[q]
+        m = port_flow(p_a, t_a, p_b, t_b, area, rig.linear[q], gamma, r_gas)
+        room.flow[q] = m
         for k in (a, b):
-            v = side[k]
+            v = rig.side[k]
             if v < 0:
                 continue
             p = p_a if k == a else p_b
             into = -m if k == a else m
-            lost = max(drag[k, 0], drag[k, 1] * abs(m) ** 0.75)
-            into *= math.exp(-lost * r_gas * room[1] / (2.0 * p * sound))
+            laminar, turbulent = float(rig.drag[k, 0]), float(rig.drag[k, 1])
+            lost = max(laminar, turbulent * abs(m) ** 0.75)
+            into *= math.exp(-lost * r_gas * wall / (2.0 * p * sound))
             if into > 0.0:
-                t = own * (t_b if k == a else t_a) + (1.0 - own) * room[1]
+                t = own * (t_b if k == a else t_a) + (1.0 - own) * wall
             else:
                 t = t_a if k == a else t_b
-            size = volume[v, 0] + volume[v, 1] * (p - volume[v, 2])
-            out[k] = exponent * r_gas * t * into / (size + exponent * p * volume[v, 1])
-            out[n_sides + n_volumes + v] += into
+            row = rig.volume[v]
+            yielding = exponent * p * row[V_COMPLIANCE]
+            room.rate[k] = exponent * r_gas * t * into / (_size(row, p) + yielding)
+            room.rate[masses + v] += into
+
+
+@folded
+def _leaked(row: Floats, p: float, t: float, rig: Volumes) -> float:
+    """What leaves a volume for the room, kg/s."""
+    room, r_gas = rig.room, rig.r_gas
+    leak = port_flow(p, t, room[0], room[1], row[V_LEAK], LEAK_LINEAR, rig.gamma, r_gas)
+    leak += row[V_POROUS] * (p - room[0]) * (p + room[0])
+    for k in range(VOLUME_COLUMNS, row.size, RELIEF_COLUMNS):
+        if p > row[k + 1] and p > room[0] and row[k] > 0.0:
+            area = row[k] * min((p - row[k + 1]) / row[k + 2], 1.0)
+            leak += port_flow(p, t, room[0], room[1], area, LEAK_LINEAR, rig.gamma, r_gas)
+    return float(leak)
+
+
+@branching
+def _rates(
+    rig: Volumes, shares: Shares, room: Room, sound: float, pull: float, ahead: float, h: float
+) -> None:
+    """Rates of change of all shares, of the volumes' common shares and of their masses."""
+    n_sides, n_volumes = rig.side.size, shares.base.size
+    room.rate[:] = 0.0
+    _through_ports(rig, shares, room, sound, ahead, h)
     for v in range(n_volumes):
-        p = _bulk(v, side, base, y)
-        t = _temperature(v, r_gas, volume, side, base, y)
-        leak = port_flow(p, t, room[0], room[1], volume[v, 3], LEAK_LINEAR, gamma, r_gas)
-        leak += volume[v, 4] * (p - room[0]) * (p + room[0])
-        for k in range(5, volume.shape[1], 3):
-            if p > volume[v, k + 1] and p > room[0] and volume[v, k] > 0.0:
-                open_area = volume[v, k] * min((p - volume[v, k + 1]) / volume[v, k + 2], 1.0)
-                leak += port_flow(p, t, room[0], room[1], open_area, LEAK_LINEAR, gamma, r_gas)
-        carried = t if leak > 0.0 else room[1]
-        size = volume[v, 0] + volume[v, 1] * (p - volume[v, 2])
-        rise = -exponent * r_gas * carried * leak / (size + exponent * p * volume[v, 1])
+        row = rig.volume[v]
+        p = _bulk(v, rig, shares)
+        t = _temperature(v, rig, shares)
+        leak = _leaked(row, p, t, rig)
+        carried = t if leak > 0.0 else rig.room[1]
+        size = _size(row, p)
+        yielding = p * row[V_COMPLIANCE]
+        rise = -rig.exponent * rig.r_gas * carried * leak / (size + rig.exponent * yielding)
         mass = -leak
-        if nudge_rate > 0.0:
+        if pull > 0.0:
             error = 0.0
             count = 0
-            for i in range(tap.size):
-                if tap[i] == v and goal[i] > 0.0:
-                    error += goal[i] - _pressure(
-                        v, tap_delay[i], side, base, y, y0, ahead, h, ring, head
-                    )
+            for i in range(rig.tap.size):
+                if rig.tap[i] == v and room.goal[i] > 0.0:
+                    delay = rig.tap_delay[i]
+                    seen = _felt(v, delay, rig, shares, room.before, ahead, h)
+                    error += room.goal[i] - seen
                     count += 1
             if count > 0:
-                pull = nudge_rate * error / count
-                rise += pull
-                mass += pull * (size + p * volume[v, 1]) / (r_gas * t)
-        out[n_sides + v] = rise
-        out[n_sides + n_volumes + v] += mass
+                drawn = pull * error / count
+                rise += drawn
+                mass += drawn * (size + yielding) / (rig.r_gas * t)
+        room.rate[n_sides + v] = rise
+        room.rate[n_sides + n_volumes + v] += mass
 
 
-@compiled
+@branching
 def _step(
-    y: Floats,
-    y0: Floats,
-    y1: Floats,
+    s: int,
+    n_sub: int,
     h: float,
-    ring: Floats,
-    head: int,
-    opening: Floats,
-    begin: float,
-    width: float,
-    now: Floats,
-    goal: Floats,
-    nudge_rate: float,
-    goal_left: Floats,
-    goal_right: Floats,
-    goal_begin: float,
-    goal_width: float,
-    gamma: float,
-    r_gas: float,
-    exponent: float,
+    rig: Volumes,
+    shares: Shares,
+    room: Room,
     sound: float,
-    side: Ints,
-    area: Floats,
-    linear: Floats,
-    source: Floats,
-    volume: Floats,
-    tap: Ints,
-    tap_delay: Floats,
-    side_delay: Floats,
-    drag: Floats,
-    room: Floats,
-    base: Floats,
-    flow: Floats,
-    rate: Floats,
-) -> int:
-    """One Runge-Kutta step of all shares in place; returns the ring's new head.
+    opening: Floats,
+    lane: int,
+    pull: float,
+    goals: Floats,
+) -> None:
+    """One Runge-Kutta step of all shares, the s-th of an interval.
 
-    ``opening`` is read from knot ``begin`` to ``begin + width``; the goals that the volumes are
-    drawn to lie between the two given, from ``goal_begin`` to ``goal_begin + goal_width``.
+    Openings are given at the knots of the interval, goals at its ends.
     """
-    y0[:] = y
-    y1[:] = y
+    now, before, after = shares.now, room.before, room.after
+    for i in range(now.size):
+        before[i] = now[i]
+        after[i] = now[i]
+    knots = opening.shape[0] - 1
     for stage in range(4):
         part = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-        x = begin + part * width
-        i = min(int(x), opening.shape[0] - 2)
-        for q in range(now.size):
-            now[q] = opening[i, q] + (x - i) * (opening[i + 1, q] - opening[i, q])
-        if nudge_rate > 0.0:
-            f = goal_begin + part * goal_width
-            for t in range(tap.size):
-                goal[t] = (1.0 - f) * goal_left[t] + f * goal_right[t]
-        _rates(
-            y, y0, part * h, h, ring, head, now, goal, nudge_rate, gamma, r_gas, exponent,
-            sound, side, area, linear, source, volume, tap, tap_delay, side_delay,
-            drag, room, base, flow, rate,
-        )  # fmt: skip
+        at = (s + part) / n_sub
+        i = min(int(at * knots), knots - 1)
+        for q in range(room.opening.size):
+            change = opening[i + 1, q, lane] - opening[i, q, lane]
+            room.opening[q] = opening[i, q, lane] + (at * knots - i) * change
+        if pull > 0.0:
+            for t in range(rig.tap.size):
+                room.goal[t] = (1.0 - at) * goals[0, t] + at * goals[1, t]
+        _rates(rig, shares, room, sound, pull, part * h, h)
         weight = h / 6.0 if stage in (0, 3) else h / 3.0
         ahead = h if stage == 2 else 0.5 * h
-        for i in range(y.size):
-            y1[i] += weight * rate[i]
-            y[i] = y0[i] + ahead * rate[i]
-    y[:] = y1
-    head = (head + 1) % ring.shape[0]
-    ring[head] = y[: side.size]
-    return head
+        for i in range(now.size):
+            after[i] += weight * room.rate[i]
+            now[i] = before[i] + ahead * room.rate[i]
+    for i in range(now.size):
+        now[i] = after[i]
+    shares.head[0] = (shares.head[0] + 1) % shares.past.shape[0]
+    for i in range(rig.side.size):
+        shares.past[shares.head[0], i] = now[i]
 
 
-@compiled
-def longest_delay(side: Ints, tap: Ints, tap_delay: Floats, side_delay: Floats) -> float:
-    """Longest travel time that a model asks for, s.
+@branching
+def _write_down(
+    k: int, j: int, h: float, rig: Volumes, shares: Shares, room: Room, taps: Floats,
+    flows: Floats, chambers: Floats,
+) -> None:  # fmt: skip
+    """Pressures at taps and in chambers, and flows of ports, as sample k of rig j."""
+    for i in range(rig.tap.size):
+        v = rig.tap[i]
+        if v < 0:
+            taps[k, i, j] = rig.source[-1 - v, 0]
+        else:
+            taps[k, i, j] = _felt(v, rig.tap_delay[i], rig, shares, shares.now, 0.0, h)
+    for q in range(rig.area.size):
+        flows[k, q, j] = room.flow[q]
+    for c in range(rig.chamber.size):
+        v = rig.chamber[c]
+        chambers[k, c, j] = rig.source[-1 - v, 0] if v < 0 else _bulk(v, rig, shares)
 
-    Args:
-        side: (2 n_ports,) place of each side.
-        tap: (n_taps,) place of each tap.
-        tap_delay: (n_taps, 2 n_ports) travel times, s.
-        side_delay: (2 n_ports, 2 n_ports) travel times, s.
-    """
-    longest = 0.0
-    for k in range(side.size):
-        for i in range(side.size):
-            longest = max(longest, side_delay[i, k])
-        for i in range(tap.size):
-            longest = max(longest, tap_delay[i, k])
-    return longest
 
-
-@compiled
-def begin_volumes(
-    base: Floats, volume: Floats, n_sides: int, r_gas: float, room: Floats, y: Floats
-) -> None:
+@branching
+def begin_volumes(rigs: Volumes, shares: Shares) -> None:
     """Shares of volumes that stand at rest at the room's temperature.
 
     Args:
-        base: (n_volumes,) initial pressures, Pa.
-        volume: (n_volumes, 5 + 3 n) see ``LumpedModel``.
-        n_sides: Sides of ports.
-        r_gas: Specific gas constant, J/(kg K).
-        room: (2,) pressure and temperature of the room.
-        y: (n_sides + 2 n_volumes,) the shares, written.
+        rigs: The rigs.
+        shares: Their initial pressures are given, the rest is written.
     """
-    y[:] = 0.0
-    for v in range(base.size):
-        size = volume[v, 0] + volume[v, 1] * (base[v] - volume[v, 2])
-        y[n_sides + base.size + v] = base[v] * size / (r_gas * room[1])
+    shares.now[:] = 0.0
+    shares.past[:] = 0.0
+    shares.head[:] = 0
+    shares.opening[:] = np.nan
+    masses = rigs.side.size + shares.base.shape[1]
+    for j in range(shares.base.shape[0]):
+        for v in range(shares.base.shape[1]):
+            p = shares.base[j, v]
+            size = _size(rigs.volume[j, v], p)
+            shares.now[j, masses + v] = p * size / (rigs.r_gas * rigs.room[j, 1])
 
 
-@compiled
+@branching
 def advance_volumes(
+    rigs: Volumes,
+    shares: Shares,
+    room: Room,
     n_sub: int,
     h: float,
-    gamma: float,
-    r_gas: float,
-    exponent: Floats,
-    side: Ints,
-    area: Floats,
-    linear: Floats,
-    source: Floats,
-    volume: Floats,
-    tap: Ints,
-    tap_delay: Floats,
-    side_delay: Floats,
-    drag: Floats,
-    room: Floats,
-    base: Floats,
     opening: Floats,
-    y: Floats,
-    ring: Floats,
-    head: Ints,
-    tap_out: Floats,
+    goals: Goals,
+    taps: Floats,
+    flows: Floats,
+    chambers: Floats,
 ) -> None:
-    """Advances models side by side over the knots of their openings and tells their taps.
+    """Advances rigs side by side and records them, the present state first.
 
     Args:
-        n_sub: Steps in all.
+        rigs: The rigs.
+        shares: What has been brought to their volumes, changed in place.
+        room: Scratch.
+        n_sub: Steps in an interval.
         h: Step, s.
-        gamma: Ratio of specific heats.
-        r_gas: Specific gas constant, J/(kg K).
-        exponent: (lanes,) polytropic exponents; in what follows lanes come first likewise.
-        side: (2 n_ports,) place of each side, alike for all lanes.
-        area: (lanes, n_ports) effective areas fully open, m^2.
-        linear: (lanes, n_ports) pressure ratios above which flow is linear.
-        source: (lanes, n_sources, 2) pressure, Pa, and temperature, K.
-        volume: (lanes, n_volumes, 5 + 3 n) see ``LumpedModel``.
-        tap: (n_taps,) place of each tap, alike for all lanes.
-        tap_delay: (lanes, n_taps, 2 n_ports) travel times, s.
-        side_delay: (lanes, 2 n_ports, 2 n_ports) travel times, s.
-        drag: (lanes, 2 n_ports, 2) laminar and turbulent resistance times length.
-        room: (lanes, 2) pressure and temperature of the room.
-        base: (lanes, n_volumes) initial pressures, Pa.
-        opening: (knots, n_ports, lanes) openings, evenly spaced from now to the end.
-        y: (lanes, 2 n_ports + 2 n_volumes) shares, changed in place.
-        ring: (lanes, steps, 2 n_ports) past shares, changed in place.
-        head: (lanes,) newest row of those, changed in place.
-        tap_out: (lanes, n_taps) pressures at the end.
+        opening: (intervals, knots + 1, n_ports, lanes) openings, linear from knot to knot.
+        goals: What volumes are drawn to.
+        taps: (intervals + 1, n_taps, lanes) pressures, Pa.
+        flows: (intervals + 1, n_ports, lanes) kg/s.
+        chambers: (intervals + 1, n_chambers, lanes) pressures, Pa.
     """
-    n_y = y.shape[1]
-    y0, y1, rate = np.zeros(n_y), np.zeros(n_y), np.zeros(n_y)
-    now = np.zeros(area.shape[1])
-    flow = np.zeros(area.shape[1])
-    goal = np.full(tap.size, np.nan)
-    width = (opening.shape[0] - 1) / n_sub
-    for j in range(area.shape[0]):
-        sound = math.sqrt(gamma * r_gas * room[j, 1])
-        opened = np.ascontiguousarray(opening[:, :, j])
-        for s in range(n_sub):
-            head[j] = _step(
-                y[j], y0, y1, h, ring[j], head[j], opened, s * width, width, now, goal, 0.0,
-                goal, goal, 0.0, 0.0, gamma, r_gas, exponent[j], sound, side, area[j], linear[j],
-                source[j], volume[j], tap, tap_delay[j], side_delay[j], drag[j], room[j], base[j],
-                flow, rate,
-            )  # fmt: skip
-        y0[:] = y[j]
-        for t in range(tap.size):
-            if tap[t] < 0:
-                tap_out[j, t] = source[j, -1 - tap[t], 0]
-            else:
-                tap_out[j, t] = _pressure(
-                    tap[t], tap_delay[j, t], side, base[j], y[j], y0, 0.0, h, ring[j], head[j]
-                )
-
-
-@compiled
-def fill(
-    n_out: int,
-    n_sub: int,
-    h: float,
-    knots: int,
-    gamma: float,
-    r_gas: float,
-    exponent: float,
-    side: Ints,
-    area: Floats,
-    linear: Floats,
-    source: Floats,
-    volume: Floats,
-    tap: Ints,
-    chamber: Ints,
-    tap_delay: Floats,
-    side_delay: Floats,
-    drag: Floats,
-    room: Floats,
-    starts: Ints,
-    base: Floats,
-    opening: Floats,
-    nudge_n: int,
-    nudge_rate: float,
-    goals: Floats,
-    tap_out: Floats,
-    flow_out: Floats,
-    chamber_out: Floats,
-) -> None:
-    """Rolls one model out from every start and records its taps.
-
-    Args:
-        n_out: Samples per roll-out; sample 0 is the initial state.
-        n_sub: Steps between samples.
-        h: Step, s.
-        knots: Opening knots per sample interval.
-        gamma: Ratio of specific heats.
-        r_gas: Specific gas constant, J/(kg K).
-        exponent: Polytropic exponent of the volumes.
-        side: (2 n_ports,) place of each side: a volume, or -1 - source.
-        area: (n_ports,) effective areas fully open, m^2.
-        linear: (n_ports,) pressure ratios above which flow is linear.
-        source: (n_sources, 2) pressure, Pa, and temperature, K.
-        volume: (n_volumes, 5 + 3 n) see ``LumpedModel``.
-        tap: (n_taps,) place of each tap.
-        chamber: (n_chambers,) place of each chamber.
-        tap_delay: (n_taps, 2 n_ports) travel times, s.
-        side_delay: (2 n_ports, 2 n_ports) travel times, s.
-        drag: (2 n_ports, 2) laminar and turbulent resistance times length.
-        room: (2,) pressure and temperature of the room and of every wall.
-        starts: (n_starts,) first sample of each roll-out.
-        base: (n_starts, n_volumes) initial pressures, Pa.
-        opening: ((T - 1) * knots + 1, n_ports) opening fractions along the recording.
-        nudge_n: Samples during which the volumes are drawn to their taps.
-        nudge_rate: Rate of that pull, 1/s.
-        goals: (T, n_taps) measured pressures, NaN where there are none.
-        tap_out: (n_starts, n_out, n_taps) recorded pressures.
-        flow_out: (n_starts, n_out, n_ports) recorded flows, kg/s.
-        chamber_out: (n_starts, n_out, n_chambers) recorded pressures.
-    """
-    n_sides = side.size
-    n_volumes = base.shape[1]
-    n_ports = area.size
-    n_y = n_sides + 2 * n_volumes
-    sound = math.sqrt(gamma * r_gas * room[1])
-    longest = longest_delay(side, tap, tap_delay, side_delay)
-    ring = np.zeros((int(longest / h) + 3, n_sides))
-    y = np.zeros(n_y)
-    y0 = np.zeros(n_y)
-    y1 = np.zeros(n_y)
-    rate = np.zeros(n_y)
-    now = np.zeros(n_ports)
-    goal = np.full(tap.size, np.nan)
-    flow = np.zeros(n_ports)
-    for j in range(starts.size):
-        ring[:] = 0.0
-        head = 0
-        begin_volumes(base[j], volume, n_sides, r_gas, room, y)
-        for k in range(n_out):
-            i = min((starts[j] + k) * knots, opening.shape[0] - 1)
-            _rates(
-                y, y, 0.0, h, ring, head, opening[i], goal, 0.0, gamma, r_gas, exponent,
-                sound, side, area, linear, source, volume, tap, tap_delay, side_delay,
-                drag, room, base[j], flow, rate,
-            )  # fmt: skip
-            for t in range(tap.size):
-                if tap[t] < 0:
-                    tap_out[j, k, t] = source[-1 - tap[t], 0]
-                else:
-                    tap_out[j, k, t] = _pressure(
-                        tap[t], tap_delay[t], side, base[j], y, y, 0.0, h, ring, head
-                    )
-            for q in range(n_ports):
-                flow_out[j, k, q] = flow[q]
-            for c in range(chamber.size):
-                if chamber[c] < 0:
-                    chamber_out[j, k, c] = source[-1 - chamber[c], 0]
-                else:
-                    chamber_out[j, k, c] = _bulk(chamber[c], side, base[j], y)
-            if k == n_out - 1:
+    intervals = opening.shape[0]
+    drawn = goals.pressure.shape[1] > 0
+    pull = goals.rate if drawn else 0.0
+    for j in range(rigs.area.shape[0]):
+        rig = _one(rigs, j)
+        own = Shares(
+            shares.base[j], shares.now[j], shares.past[j], shares.head[j], shares.opening[j]
+        )
+        sound = math.sqrt(rig.gamma * rig.r_gas * rig.room[1])
+        for q in range(own.opening.size):
+            if intervals > 0 and math.isnan(own.opening[q]):
+                own.opening[q] = opening[0, 0, q, j]
+        for k in range(intervals + 1):
+            for q in range(own.opening.size):
+                room.opening[q] = 0.0 if math.isnan(own.opening[q]) else own.opening[q]
+            for i in range(own.now.size):
+                room.before[i] = own.now[i]
+            _rates(rig, own, room, sound, 0.0, 0.0, h)
+            _write_down(k, j, h, rig, own, room, taps, flows, chambers)
+            if k == intervals:
                 break
-            pull = nudge_rate if k < nudge_n else 0.0
-            g = min(starts[j] + k, goals.shape[0] - 1)
-            following = min(g + 1, goals.shape[0] - 1)
+            aims = k if drawn else 0
             for s in range(n_sub):
-                head = _step(
-                    y, y0, y1, h, ring, head, opening, (starts[j] + k + s / n_sub) * knots,
-                    knots / n_sub, now, goal, pull, goals[g], goals[following], s / n_sub,
-                    1.0 / n_sub, gamma, r_gas, exponent, sound, side, area, linear, source, volume,
-                    tap, tap_delay, side_delay, drag, room, base[j], flow, rate,
+                _step(
+                    s, n_sub, h, rig, own, room, sound, opening[k], j, pull,
+                    goals.pressure[j, aims : aims + 2],
                 )  # fmt: skip
+            for q in range(own.opening.size):
+                own.opening[q] = opening[k, -1, q, j]

@@ -7,10 +7,12 @@ from collections.abc import Callable, Sequence
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.lumped import batch, delay_line, thin_plate
 from pneu_sim.lumped.model import LumpedModel
+from pneu_sim.lumped.solver import LumpedSolver
 from pneu_sim.models import ModelKind
 from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import Course, InitialField, Prediction
+from pneu_sim.solver import Solver
 
 
 class Lumped(ModelKind):
@@ -55,6 +57,16 @@ class Lumped(ModelKind):
         del field, strict
         models = [[self.build(rig, plan) for rig in own] for own in rigs]
         return batch.predict(models, courses, workers, progress, flows)
+
+    def solver(self, rigs: Sequence[Rig], plan: Plan, gas: Gas = AIR) -> Solver:
+        """What steps rigs side by side; see `ModelKind.solver`.
+
+        Args:
+            rigs: The rigs.
+            plan: Their grid plan.
+            gas: The gas.
+        """
+        return LumpedSolver([self.build(rig, plan, gas) for rig in rigs])
 
 
 class ThinPlate(Lumped):

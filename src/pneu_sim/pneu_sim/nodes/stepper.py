@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim import sensors
-from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Simulator
 
@@ -329,10 +328,6 @@ class Stepper:
         Raises:
             InputError: The rig cannot be simulated step by step.
         """
-        if not kind_of(rig).along_lines:
-            raise InputError(
-                f"rig {rig.name!r}: found model {rig.model}, the simulator steps pde models only"
-            )
         self.pacing = pacing
         self.time_s = 0.0
         self.failure = ""

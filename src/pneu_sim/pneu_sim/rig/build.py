@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from pneu_sim import layout as L
 from pneu_sim.effects import apply_to_model, apply_to_rig
 from pneu_sim.gas import AIR, Gas
-from pneu_sim.rig.cells import areas, narrowed_by, spread
+from pneu_sim.rig.cells import spread
+from pneu_sim.rig.lines import cells_of
 from pneu_sim.rig.model import CURVE_POINTS, SENSOR_COLUMNS, VALVE_COLUMNS, Model
 from pneu_sim.rig.opening import opening_at
 from pneu_sim.rig.plan import Plan, plan_grid
@@ -51,74 +52,68 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
     """
     rig = apply_to_rig(rig)
     plan = plan or plan_grid(rig)
-    ambient_t = rig.ambient.temperature_k
-    mu = float(gas.viscosity(ambient_t))
-    k_gas = float(gas.conductivity(ambient_t))
-    cell = np.zeros((L.PARAM_ROWS, plan.slots))
-    cell[L.LENGTH] = -1.0
-    cell[L.AREA] = 1.0
-    cell[L.ROUGH] = 1.0
-    cell[L.WALL_T] = ambient_t
-    cell[L.REST_P] = rig.ambient.pressure_pa
+    cell = cells_of(rig, plan, gas)
+    end_area = cell[L.FACE, plan.ends[:, L.E_FACE]]
+    for e in range(plan.ends.shape[0]):
+        kind = plan.ends[e, L.E_KIND]
+        if kind in (L.LINK, L.BRANCH):
+            other = plan.ends[e, L.E_REF]
+            cell[L.FACE, plan.ends[e, L.E_FACE]] = min(end_area[e], end_area[other])
+    leaks, porous, reliefs = _vents(rig, plan, gas)
+    port, curve, curve_v, spool = _ports(rig, plan)
+    tap_slot, tap_weight, sensor = _taps(rig, plan)
+    model = Model(
+        plan=plan,
+        gas=gas,
+        cell=cell,
+        port=port,
+        reservoir=_reservoirs(rig),
+        chamber=_chambers(rig),
+        leaks=leaks,
+        porous=porous,
+        reliefs=reliefs,
+        ripples={
+            k: [
+                (r.amplitude_pa, 2.0 * math.pi * r.frequency_hz, r.phase_rad)
+                for r in source.ripples
+            ]
+            for k, source in enumerate(rig.reservoirs.values())
+            if source.ripples
+        },
+        spool=spool,
+        curve=curve,
+        curve_v=curve_v,
+        tap_slot=tap_slot,
+        tap_weight=tap_weight,
+        sensor=sensor,
+        ambient=np.array([rig.ambient.pressure_pa, rig.ambient.temperature_k]),
+        end_area=end_area,
+        order=rig.grid.order,
+        flux=L.HLLC if rig.grid.flux == "hllc" else L.EXACT,
+        limiter=L.MINMOD if rig.grid.limiter == "minmod" else L.VAN_LEER,
+        newton=rig.grid.newton_iterations,
+        memory=rig.grid.memory,
+        thesis_joints=rig.grid.thesis_joints,
+    )
+    apply_to_model(rig, model)
+    model.compliant = bool(np.any(model.cell[L.COMPLIANCE] > 0.0))
+    return model
+
+
+def _vents(
+    rig: Rig, plan: Plan, gas: Gas
+) -> tuple[dict[int, float], dict[int, float], dict[int, list[tuple[float, float, float]]]]:
+    """Leaks, porous leaks and relief valves by slot; of chamber c at ``-1 - c``."""
     leaks: dict[int, float] = {}
     porous: dict[int, float] = {}
     reliefs: dict[int, list[tuple[float, float, float]]] = {}
+    room_k = rig.ambient.temperature_k
     # Poiseuille or Darcy, isothermal at the room's temperature, which the plug has.
-    per_porous = 1.0 / (2.0 * mu * gas.r_specific * ambient_t)
+    per_porous = 1.0 / (2.0 * float(gas.viscosity(room_k)) * gas.r_specific * room_k)
     for name, pipe in rig.pipes.items():
         first, n = plan.pipes[name]
-        span = slice(first, first + n)
         faces = np.linspace(0.0, pipe.length_m, n + 1)
         centres = 0.5 * (faces[1:] + faces[:-1])
-        dx = pipe.length_m / n
-        area, face = areas(pipe, faces)
-        narrowed = narrowed_by(pipe, faces)
-        face *= narrowed.face
-        diameter = np.sqrt(4.0 * area / math.pi)
-        volume = area * dx * narrowed.volume
-        volume[0] += pipe.volume_from_m3
-        volume[-1] += pipe.volume_to_m3
-        for extra in pipe.volumes:
-            for i, share in spread(extra.position_m, centres):
-                volume[i] += share * extra.volume_m3
-        wall = pipe.wall
-        cell[L.AREA, span] = area
-        cell[L.FACE, first - 1 : first + n] = face
-        cell[L.INV_VOLUME, span] = 1.0 / volume
-        cell[L.LENGTH, span] = dx
-        # forces are per volume, and the volume of a narrowed cell is smaller
-        viscous = narrowed.viscous / narrowed.volume
-        cell[L.VISCOUS, span] = wall.laminar * 8.0 * math.pi * mu / area * viscous
-        cell[L.UNSTEADY, span] = wall.unsteady * 4.0 * math.pi * mu / area
-        cell[L.RELAX, span] = L.UNSTEADY_RATE * math.pi * mu / area
-        cell[L.REYNOLDS, span] = diameter / mu
-        cell[L.ROUGH, span] = (wall.roughness_m / (3.7 * diameter)) ** 1.11
-        # the kernel multiplies the laminar drag, so its factor is taken out of the turbulent part
-        drag = narrowed.turbulent / narrowed.viscous
-        cell[L.TURBULENT, span] = wall.turbulent / max(wall.laminar, 1e-9) * drag
-        cell[L.LOSS, span] += narrowed.heads / (narrowed.volume * dx)
-        cell[L.ONSET, span] = 1.0 / wall.onset_reynolds
-        cell[L.QUICKEN, span] = wall.turbulent_fade
-        if wall.heat_kappa is None:
-            cell[L.HEAT, span] = wall.nusselt * math.pi * k_gas / area
-            cell[L.HEAT_TURBULENT, span] = wall.heat_turbulent
-        else:
-            cell[L.HEAT, span] = wall.heat_kappa / np.sqrt(area)
-        cell[L.HEAT_UNSTEADY, span] = wall.heat_unsteady * 4.0 * math.pi * k_gas / area
-        if pipe.area_profile is not None:
-            cell[L.TAPER, span] = np.diff(face / narrowed.face) / (area * dx)
-        cell[L.COMPLIANCE, span] = wall.compliance_per_pa
-        for loss in pipe.losses:
-            for i, share in spread(loss.position_m, centres):
-                cell[L.LOSS, first + i] += share * loss.k / dx
-                if loss.resistance_pa_s_m > 0.0:
-                    # A viscous part that turbulence does not raise: taken out of the gain on it.
-                    own = cell[L.VISCOUS, first + i]
-                    total = own + share * loss.resistance_pa_s_m / dx
-                    cell[L.VISCOUS, first + i] = total
-                    cell[L.TURBULENT, first + i] *= own / total
-        cell[L.LOSS, first] += pipe.loss_from / dx
-        cell[L.LOSS, first + n - 1] += pipe.loss_to / dx
         for leak in pipe.leaks:
             for i, share in spread(leak.position_m, centres):
                 if leak.area_m2 > 0.0:
@@ -130,16 +125,6 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
             for i, share in spread(relief.position_m, centres):
                 of_slot = reliefs.setdefault(first + i, [])
                 of_slot.append((share * relief.area_m2, relief.set_pa, relief.range_pa))
-    if not rig.grid.memory:
-        # One rig of a batch may have memory where the others have none.
-        cell[[L.UNSTEADY, L.HEAT_UNSTEADY]] = 0.0
-    end_area = cell[L.FACE, plan.ends[:, L.E_FACE]]
-    for e in range(plan.ends.shape[0]):
-        kind = plan.ends[e, L.E_KIND]
-        if kind in (L.LINK, L.BRANCH):
-            other = plan.ends[e, L.E_REF]
-            cell[L.FACE, plan.ends[e, L.E_FACE]] = min(end_area[e], end_area[other])
-
     for c, chamber in enumerate(rig.chambers.values()):
         if chamber.leak_area_m2 > 0.0:
             leaks[-1 - c] = chamber.leak_area_m2
@@ -147,12 +132,11 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
             porous[-1 - c] = chamber.leak_porous_m3 * per_porous
         if chamber.reliefs:
             reliefs[-1 - c] = [(r.area_m2, r.set_pa, r.range_pa) for r in chamber.reliefs]
-    ripples = {
-        k: [(r.amplitude_pa, 2.0 * math.pi * r.frequency_hz, r.phase_rad) for r in source.ripples]
-        for k, source in enumerate(rig.reservoirs.values())
-        if source.ripples
-    }
+    return leaks, porous, reliefs
 
+
+def _ports(rig: Rig, plan: Plan) -> tuple[Floats, Floats, Floats, Floats]:
+    """Ports and orifices, their opening curves over which voltages, and the valves' spools."""
     port = np.zeros((plan.ports.shape[0], L.PORT_PARAMS))
     curve = np.ones((plan.ports.shape[0], CURVE_POINTS))
     curve_v = np.tile([0.0, 1.0], (plan.ports.shape[0], 1))
@@ -172,25 +156,47 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
             )
             curve[q], curve_v[q] = _curve(p, valve)
             q += 1
-    for orifice in rig.orifices.values():
-        port[q] = (
-            orifice.conductance_m3_s_pa,
-            orifice.critical_ratio,
-            0.0,
-            orifice.laminar_ratio,
-            1.0,
-            1.0,
-            0.0,
-        )
+    for o in rig.orifices.values():
+        port[q] = (o.conductance_m3_s_pa, o.critical_ratio, 0.0, o.laminar_ratio, 1.0, 1.0, 0.0)
         q += 1
+    return port, curve, curve_v, spool
 
-    tap_slot = np.zeros(len(rig.taps), dtype=np.int64)
-    tap_weight = np.zeros(len(rig.taps))
+
+def _reservoirs(rig: Rig) -> Floats:
+    """(n_reservoirs, RESERVOIR_PARAMS)."""
+    room_k = rig.ambient.temperature_k
+    rows = [
+        (
+            r.pressure_pa,
+            r.temperature_k or room_k,
+            r.droop_pa_s_per_kg,
+            r.droop_tau_s,
+            r.inlet_loss,
+        )
+        for r in rig.reservoirs.values()
+    ]
+    return np.array(rows).reshape(-1, L.RESERVOIR_PARAMS)
+
+
+def _chambers(rig: Rig) -> Floats:
+    """(n_chambers, CHAMBER_PARAMS)."""
+    room = rig.ambient
+    rows = [
+        (c.volume_m3, c.compliance_m3_per_pa, c.heat_w_per_k, room.temperature_k, room.pressure_pa)
+        for c in rig.chambers.values()
+    ]
+    return np.array(rows).reshape(-1, L.CHAMBER_PARAMS)
+
+
+def _taps(rig: Rig, plan: Plan) -> tuple[Ints, Floats, Floats]:
+    """The slot and the weight of the next one that each tap is read by, and its sensor."""
+    slot = np.zeros(len(rig.taps), dtype=np.int64)
+    weight = np.zeros(len(rig.taps))
     sensor = np.zeros((len(rig.taps), SENSOR_COLUMNS))
     for t, tap in enumerate(rig.taps.values()):
         sensor[t] = (tap.lag_s, tap.gain, tap.bias_pa, tap.offset_s)
         if tap.chamber is not None:
-            tap_slot[t] = -1 - plan.chambers.index(tap.chamber)
+            slot[t] = -1 - plan.chambers.index(tap.chamber)
             continue
         assert tap.pipe is not None
         first, n = plan.pipes[tap.pipe]
@@ -199,66 +205,14 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         sees_ghost = [plan.ends[e + side, L.E_KIND] in (L.RESERVOIR, L.LINK) for side in (0, 1)]
         flat = [plan.ends[e + side, L.E_KIND] == L.WALL for side in (0, 1)]
         if at < 0.0 and not sees_ghost[0]:
-            left, weight = 0, 0.0 if flat[0] else at
+            left, weight[t] = 0, 0.0 if flat[0] else at
         elif at > n - 1 and not sees_ghost[1]:
-            left, weight = n - 2, 1.0 if flat[1] else at - (n - 2)
+            left, weight[t] = n - 2, 1.0 if flat[1] else at - (n - 2)
         else:
             left = min(max(math.floor(at), -1), n - 1)
-            weight = at - left
-        tap_slot[t] = first + left
-        tap_weight[t] = weight
-
-    model = Model(
-        plan=plan,
-        gas=gas,
-        cell=cell,
-        port=port,
-        reservoir=np.array(
-            [
-                (
-                    r.pressure_pa,
-                    r.temperature_k or ambient_t,
-                    r.droop_pa_s_per_kg,
-                    r.droop_tau_s,
-                    r.inlet_loss,
-                )
-                for r in rig.reservoirs.values()
-            ]
-        ).reshape(-1, L.RESERVOIR_PARAMS),
-        chamber=np.array(
-            [
-                (
-                    c.volume_m3,
-                    c.compliance_m3_per_pa,
-                    c.heat_w_per_k,
-                    ambient_t,
-                    rig.ambient.pressure_pa,
-                )
-                for c in rig.chambers.values()
-            ]
-        ).reshape(-1, L.CHAMBER_PARAMS),
-        leaks=leaks,
-        porous=porous,
-        reliefs=reliefs,
-        ripples=ripples,
-        spool=spool,
-        curve=curve,
-        curve_v=curve_v,
-        tap_slot=tap_slot,
-        tap_weight=tap_weight,
-        sensor=sensor,
-        ambient=np.array([rig.ambient.pressure_pa, ambient_t]),
-        end_area=end_area,
-        order=rig.grid.order,
-        flux=L.HLLC if rig.grid.flux == "hllc" else L.EXACT,
-        limiter=L.MINMOD if rig.grid.limiter == "minmod" else L.VAN_LEER,
-        newton=rig.grid.newton_iterations,
-        memory=rig.grid.memory,
-        thesis_joints=rig.grid.thesis_joints,
-    )
-    apply_to_model(rig, model)
-    model.compliant = bool(np.any(model.cell[L.COMPLIANCE] > 0.0))
-    return model
+            weight[t] = at - left
+        slot[t] = first + left
+    return slot, weight, sensor
 
 
 def spool_row(spool: Spool) -> Floats:

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pipes of a rig as numbers of their cells: shape, walls, losses."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sim import layout as L
+from pneu_sim.gas import Gas
+from pneu_sim.rig.cells import Narrowed, areas, narrowed_by, spread
+from pneu_sim.rig.plan import Plan
+from pneu_sim.rig.schema import Pipe, Rig
+
+Floats = NDArray[np.float64]
+
+
+def cells_of(rig: Rig, plan: Plan, gas: Gas) -> Floats:
+    """(PARAM_ROWS, slots) numbers of all cells, see ``layout``; slots that are none are ghosts.
+
+    Args:
+        rig: The rig, its effects applied.
+        plan: Its grid plan.
+        gas: The gas.
+    """
+    room = rig.ambient
+    cell = np.zeros((L.PARAM_ROWS, plan.slots))
+    cell[L.LENGTH] = -1.0
+    cell[L.AREA] = 1.0
+    cell[L.ROUGH] = 1.0
+    cell[L.WALL_T] = room.temperature_k
+    cell[L.REST_P] = room.pressure_pa
+    for name, pipe in rig.pipes.items():
+        first, n = plan.pipes[name]
+        span = slice(first, first + n)
+        faces = np.linspace(0.0, pipe.length_m, n + 1)
+        narrowed = narrowed_by(pipe, faces)
+        cell[L.FACE, first - 1 : first + n] = _shape(cell[:, span], pipe, faces, narrowed)
+        _walls(cell[:, span], pipe, narrowed, gas, room.temperature_k)
+        _losses(cell[:, span], pipe, faces, narrowed)
+    if not rig.grid.memory:
+        # One rig of a batch may have memory where the others have none.
+        cell[[L.UNSTEADY, L.HEAT_UNSTEADY]] = 0.0
+    return cell
+
+
+def _shape(cell: Floats, pipe: Pipe, faces: Floats, narrowed: Narrowed) -> Floats:
+    """Lengths, areas and volumes of the cells of a pipe; returns the areas of its faces."""
+    dx = pipe.length_m / (faces.size - 1)
+    centres = 0.5 * (faces[1:] + faces[:-1])
+    area, plain = areas(pipe, faces)
+    face = plain * narrowed.face
+    volume = area * dx * narrowed.volume
+    volume[0] += pipe.volume_from_m3
+    volume[-1] += pipe.volume_to_m3
+    for extra in pipe.volumes:
+        for i, share in spread(extra.position_m, centres):
+            volume[i] += share * extra.volume_m3
+    cell[L.AREA] = area
+    cell[L.INV_VOLUME] = 1.0 / volume
+    cell[L.LENGTH] = dx
+    if pipe.area_profile is not None:
+        cell[L.TAPER] = np.diff(face / narrowed.face) / (area * dx)
+    return face
+
+
+def _walls(cell: Floats, pipe: Pipe, narrowed: Narrowed, gas: Gas, room_k: float) -> None:
+    """Friction, heat and yielding of the walls of a pipe whose cells have their areas."""
+    mu, k_gas = float(gas.viscosity(room_k)), float(gas.conductivity(room_k))
+    wall, area = pipe.wall, cell[L.AREA]
+    diameter = np.sqrt(4.0 * area / math.pi)
+    # forces are per volume, and the volume of a narrowed cell is smaller
+    viscous = narrowed.viscous / narrowed.volume
+    cell[L.VISCOUS] = wall.laminar * 8.0 * math.pi * mu / area * viscous
+    cell[L.UNSTEADY] = wall.unsteady * 4.0 * math.pi * mu / area
+    cell[L.RELAX] = L.UNSTEADY_RATE * math.pi * mu / area
+    cell[L.REYNOLDS] = diameter / mu
+    cell[L.ROUGH] = (wall.roughness_m / (3.7 * diameter)) ** 1.11
+    # the kernel multiplies the laminar drag, so its factor is taken out of the turbulent part
+    drag = narrowed.turbulent / narrowed.viscous
+    cell[L.TURBULENT] = wall.turbulent / max(wall.laminar, 1e-9) * drag
+    cell[L.ONSET] = 1.0 / wall.onset_reynolds
+    cell[L.QUICKEN] = wall.turbulent_fade
+    if wall.heat_kappa is None:
+        cell[L.HEAT] = wall.nusselt * math.pi * k_gas / area
+        cell[L.HEAT_TURBULENT] = wall.heat_turbulent
+    else:
+        cell[L.HEAT] = wall.heat_kappa / np.sqrt(area)
+    cell[L.HEAT_UNSTEADY] = wall.heat_unsteady * 4.0 * math.pi * k_gas / area
+    cell[L.COMPLIANCE] = wall.compliance_per_pa
+
+
+def _losses(cell: Floats, pipe: Pipe, faces: Floats, narrowed: Narrowed) -> None:
+    """Local losses of a pipe whose walls have their drag."""
+    dx = pipe.length_m / (faces.size - 1)
+    centres = 0.5 * (faces[1:] + faces[:-1])
+    cell[L.LOSS] += narrowed.heads / (narrowed.volume * dx)
+    for loss in pipe.losses:
+        for i, share in spread(loss.position_m, centres):
+            cell[L.LOSS, i] += share * loss.k / dx
+            if loss.resistance_pa_s_m > 0.0:
+                # A viscous part that turbulence does not raise: taken out of the gain on it.
+                own = cell[L.VISCOUS, i]
+                total = own + share * loss.resistance_pa_s_m / dx
+                cell[L.VISCOUS, i] = total
+                cell[L.TURBULENT, i] *= own / total
+    cell[L.LOSS, 0] += pipe.loss_from / dx
+    cell[L.LOSS, -1] += pipe.loss_to / dx
