@@ -10,13 +10,16 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
 from tests.live_graph import own_domain, running_graph, wait_for  # isort: skip
 
 from pneu_msgs.msg import PressureTarget, ValveCommand
 from rcl_interfaces.srv import GetParameters, ListParameters
 from sensor_msgs.msg import FluidPressure
+from std_msgs.msg import Float64, Float64MultiArray
 
 from pneu_common.errors import InputError
 from pneu_graph.launch.plan import Plan
@@ -116,6 +119,54 @@ def parameters_of(graph, node):
     request = GetParameters.Request(names=sorted(names.result.names))
     values = graph.call(GetParameters, f"{node}/get_parameters", request).values
     return dict(zip(request.names, map(str, values), strict=True))
+
+
+OWN = {
+    "voltage": {"topic": "daq/setpoint", "type": "std_msgs/msg/Float64", "field": "data"},
+    "end": {"topic": "daq/end_bar", "type": "std_msgs/msg/Float64", "field": "data", "scale": 1e5},
+    "supply": {"topic": "daq/rest", "type": "std_msgs/msg/Float64MultiArray", "field": "data[1]"},
+    "middle": {"topic": "daq/rest", "type": "std_msgs/msg/Float64MultiArray", "field": "data[0]"},
+}
+"""Channels as a data logger may have them: other topics, types, units, several in one message."""
+
+
+def rig_with_own_channels(path):
+    document = YAML().load((ROOT / "rigs/lab.yaml").read_text())
+    for part in ("commands", "taps"):
+        for name, entry in document[part].items():
+            if name in OWN:
+                entry["channel"] = OWN[name]
+    YAML().dump(document, path)
+    return path
+
+
+@pytest.mark.parametrize("backend", ["sim", "modbus"])
+def test_all_follow_the_channels_of_the_rig_file(tmp_path, backend):
+    rig = rig_with_own_channels(tmp_path / "own.yaml")
+    ready = tmp_path / "ready"
+    lab = ("lab", "--rig", "rigs/lab.yaml", "--dx", "0.1", "--port", "0", "--control-port", "0")
+    words = [f"backend:={backend}", f"rig:={rig}"]
+    with contextlib.ExitStack() as stack:
+        if backend == "modbus":
+            stack.enter_context(process(*lab, "--allow-slow", "--ready-file", str(ready)))
+            wait_for(ready.is_file, 60.0)
+            words.append(f"port:={json.loads(ready.read_text())['modbus_port']}")
+        graph = stack.enter_context(running_graph())
+        commands = graph.listen(Float64, "/lab/daq/setpoint", common.COMMAND_QOS)
+        bars = graph.listen(Float64, "/lab/daq/end_bar")
+        rest = graph.listen(Float64MultiArray, "/lab/daq/rest")
+        usual = graph.listen(FluidPressure, "/lab/taps/exhaust/pressure")  # has kept its own
+        stack.enter_context(process("launch", "pneu_bringup", "rig.launch.yaml", *words))
+        wait_for(lambda: len(bars) > 300 and len(commands) > 300, 60.0)
+        wait_for(lambda: np.ptp([m.data for m in bars]) > 0.5, 60.0)  # the controller moves it
+        volts = [m.data for m in commands]
+        assert max(volts) > 5.1 and min(volts) < 5.0
+        assert all(0.9 < m.data < 7.0 for m in bars)
+        middle, supply = np.array([list(m.data) for m in rest]).T
+        assert np.median(supply) == pytest.approx(635e3, rel=0.05) and np.ptp(middle) > 3e4
+        assert 0.9e5 < np.median([m.fluid_pressure for m in usual]) < 1.5e5
+        assert graph.probe.count_publishers("/lab/valve/command") == 0
+        assert graph.probe.count_publishers("/lab/taps/end/pressure") == 0
 
 
 def run(graph, seconds, **arguments):

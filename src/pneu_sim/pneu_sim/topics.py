@@ -7,11 +7,12 @@ where the conventions of the live graph have it: commands together on ``valve/co
 ``taps/<tap>/pressure``.
 """
 
+import functools
 import importlib
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pneu_common.errors import InputError
@@ -77,6 +78,14 @@ class Signal:
                 value = value[index]
         return float(value) * self.scale + self.offset
 
+    def raw(self, value: float) -> float:
+        """What stands for a value in a message.
+
+        Args:
+            value: In SI units.
+        """
+        return (value - self.offset) / self.scale
+
     def write(self, message: Any, value: float) -> None:
         """Puts the signal's value into a message; sequences grow as needed, filled up with NaN.
 
@@ -84,7 +93,7 @@ class Signal:
             message: Message of the signal's type.
             value: In SI units.
         """
-        raw = (value - self.offset) / self.scale
+        raw = self.raw(value)
         *way, (field, index) = self.path
         for step, i in way:
             message = getattr(message, step) if i is None else getattr(message, step)[i]
@@ -96,10 +105,6 @@ class Signal:
         values += [math.nan] * (index + 1 - len(values))
         values[index] = raw
         setattr(message, field, values)
-        if NAMED_VALUES.get(self.type) == field:
-            names = [*message.name, *[""] * (len(values) - len(message.name))]
-            names[index] = self.name
-            message.name = names
 
 
 @dataclass(frozen=True)
@@ -150,9 +155,14 @@ class Topic:
                 header.frame_id = self.signals[0].name
         elif stamp is not None and hasattr(message, "stamp"):
             message.stamp = stamp
-        for signal in self.signals:
-            if signal.name in values:
+        given = [signal for signal in self.signals if signal.name in values]
+        named = NAMED_VALUES.get(self.type)
+        if named is None:
+            for signal in given:
                 signal.write(message, values[signal.name])
+        else:  # of no others anything is said
+            message.name = [signal.name for signal in given]
+            setattr(message, named, [signal.raw(values[signal.name]) for signal in given])
         return message
 
 
@@ -165,20 +175,9 @@ def command_topics(rig: Rig) -> list[Topic]:
     Raises:
         InputError: A channel's field is no path to a number, or one topic has two types.
     """
-    usual = {name: i for i, name in enumerate(rig.commands)}
-    return _grouped(
-        rig,
-        [
-            _signal(
-                rig,
-                "commands",
-                name,
-                command.channel,
-                Channel(topic=COMMAND_TOPIC, field=f"voltage_v[{usual[name]}]", type=VALVE_COMMAND),
-            )
-            for name, command in rig.commands.items()
-        ],
-    )
+    usual = _usual_command_channels(rig.commands)
+    of_rig = {name: command.channel for name, command in rig.commands.items()}
+    return _grouped(f"rig {rig.name!r}: commands", of_rig, usual)
 
 
 def tap_topics(rig: Rig) -> list[Topic]:
@@ -190,21 +189,59 @@ def tap_topics(rig: Rig) -> list[Topic]:
     Raises:
         InputError: A channel's field is no path to a number, or one topic has two types.
     """
-    return _grouped(
-        rig,
-        [
-            _signal(
-                rig,
-                "taps",
-                name,
-                tap.channel,
-                Channel(topic=f"taps/{name}/pressure", field="fluid_pressure", type=FLUID_PRESSURE),
-            )
-            for name, tap in rig.taps.items()
-        ],
-    )
+    of_rig = {name: tap.channel for name, tap in rig.taps.items()}
+    return _grouped(f"rig {rig.name!r}: taps", of_rig, _usual_tap_channels(rig.taps))
 
 
+def usual_command_topics(names: Iterable[str]) -> list[Topic]:
+    """Topics of commands where no rig file says others.
+
+    Args:
+        names: Names of the commands.
+    """
+    usual = _usual_command_channels(names)
+    return _grouped("commands", dict.fromkeys(usual), usual)
+
+
+def usual_tap_topics(names: Iterable[str]) -> list[Topic]:
+    """Topics of taps where no rig file says others.
+
+    Args:
+        names: Names of the taps.
+    """
+    usual = _usual_tap_channels(names)
+    return _grouped("taps", dict.fromkeys(usual), usual)
+
+
+def only(topics: Iterable[Topic], names: Collection[str]) -> list[Topic]:
+    """Those topics that carry some signals, and these alone.
+
+    Args:
+        topics: The topics.
+        names: Names of the signals.
+    """
+    parts = [
+        replace(topic, signals=tuple(s for s in topic.signals if s.name in names))
+        for topic in topics
+    ]
+    return [part for part in parts if part.signals]
+
+
+def _usual_command_channels(names: Iterable[str]) -> dict[str, Channel]:
+    return {
+        name: Channel(topic=COMMAND_TOPIC, field=f"voltage_v[{i}]", type=VALVE_COMMAND)
+        for i, name in enumerate(names)
+    }
+
+
+def _usual_tap_channels(names: Iterable[str]) -> dict[str, Channel]:
+    return {
+        name: Channel(topic=f"taps/{name}/pressure", field="fluid_pressure", type=FLUID_PRESSURE)
+        for name in names
+    }
+
+
+@functools.lru_cache(maxsize=64)
 def message_class(type_name: str) -> Any:
     """The class of a message type, from whichever ROS is there.
 
@@ -248,33 +285,37 @@ def same_topic(recorded: str, wanted: str) -> bool:
     return recorded == wanted or (not wanted.startswith("/") and recorded.endswith(f"/{wanted}"))
 
 
-def _signal(rig: Rig, part: str, name: str, channel: Channel | None, usual: Channel) -> Signal:
-    if channel is None or channel.topic is None:
-        channel = usual
+def _signal(what: str, name: str, channel: Channel) -> Signal:
     kind = channel.type
     if kind is None:
-        kind = FLOAT64 if part == "commands" or channel.field == "data" else FLUID_PRESSURE
+        commands = what.endswith("commands")
+        kind = FLOAT64 if commands or channel.field == "data" else FLUID_PRESSURE
     path: list[tuple[str, int | None]] = []
     for step in channel.field.split("."):
         match = _STEP.match(step)
         if match is None or int(match[2] or 0) >= _LONGEST:
             raise InputError(
-                f"rig {rig.name!r}: {part}.{name}.channel.field: found {channel.field!r}, allowed"
-                " is a path such as 'data', 'a.b' or 'position[0]'"
+                f"{what}.{name}.channel.field: found {channel.field!r}, allowed is a path such as"
+                " 'data', 'a.b' or 'position[0]'"
             )
         path.append((match[1], None if match[2] is None else int(match[2])))
     assert channel.topic is not None
     return Signal(name, channel.topic, long_type(kind), tuple(path), channel.scale, channel.offset)
 
 
-def _grouped(rig: Rig, signals: Sequence[Signal]) -> list[Topic]:
+def _grouped(
+    what: str, channels: Mapping[str, Channel | None], usual: Mapping[str, Channel]
+) -> list[Topic]:
+    """Signals by topic; each where its channel has it, or where it usually is."""
     topics: dict[str, list[Signal]] = {}
-    for signal in signals:
+    for name, channel in channels.items():
+        given = channel is not None and channel.topic is not None
+        signal = _signal(what, name, channel if channel is not None and given else usual[name])
         group = topics.setdefault(signal.topic, [])
         group.append(signal)
         if signal.type != group[0].type:
             raise InputError(
-                f"rig {rig.name!r}: topic {signal.topic!r} has the type {group[0].type} for"
-                f" {group[0].name!r} and {signal.type} for {signal.name!r}; it can have one"
+                f"{what.rpartition(':')[0]}: topic {signal.topic!r} has the type {group[0].type}"
+                f" for {group[0].name!r} and {signal.type} for {signal.name!r}; it can have one"
             )
     return [Topic(name, group[0].type, tuple(group)) for name, group in topics.items()]

@@ -1,25 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every node of the graph does alike: QoS, parameters, stamps, diagnostics, start and end."""
+"""What every node of the graph does alike: QoS, stamps, diagnostics, start and end."""
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping
 
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.logging import get_logger
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
@@ -58,67 +50,6 @@ def from_another_thread(node: Node) -> Future:
     done: Future = Future(executor=node.executor)
     done.add_done_callback(lambda _: None)
     return done
-
-
-def declare(
-    node: Node,
-    name: str,
-    default: bool | int | float | str,
-    description: str,
-    within: tuple[float, float] | None = None,
-    choices: Sequence[str] = (),
-    read_only: bool = False,
-) -> Any:
-    """Declares a parameter with everything that is known about it.
-
-    Args:
-        node: The node.
-        name: Name, with the unit where there is one.
-        default: Value where none is given; its type is the parameter's.
-        description: What it does, in a sentence.
-        within: Smallest and largest value allowed.
-        choices: Strings allowed; checked here, and by `refuse_others` when it is set later.
-        read_only: Whether it is fixed once the node is up.
-
-    Returns:
-        The value it has.
-
-    Raises:
-        InputError: The given value is none of the choices.
-    """
-    descriptor = ParameterDescriptor(description=description, read_only=read_only)
-    if within is not None and isinstance(default, float):
-        low, high = float(within[0]), float(within[1])
-        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-    elif within is not None:
-        whole = IntegerRange(from_value=int(within[0]), to_value=int(within[1]), step=1)
-        descriptor.integer_range = [whole]
-    if choices:
-        descriptor.additional_constraints = f"one of {', '.join(choices)}"
-    value = node.declare_parameter(name, default, descriptor).value
-    if choices and value not in choices:
-        raise InputError(f"parameter {name}: found {value!r}, allowed are {', '.join(choices)}")
-    return value
-
-
-def refuse_others(choices: Mapping[str, Sequence[str]]) -> Callable[..., SetParametersResult]:
-    """A check for ``add_on_set_parameters_callback`` that knows the strings a parameter may be.
-
-    Args:
-        choices: Per parameter the strings allowed.
-    """
-
-    def check(parameters: list[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            allowed = choices.get(parameter.name)
-            if allowed is not None and parameter.value not in allowed:
-                reason = (
-                    f"{parameter.name}: found {parameter.value!r}, allowed are {', '.join(allowed)}"
-                )
-                return SetParametersResult(successful=False, reason=reason)
-        return SetParametersResult(successful=True)
-
-    return check
 
 
 def to_stamp(nanoseconds: int) -> Time:

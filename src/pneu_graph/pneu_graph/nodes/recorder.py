@@ -15,12 +15,12 @@ import re
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
@@ -37,6 +37,7 @@ from pneu_graph.bag.qos import OfferedQos, adapt_to_publishers
 from pneu_graph.bag.recording import Recording
 from pneu_graph.nodes.lifetime import initialised
 from pneu_graph.nodes.parameter_collector import ParameterCollector
+from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_graph.nodes.provenance import provenance
 from pneu_graph.nodes.type_support import definition_text, interface_class, type_hash
 from pneu_runtime.transport.sent import TOPIC, decode
@@ -46,6 +47,44 @@ HISTORY_DEPTH = 10_000
 
 LATE_S = 2.0
 """A writer that comes round this much too late is reported as slow, s."""
+
+
+@dataclass
+class RecorderParameters(Parameters):
+    """What the recorder is told."""
+
+    uri: str = parameter("", "Folder of the bag; empty: named by the time.", read_only=True)
+    topics: list[str] = parameter([""], "Topics to record.", read_only=True)
+    all: bool = parameter(
+        False, "Record every topic; also so where no topic is named.", read_only=True
+    )
+    regex: str = parameter("", "Record topics whose whole name matches.", read_only=True)
+    exclude: str = parameter("", "Leave out topics whose whole name matches.", read_only=True)
+    include_hidden_topics: bool = parameter(
+        False, "Record topics with a part that begins with _.", read_only=True
+    )
+    max_bag_size: int = parameter(
+        0, "Size of a file, bytes; 0: no limit.", within=(0, 2**62), read_only=True
+    )
+    max_bag_duration: float = parameter(
+        0.0, "Duration of a file, s; 0: no limit.", within=(0.0, 1e9), read_only=True
+    )
+    snapshot_mode: bool = parameter(
+        False, "Keep messages in memory until ~/snapshot is called.", read_only=True
+    )
+    max_cache_size: int = parameter(
+        100 * 1024 * 1024,
+        "Messages that may wait in memory, bytes.",
+        within=(1, 2**62),
+        read_only=True,
+    )
+    polling_interval: float = parameter(
+        0.2, "Time between looks for new topics, s.", within=(0.01, 60.0), read_only=True
+    )
+    attachments: list[str] = parameter(
+        [""], "Files kept in the bag, such as the rig file.", read_only=True
+    )
+    operator: str = parameter("", "Who recorded.", read_only=True)
 
 
 class Recorder(Node):
@@ -60,32 +99,28 @@ class Recorder(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("recorder", **options)
-        self._declare()
-        self._rec_names = {self.resolve_topic_name(name) for name in self._value("topics") if name}
-        self._rec_everything = self._value("all") or (
-            not self._rec_names and not self._value("regex")
-        )
+        params = self._rec_params = RecorderParameters.declare(self)
+        self._rec_names = {self.resolve_topic_name(name) for name in params.topics if name}
+        self._rec_everything = params.all or (not self._rec_names and not params.regex)
         self._rec_regex = self._pattern("regex")
         self._rec_exclude = self._pattern("exclude")
-        self._rec_hidden = self._value("include_hidden_topics")
-        self._rec_sim_time = self._value("use_sim_time")
+        self._rec_hidden = params.include_hidden_topics
+        self._rec_sim_time = self.get_parameter("use_sim_time").value
         self._rec_subscriptions_by_topic: dict[str, Any] = {}
         self._rec_left_out: set[str] = set()
         self._rec_missing_before = 0
         self._rec_losses = Losses()
         self._rec_alone: set[str] = set()
-        uri = self._value("uri") or time.strftime("rosbag2_%Y_%m_%d-%H_%M_%S")
-        attachments = [_attachment(path) for path in self._value("attachments") if path]
-        writer = BagWriter(
-            Path(uri), self._value("max_bag_size"), float(self._value("max_bag_duration"))
-        )
+        uri = params.uri or time.strftime("rosbag2_%Y_%m_%d-%H_%M_%S")
+        attachments = [_attachment(path) for path in params.attachments if path]
+        writer = BagWriter(Path(uri), params.max_bag_size, float(params.max_bag_duration))
         self._rec_recording = Recording(
             writer,
-            self._value("max_cache_size"),
-            self._value("snapshot_mode"),
+            params.max_cache_size,
+            params.snapshot_mode,
             report=self._report,
         )
-        self._rec_recording.add_record("pneu", provenance(self._value("operator")))
+        self._rec_recording.add_record("pneu", provenance(params.operator))
         for attachment in attachments:
             self._rec_recording.attach(attachment)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -97,7 +132,7 @@ class Recorder(Node):
         )
         self._discover()
         self.create_timer(
-            self._value("polling_interval"), self._discover, callback_group=group, clock=steady
+            params.polling_interval, self._discover, callback_group=group, clock=steady
         )
         self.create_timer(1.0, self._diagnose, callback_group=group, clock=steady)
         self.create_service(
@@ -130,46 +165,8 @@ class Recorder(Node):
     def _report(self, sentence: str) -> None:
         self.get_logger().error(sentence)
 
-    def _declare(self) -> None:
-        def declare(name: str, value: Any, text: str, **limits: Any) -> None:
-            descriptor = ParameterDescriptor(description=text, read_only=True, **limits)
-            self.declare_parameter(name, value, descriptor)
-
-        size = [IntegerRange(from_value=0, to_value=2**62, step=0)]
-        declare("uri", "", "Folder of the bag; empty: named by the time.")
-        declare("topics", [""], "Topics to record.")
-        declare("all", False, "Record every topic; also so where no topic is named.")
-        declare("regex", "", "Record topics whose whole name matches.")
-        declare("exclude", "", "Leave out topics whose whole name matches.")
-        declare("include_hidden_topics", False, "Record topics with a part that begins with _.")
-        declare("max_bag_size", 0, "Size of a file, bytes; 0: no limit.", integer_range=size)
-        declare(
-            "max_bag_duration",
-            0.0,
-            "Duration of a file, s; 0: no limit.",
-            floating_point_range=[FloatingPointRange(from_value=0.0, to_value=1e9, step=0.0)],
-        )
-        declare("snapshot_mode", False, "Keep messages in memory until ~/snapshot is called.")
-        declare(
-            "max_cache_size",
-            100 * 1024 * 1024,
-            "Messages that may wait in memory, bytes.",
-            integer_range=[IntegerRange(from_value=1, to_value=2**62, step=0)],
-        )
-        declare(
-            "polling_interval",
-            0.2,
-            "Time between looks for new topics, s.",
-            floating_point_range=[FloatingPointRange(from_value=0.01, to_value=60.0, step=0.0)],
-        )
-        declare("attachments", [""], "Files kept in the bag, such as the rig file.")
-        declare("operator", "", "Who recorded.")
-
-    def _value(self, name: str) -> Any:
-        return self.get_parameter(name).value
-
     def _pattern(self, name: str) -> re.Pattern[str] | None:
-        text = self._value(name)
+        text = getattr(self._rec_params, name)
         try:
             return re.compile(text) if text else None
         except re.error as error:

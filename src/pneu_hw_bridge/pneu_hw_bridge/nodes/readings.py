@@ -2,28 +2,35 @@
 """Publishing readings: every tap on its own topic, all of them as a set, and their time."""
 
 import math
+from collections.abc import Sequence
 
 from pneu_msgs.msg import TapPressures
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
-from sensor_msgs.msg import FluidPressure
 
 from pneu_graph.nodes.common import CLOCK_TOPIC, COMMAND_QOS, READINGS_QOS, to_stamp
 from pneu_hw_bridge.link import Sample
 from pneu_hw_bridge.registers.schema import Input
+from pneu_sim import topics
 
 
 class ReadingsPublisher:
     """Publishers of all taps; readings that cannot be true are left out, NaN in the set."""
 
     def __init__(
-        self, node: Node, taps: dict[str, Input], frame_id: str, with_clock: bool = False
+        self,
+        node: Node,
+        taps: dict[str, Input],
+        topics_of_taps: Sequence[topics.Topic],
+        frame_id: str,
+        with_clock: bool = False,
     ) -> None:
         """Creates the publishers.
 
         Args:
             node: The node.
             taps: The taps by name.
+            topics_of_taps: Where each is told.
             frame_id: Frame of the set.
             with_clock: Whether the time of the newest sample is published on ``/clock``.
         """
@@ -31,13 +38,15 @@ class ReadingsPublisher:
         self._taps = taps
         self._set = TapPressures(name=list(taps))
         self._set.header.frame_id = frame_id
-        self._one = FluidPressure()
-        self._to_set = node.create_publisher(TapPressures, "taps/pressures", READINGS_QOS)
-        self._to_one = {
-            name: node.create_publisher(FluidPressure, f"taps/{name}/pressure", READINGS_QOS)
-            for name in taps
-        }
-
+        self._to_set = node.create_publisher(TapPressures, topics.TAPS_TOPIC, READINGS_QOS)
+        self._to_taps = [
+            (
+                topic,
+                node.create_publisher(topics.message_class(topic.type), topic.name, READINGS_QOS),
+            )
+            for topic in topics_of_taps
+            if topic.name != topics.TAPS_TOPIC
+        ]
         self._to_clock = (
             node.create_publisher(ClockMessage, CLOCK_TOPIC, COMMAND_QOS) if with_clock else None
         )
@@ -58,23 +67,21 @@ class ReadingsPublisher:
             sample: What was read.
         """
         stamp = to_stamp(sample.stamp_ns)
-        pressures = []
-        for name, channel in self._taps.items():
-            value = sample.values[name]
-            if not channel.range[0] <= value <= channel.range[1]:  # true for NaN
-                pressures.append(math.nan)
-                continue
-            pressures.append(value)
-            self._one.header.stamp = stamp
-            self._one.header.frame_id = name
-            self._one.fluid_pressure = value
-            self._to_one[name].publish(self._one)
+        values = {
+            name: sample.values[name]
+            for name, channel in self._taps.items()
+            if channel.range[0] <= sample.values[name] <= channel.range[1]  # false for NaN
+        }
+        for topic, publisher in self._to_taps:
+            message = topic.message(values, stamp)
+            if message is not None:
+                publisher.publish(message)
         self._set.header.stamp = stamp
-        self._set.pressure_pa = pressures
+        self._set.pressure_pa = [values.get(name, math.nan) for name in self._taps]
         self._to_set.publish(self._set)
 
     def destroy(self) -> None:
         """Destroys the publishers."""
         clocks = [self._to_clock] if self._to_clock is not None else []
-        for publisher in (self._to_set, *self._to_one.values(), *clocks):
+        for publisher in (self._to_set, *(one for _, one in self._to_taps), *clocks):
             self._node.destroy_publisher(publisher)

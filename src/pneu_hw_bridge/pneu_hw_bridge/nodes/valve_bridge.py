@@ -45,8 +45,9 @@ from pneu_hw_bridge.device_clock import DeviceClock
 from pneu_hw_bridge.link import Link, Sample
 from pneu_hw_bridge.modbus.bus import ModbusBus
 from pneu_hw_bridge.nodes.readings import ReadingsPublisher
-from pneu_hw_bridge.nodes.settings import declare_parameters, read_parameters
-from pneu_hw_bridge.nodes.writers import wrong_writer
+from pneu_hw_bridge.nodes.settings import BridgeParameters
+from pneu_hw_bridge.nodes.signals import told, topics_of
+from pneu_hw_bridge.nodes.writers import competing
 from pneu_hw_bridge.priority import precedence
 from pneu_hw_bridge.registers.load import load_register_map
 from pneu_hw_bridge.registers.schema import Device
@@ -57,8 +58,6 @@ from pneu_hw_bridge.safety.memory import Memory
 from pneu_hw_bridge.safety.supervisor import Latches, State, Supervisor
 from pneu_hw_bridge.stopping import StopListener, call_all
 from pneu_sim import topics
-
-COMMAND_TOPIC = "valve/command"
 
 LOOK_S = 0.05
 """How often publishers of the command topic are counted."""
@@ -102,7 +101,7 @@ class ValveBridge(LifecycleNode):
             InputError: The node was told to use simulated time.
         """
         super().__init__("valve_bridge", **options)
-        declare_parameters(self)
+        self._params = BridgeParameters.declare(self)
         if self.get_parameter("use_sim_time").value:
             raise InputError(
                 "use_sim_time: found true; real valves and sensors keep the machine's time"
@@ -118,11 +117,10 @@ class ValveBridge(LifecycleNode):
         self._bound: Callable[[float, float], Bound] | None = None
         self._bound_told = False
         self._unwatched: list[str] = []
-        self._writers: list[bytes] = []
+        self._commands: list[topics.Topic] = []
+        self._writers: dict[str, list[bytes]] = {}
         self._driving = False
         self._commander = ""
-        # By its final name: counting expands a name, but does not remap it.
-        self._command_topic = self.resolve_topic_name(COMMAND_TOPIC)
         self._e_stop = self.create_publisher(Bool, "e_stop", E_STOP_QOS)
         self._applied = self.create_publisher(ValveCommand, topics.APPLIED_TOPIC, READINGS_QOS)
         self.create_service(Trigger, "~/e_stop", self._on_e_stop)
@@ -146,7 +144,7 @@ class ValveBridge(LifecycleNode):
         Raises:
             InputError: The node cannot be configured.
         """
-        if not self.get_parameter("autostart").value:
+        if not self._params.autostart:
             return
         if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
             raise InputError("autostart: the node could not be configured, see its log")
@@ -161,13 +159,14 @@ class ValveBridge(LifecycleNode):
             state: The state before.
         """
         try:
-            settings = read_parameters(self)
+            settings = self._params  # which nobody can set until the node is cleaned up
             registers = load_register_map(settings.register_map, settings.device)
             if settings.publish_clock and registers.clock is None:
                 raise InputError(
                     f"publish_clock: register map {settings.register_map!r} names no clock of the"
                     " device"
                 )
+            self._commands, taps = topics_of(settings.rig, registers)
             limits = limits_of(
                 registers,
                 settings.watchdog_s,
@@ -202,16 +201,18 @@ class ValveBridge(LifecycleNode):
             self._close()
             return TransitionCallbackReturn.FAILURE
         self._readings = ReadingsPublisher(
-            self, registers.taps, settings.frame_id, settings.publish_clock
+            self, registers.taps, taps, settings.frame_id, settings.publish_clock
         )
-        listener = self.create_subscription(
-            ValveCommand, COMMAND_TOPIC, self._on_command, COMMAND_QOS
-        )
+        for topic in self._commands:
+            listener = self.create_subscription(
+                topics.message_class(topic.type),
+                topic.name,
+                self._listening_to(topic),
+                COMMAND_QOS,
+            )
+            self._entities.append((self.destroy_subscription, listener))
         look = self.create_timer(LOOK_S, self._look_around, clock=steady_clock())
-        self._entities += [
-            (self.destroy_subscription, listener),
-            (self.destroy_timer, look),
-        ]
+        self._entities.append((self.destroy_timer, look))
         if registers.device.watchdog_s is None:
             self.get_logger().error(f"{registers.name}: {NO_WATCHDOG}")
         self._unwatched = [
@@ -329,26 +330,33 @@ class ValveBridge(LifecycleNode):
 
     # Graph
 
-    def _on_command(self, message: ValveCommand, info: dict[str, Any]) -> None:
+    def _listening_to(self, topic: topics.Topic) -> Callable[[Any, dict[str, Any]], None]:
+        """The callback of a topic with commands; its arguments are counted, so it has two."""
+
+        def heard(message: Any, info: dict[str, Any]) -> None:
+            self._on_command(topic, message, info)
+
+        return heard
+
+    def _on_command(self, topic: topics.Topic, message: Any, info: dict[str, Any]) -> None:
         link, bus = self._link, self._bus
         if link is None or bus is None:
             return
-        names, voltages = list(message.name), list(message.voltage_v)
-        if len(names) != len(voltages) or len(set(names)) != len(names):
+        volts, refused = told(topic, message)
+        if refused:
             link.malformed()
-            refused = f"{len(names)} names and {len(voltages)} voltages, needed are pairs"
         else:
-            if not self._is_known(info.get("publisher_gid")):
+            if not self._is_known(topic, info.get("publisher_gid")):
                 self._count_writers(link)  # before anything of a new one is followed
             received_s = time.monotonic()
             sent_ns = info["source_timestamp"]  # 0 where the middleware does not tell
             late_s = self._lateness.of(1e-9 * sent_ns, received_s) if sent_ns > 0 else 0.0
-            refused = link.command(dict(zip(names, voltages, strict=True)), received_s - late_s)
+            refused = link.command(volts, received_s - late_s)
         if not refused:
             bus.poke()
         elif refused != "not active":
             self.get_logger().warning(
-                f"{COMMAND_TOPIC}: refused, {refused}", throttle_duration_sec=1.0
+                f"{topic.name}: refused, {refused}", throttle_duration_sec=1.0
             )
 
     def _on_samples(self) -> None:
@@ -390,19 +398,26 @@ class ValveBridge(LifecycleNode):
             self._keep()
             self._diagnostics.publish()
 
-    def _is_known(self, gid: dict[str, Any] | None) -> bool:
+    def _is_known(self, topic: topics.Topic, gid: dict[str, Any] | None) -> bool:
         """Whether a command is of the one writer that was there when they were last counted."""
+        known = self._writers.get(topic.name, [])
         if gid is None:  # (where the middleware does not tell of whom it is)
-            return self.count_publishers(self._command_topic) == len(self._writers)
-        return [bytes(gid["data"])] == self._writers
+            # By its final name: counting expands a name, but does not remap it.
+            return self.count_publishers(self.resolve_topic_name(topic.name)) == len(known)
+        return [bytes(gid["data"])] == known
 
     def _count_writers(self, link: Link) -> None:
         """Looks who may command: one node, and the one that is named where one is."""
-        found = self.get_publishers_info_by_topic(COMMAND_TOPIC)
-        self._writers = [bytes(one.endpoint_gid) for one in found]
-        if len(found) != 1:  # whoever comes next has a clock of its own
+        found = {
+            topic.name: self.get_publishers_info_by_topic(topic.name) for topic in self._commands
+        }
+        self._writers = {
+            name: [bytes(one.endpoint_gid) for one in writers] for name, writers in found.items()
+        }
+        count, wrong = competing(list(found.values()), self._commander)
+        if count != 1:  # whoever comes next has a clock of its own
             self._lateness = Lateness()
-        link.publishers(len(found), wrong_writer(found, self._commander))
+        link.publishers(count, wrong)
 
     def _say_bound(self, link: Link) -> None:
         """Logs once how soon the valves are safe, as soon as that was measured."""

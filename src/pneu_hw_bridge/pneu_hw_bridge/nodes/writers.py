@@ -25,3 +25,18 @@ def wrong_writer(writers: Sequence[TopicEndpointInfo], commander: str) -> str:
     if commander and name != f"/{commander.lstrip('/')}":
         return f"{name} publishes commands, only {commander} may (commander)"
     return ""
+
+
+def competing(by_topic: Sequence[Sequence[TopicEndpointInfo]], commander: str) -> tuple[int, str]:
+    """How many publish commands, and why the one that does is not followed.
+
+    Args:
+        by_topic: The writers of each topic with commands; one node may have one on each.
+        commander: The node that may command; see `wrong_writer`.
+
+    Returns:
+        Their number; and what `wrong_writer` says of one, empty where he is followed.
+    """
+    nodes = {(one.node_namespace, one.node_name): one for of in by_topic for one in of}
+    count = max(len(nodes), *(len(of) for of in by_topic))
+    return count, wrong_writer(list(nodes.values()), commander) if count == 1 else ""

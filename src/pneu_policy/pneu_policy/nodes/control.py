@@ -16,15 +16,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from pneu_msgs.msg import PressureTarget, ValveCommand
+from pneu_msgs.msg import PressureTarget
 from rclpy.clock import JumpThreshold, ROSClock
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import FluidPressure
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
+from pneu_graph.nodes.parameters import Parameters, parameter
+from pneu_sim import topics
+from pneu_sim.rig import Rig, load_rig
 
 NO_READING = "no pressure reading"
 NO_NUMBER = "reading is no number"
@@ -67,8 +69,74 @@ class Reading:
     off_s: float
 
 
+@dataclass
+class ControlParameters(Parameters):
+    """What the nodes of all controllers are told."""
+
+    command: str = parameter("voltage", "Name of the valve command.", read_only=True)
+    rig: str = parameter(
+        "",
+        "Rig file of what is controlled, which a policy must be for; its channels say on which"
+        " topics. Empty: nothing is checked, and they are valve/command and taps/<tap>/pressure.",
+        read_only=True,
+    )
+    sensor_timeout_s: float = parameter(
+        0.05,
+        "Age of the newest reading at which the safe voltage is published, s.",
+        within=(0.001, 1.0),
+        read_only=True,
+    )
+    target_timeout_s: float = parameter(
+        0.25,
+        "Age of the newest target at which the safe voltage is published, s.",
+        within=(0.001, 10.0),
+        read_only=True,
+    )
+    safe_voltage_v: float = parameter(
+        5.0,
+        "Published while sensor or target are stale, and on deactivation, V.",
+        within=(-24.0, 24.0),
+        read_only=True,
+    )
+    lowest_pa: float = parameter(
+        1e4,
+        "Lowest pressure, absolute, that a reading or a target can have, Pa.",
+        within=(0.0, 1e8),
+        read_only=True,
+    )
+    highest_pa: float = parameter(
+        1.6e6,
+        "Highest pressure, absolute, that a reading or a target can have, Pa.",
+        within=(1.0, 1e8),
+        read_only=True,
+    )
+    frozen_after_s: float = parameter(
+        0.25,
+        "A tap whose readings stay the same for so long while the valve is driven is dead, s; 0"
+        " believes it, as of a model without noise.",
+        within=(0.0, 10.0),
+        read_only=True,
+    )
+    stamp_tolerance_s: float = parameter(
+        10.0,
+        "By so much a reading's stamp may differ from the node's clock when it comes, s.",
+        within=(0.01, 1e6),
+        read_only=True,
+    )
+    clock_factor: float = parameter(
+        20.0,
+        "By so much simulated time may pass faster or slower than real time.",
+        within=(1.0, 1e6),
+        read_only=True,
+    )
+    autostart: bool = parameter(False, "Configure and activate at start.", read_only=True)
+
+
 class ControlNode(LifecycleNode):
     """A target and readings in, a valve command out."""
+
+    parameters: type[ControlParameters] = ControlParameters
+    """What it is told."""
 
     takes_nan = False
     """Whether a reading that is no number counts as the newest one; else it is not heard at all."""
@@ -89,14 +157,21 @@ class ControlNode(LifecycleNode):
         self._tap = ""
         self._taps: tuple[str, ...] = ()
         self._preview_s: tuple[float, ...] = (0.0,)
+        self._rig: Rig | None = None
         self._period_s = math.nan
         try:
-            self._declare()
+            self._params = self.parameters.declare(self)
+            if not self._params.lowest_pa < self._params.highest_pa:
+                raise InputError(
+                    f"highest_pa: found {self._params.highest_pa:g}, lowest_pa is"
+                    f" {self._params.lowest_pa:g}"
+                )
+            self._set_up()
             self._state, self._detail = "inactive", ""
             self._commands = self._sensor_losses = self._target_losses = self._jumps = 0
             self._reported_ns: int | None = None
             self._forget()
-            if self._autostart:
+            if self._params.autostart:
                 self.trigger_configure()
                 if self._refused:
                     raise InputError(self._refused)
@@ -107,9 +182,12 @@ class ControlNode(LifecycleNode):
 
     # ---- what the node of a controller says ----------------------------------------------------
 
-    @abstractmethod
-    def _declare(self) -> None:
-        """Declares its own parameters and calls `_declare_common`."""
+    def _set_up(self) -> None:
+        """Takes what its parameters say, once they are declared.
+
+        Raises:
+            InputError: They make no controller, whatever else there is.
+        """
 
     @abstractmethod
     def _make(self) -> None:
@@ -136,83 +214,6 @@ class ControlNode(LifecycleNode):
         """More figures for /diagnostics."""
         return {}
 
-    def _declare_common(self) -> None:
-        """Declares the parameters that all controllers have."""
-        self._command = common.declare(
-            self, "command", "voltage", "Name of the valve command.", read_only=True
-        )
-        self._sensor_timeout_s = common.declare(
-            self,
-            "sensor_timeout_s",
-            0.05,
-            "Age of the newest reading at which the safe voltage is published, s.",
-            (0.001, 1.0),
-            read_only=True,
-        )
-        self._target_timeout_s = common.declare(
-            self,
-            "target_timeout_s",
-            0.25,
-            "Age of the newest target at which the safe voltage is published, s.",
-            (0.001, 10.0),
-            read_only=True,
-        )
-        self._safe_v = common.declare(
-            self,
-            "safe_voltage_v",
-            5.0,
-            "Published while sensor or target are stale, and on deactivation, V.",
-            (-24.0, 24.0),
-            read_only=True,
-        )
-        low_pa = common.declare(
-            self,
-            "lowest_pa",
-            1e4,
-            "Lowest pressure, absolute, that a reading or a target can have, Pa.",
-            (0.0, 1e8),
-            read_only=True,
-        )
-        high_pa = common.declare(
-            self,
-            "highest_pa",
-            1.6e6,
-            "Highest pressure, absolute, that a reading or a target can have, Pa.",
-            (1.0, 1e8),
-            read_only=True,
-        )
-        if not low_pa < high_pa:
-            raise InputError(f"highest_pa: found {high_pa:g}, lowest_pa is {low_pa:g}")
-        self._range_pa = (low_pa, high_pa)
-        self._frozen_s = common.declare(
-            self,
-            "frozen_after_s",
-            0.25,
-            "A tap whose readings stay the same for so long while the valve is driven is dead, s; 0"
-            " believes it, as of a model without noise.",
-            (0.0, 10.0),
-            read_only=True,
-        )
-        self._stamp_s = common.declare(
-            self,
-            "stamp_tolerance_s",
-            10.0,
-            "By so much a reading's stamp may differ from the node's clock when it comes, s.",
-            (0.01, 1e6),
-            read_only=True,
-        )
-        self._clock_factor = common.declare(
-            self,
-            "clock_factor",
-            20.0,
-            "By so much simulated time may pass faster or slower than real time.",
-            (1.0, 1e6),
-            read_only=True,
-        )
-        self._autostart = common.declare(
-            self, "autostart", False, "Configure and activate at start.", read_only=True
-        )
-
     # ---- lifecycle -----------------------------------------------------------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -224,7 +225,9 @@ class ControlNode(LifecycleNode):
         if self._diagnostics is None:  # else it has told of a refusal so far
             self._diagnostics = common.Diagnostics(self, self._report)
         try:
+            self._rig = load_rig(self._params.rig) if self._params.rig else None
             self._make()
+            self._find_topics()
         except InputError as error:
             self._refused = " ".join(str(error).split())
             self.get_logger().error(f"not configured: {self._refused}")
@@ -232,16 +235,18 @@ class ControlNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         self._refused = ""
         self._publisher = self.create_lifecycle_publisher(
-            ValveCommand, "valve/command", common.COMMAND_QOS
+            topics.message_class(self._command_topic.type),
+            self._command_topic.name,
+            common.COMMAND_QOS,
         )
         self._subscriptions_made = [
             self.create_subscription(
-                FluidPressure,
-                f"taps/{tap}/pressure",
-                functools.partial(self._on_pressure, tap),
+                topics.message_class(topic.type),
+                topic.name,
+                functools.partial(self._on_pressures, topic),
                 qos_profile_sensor_data,
             )
-            for tap in self._taps
+            for topic in self._tap_topics
         ]
         self._target_subscription = self.create_subscription(
             PressureTarget, "target", self._on_target, common.COMMAND_QOS
@@ -275,7 +280,7 @@ class ControlNode(LifecycleNode):
             state: Where it comes from.
         """
         self._timer.cancel()
-        self._publish(self._safe_v)
+        self._publish(self._params.safe_voltage_v)
         self._state, self._detail = "inactive", ""
         return super().on_deactivate(state)
 
@@ -295,7 +300,7 @@ class ControlNode(LifecycleNode):
             state: Where it comes from.
         """
         if self._state != "inactive":
-            self._publish(self._safe_v)
+            self._publish(self._params.safe_voltage_v)
         self._state, self._detail = "inactive", ""
         if state.label != "unconfigured":
             self._close()
@@ -323,6 +328,28 @@ class ControlNode(LifecycleNode):
             self._diagnostics.close()
             self._diagnostics = None
 
+    def _find_topics(self) -> None:
+        """Where readings come from and the command goes to.
+
+        Raises:
+            InputError: The rig has no such tap or command.
+        """
+        rig, command = self._rig, self._params.command
+        if rig is None:
+            self._tap_topics = topics.usual_tap_topics(self._taps)
+            (self._command_topic,) = topics.usual_command_topics([command])
+            return
+        for tap in self._taps:
+            if tap not in rig.taps:
+                raise InputError(f"tap: found {tap!r}, rig {rig.name!r} has {', '.join(rig.taps)}")
+        if command not in rig.commands:
+            raise InputError(
+                f"parameter command: found {command!r}, rig {rig.name!r} has"
+                f" {', '.join(rig.commands) or 'none'}"
+            )
+        self._tap_topics = topics.only(topics.tap_topics(rig), self._taps)
+        (self._command_topic,) = topics.only(topics.command_topics(rig), {command})
+
     # ---- callbacks -----------------------------------------------------------------------------
 
     def _forget(self) -> None:
@@ -331,7 +358,7 @@ class ControlNode(LifecycleNode):
         self._readings: dict[str, Reading] = {}
         self._clock_seen: deque[tuple[int, int]] = deque(maxlen=MOST_SEEN)
         self._target: tuple[int, float, tuple[float, ...], int] | None = None
-        self._volts = self._safe_v
+        self._volts = self._params.safe_voltage_v
         self._error_square = self._error_count = 0.0
 
     def _now_ns(self) -> int:
@@ -346,11 +373,18 @@ class ControlNode(LifecycleNode):
         self._jumps += 1
         self._forget()
 
-    def _on_pressure(self, tap: str, message: FluidPressure) -> None:
-        pressure_pa = message.fluid_pressure
-        if not (self.takes_nan or math.isfinite(pressure_pa)):
-            return
-        stamp, now_ns = common.from_stamp(message.header.stamp), self._now_ns()
+    def _on_pressures(self, topic: topics.Topic, message: Any) -> None:
+        header = getattr(message, "header", None)
+        if header is not None:
+            stamp_ns = common.from_stamp(header.stamp)
+        else:  # a type without one says what is now
+            stamp_ns = int(self.get_clock().now().nanoseconds)
+        for tap, pressure_pa in topic.read(message).items():
+            if self.takes_nan or math.isfinite(pressure_pa):
+                self._take_reading(tap, pressure_pa, stamp_ns)
+
+    def _take_reading(self, tap: str, pressure_pa: float, stamp: int) -> None:
+        now_ns = self._now_ns()
         before = self._readings.get(tap)
         # A sensor that stalls may be repeated on and on; that does not make its reading younger.
         arrival = before.arrival_ns if before is not None and before.stamp_ns == stamp else now_ns
@@ -365,7 +399,7 @@ class ControlNode(LifecycleNode):
 
     def _on_target(self, message: PressureTarget) -> None:
         values = tuple(float(v) for v in message.pressure_pa)
-        low_pa, high_pa = self._range_pa
+        low_pa, high_pa = self._params.lowest_pa, self._params.highest_pa
         usable = bool(values) and all(low_pa <= v <= high_pa for v in values)
         step = math.isfinite(message.step_s) and message.step_s > 0.0
         if message.tap not in ("", self._tap) or not usable or not step:
@@ -397,34 +431,42 @@ class ControlNode(LifecycleNode):
     def _fault(self, now_ns: int) -> tuple[str, str] | None:
         """What keeps it from controlling, and the particulars."""
         rate = self._clock_rate(now_ns)
-        if not 1.0 / self._clock_factor <= rate <= self._clock_factor:
+        if not 1.0 / self._params.clock_factor <= rate <= self._params.clock_factor:
             return NO_CLOCK, f"simulated time passes {rate:.3g} times as fast as real time"
         for tap in self._taps:
             reading = self._readings.get(tap)
             if reading is None:
                 return NO_READING, f"never heard {self._where(tap)}"
-            if now_ns - reading.arrival_ns > self._sensor_timeout_s * 1e9:
-                age = f"for {self._sensor_timeout_s:g} s"
+            if now_ns - reading.arrival_ns > self._params.sensor_timeout_s * 1e9:
+                age = f"for {self._params.sensor_timeout_s:g} s"
                 return NO_READING, f"{age} nothing new of {self._where(tap)}"
             if not math.isfinite(reading.pressure_pa):
                 return NO_NUMBER, f"found {reading.pressure_pa} as {self._where(tap)}"
-            low_pa, high_pa = self._range_pa
+            low_pa, high_pa = self._params.lowest_pa, self._params.highest_pa
             if not low_pa <= reading.pressure_pa <= high_pa:
                 possible = f"possible are {low_pa:g} to {high_pa:g}"
                 return NO_PRESSURE, f"{reading.pressure_pa:g} Pa as {self._where(tap)}, {possible}"
-            drives = self._state == FROZEN or abs(self._volts - self._safe_v) > AT_REST_V
-            if self._frozen_s and drives and now_ns - reading.changed_ns > self._frozen_s * 1e9:
-                return FROZEN, f"{reading.pressure_pa:g} Pa for {self._frozen_s:g} s as" + (
-                    f" {self._where(tap)}"
+            drives = (
+                self._state == FROZEN or abs(self._volts - self._params.safe_voltage_v) > AT_REST_V
+            )
+            if (
+                self._params.frozen_after_s
+                and drives
+                and now_ns - reading.changed_ns > self._params.frozen_after_s * 1e9
+            ):
+                return (
+                    FROZEN,
+                    f"{reading.pressure_pa:g} Pa for {self._params.frozen_after_s:g} s as"
+                    + (f" {self._where(tap)}"),
                 )
-            if abs(reading.off_s) > self._stamp_s:
+            if abs(reading.off_s) > self._params.stamp_tolerance_s:
                 when = "old" if reading.off_s > 0.0 else "ahead"
                 return OLD_READING, f"{abs(reading.off_s):.3g} s {when} as {self._where(tap)}"
-        if self._target is None or now_ns - self._target[3] > self._target_timeout_s * 1e9:
+        if self._target is None or now_ns - self._target[3] > self._params.target_timeout_s * 1e9:
             topic = self.resolve_topic_name("target")
             if self._target is None:
                 return NO_TARGET, f"never heard one on {topic}"
-            return NO_TARGET, f"for {self._target_timeout_s:g} s none on {topic}"
+            return NO_TARGET, f"for {self._params.target_timeout_s:g} s none on {topic}"
         known_s = (len(self._target[2]) - 1) * self._target[1]
         if known_s < self._preview_s[-1] - 1e-9:
             return SHORT_TARGET, f"it tells {known_s:g} s ahead, needed are {self._preview_s[-1]:g}"
@@ -444,7 +486,8 @@ class ControlNode(LifecycleNode):
         return (now_ns - seen[0][1]) / max(steady_ns - seen[0][0], 1)
 
     def _where(self, tap: str) -> str:
-        return f"{tap!r} on {self.resolve_topic_name(f'taps/{tap}/pressure')}"
+        (topic,) = topics.only(self._tap_topics, {tap})
+        return f"{tap!r} on {self.resolve_topic_name(topic.name)}"
 
     def _tick(self) -> None:
         try:
@@ -463,7 +506,7 @@ class ControlNode(LifecycleNode):
     def end(self) -> None:
         """Says the safe voltage as the last word, at the end of the process."""
         if self._state != "inactive":
-            self._publish(self._safe_v)
+            self._publish(self._params.safe_voltage_v)
             self._publisher.wait_for_all_acked(Duration(seconds=LAST_WORD_S))
 
     def _lose(self, what: str, detail: str) -> None:
@@ -472,9 +515,11 @@ class ControlNode(LifecycleNode):
             self._target_losses += what in (NO_TARGET, SHORT_TARGET)
             self._rest()
         if (self._state, self._detail) != (what, detail):
-            self.get_logger().warning(f"{what}: safe voltage of {self._safe_v:g} V ({detail})")
+            self.get_logger().warning(
+                f"{what}: safe voltage of {self._params.safe_voltage_v:g} V ({detail})"
+            )
             self._state, self._detail = what, detail
-        self._volts = self._safe_v
+        self._volts = self._params.safe_voltage_v
 
     def _control(self) -> None:
         if self._state != "tracking":
@@ -490,9 +535,8 @@ class ControlNode(LifecycleNode):
         self._error_count += 1.0
 
     def _publish(self, volts: float) -> None:
-        message = ValveCommand(name=[self._command], voltage_v=[volts])
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._publisher.publish(message)
+        stamp = self.get_clock().now().to_msg()
+        self._publisher.publish(self._command_topic.message({self._params.command: volts}, stamp))
         self._commands += 1
 
     def _report(self) -> list[DiagnosticStatus]:

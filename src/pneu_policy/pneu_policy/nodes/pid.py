@@ -6,32 +6,50 @@ voltage. Parameters and topics: see ``ros_ws/README.md``.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 
 from pneu_common.errors import InputError
-from pneu_graph.nodes import common
-from pneu_policy.nodes.control import ControlNode
+from pneu_graph.nodes.parameters import parameter
+from pneu_policy.nodes.control import ControlNode, ControlParameters
 from pneu_policy.nodes.running import run_controller
 from pneu_policy.pid import Gains, Pid
 
-GAINS: dict[str, tuple[float, float, float, str]] = {
-    "kp_v_per_pa": (1.0e-5, 0.0, 1e-2, "Proportional gain, V/Pa."),
-    "ki_v_per_pa_s": (2.0e-5, 0.0, 1e-1, "Integral gain, V/(Pa s)."),
-    "kd_v_s_per_pa": (0.0, 0.0, 1e-3, "Derivative gain, V s/Pa."),
-    "derivative_hz": (40.0, 0.1, 1000.0, "Cut-off of the derivative's filter, Hz."),
-    "target_weight": (1.0, 0.0, 1.0, "Share of the target in the derivative."),
-    "null_v": (5.0, -24.0, 24.0, "Voltage at which the valve closes, V."),
-    "low_v": (0.0, -24.0, 24.0, "Lowest voltage, V."),
-    "high_v": (10.0, -24.0, 24.0, "Highest voltage, V."),
-    "integral_v": (1.0, 0.0, 24.0, "Limit of the integral term on either side, V."),
-}
-"""Default, smallest and largest value, description."""
+GAINS = tuple(f.name for f in fields(Gains))
+
+
+@dataclass
+class PidParameters(ControlParameters):
+    """What the PID node is told; gains may be set while it runs."""
+
+    tap: str = parameter(
+        "end", "Tap whose pressure is controlled; read from taps/<tap>/pressure.", read_only=True
+    )
+    rate_hz: float = parameter(250.0, "Control rate, Hz.", within=(1.0, 2000.0), read_only=True)
+    kp_v_per_pa: float = parameter(1.0e-5, "Proportional gain, V/Pa.", within=(0.0, 1e-2))
+    ki_v_per_pa_s: float = parameter(2.0e-5, "Integral gain, V/(Pa s).", within=(0.0, 1e-1))
+    kd_v_s_per_pa: float = parameter(0.0, "Derivative gain, V s/Pa.", within=(0.0, 1e-3))
+    derivative_hz: float = parameter(
+        40.0, "Cut-off of the derivative's filter, Hz.", within=(0.1, 1000.0)
+    )
+    target_weight: float = parameter(
+        1.0, "Share of the target in the derivative.", within=(0.0, 1.0)
+    )
+    null_v: float = parameter(5.0, "Voltage at which the valve closes, V.", within=(-24.0, 24.0))
+    low_v: float = parameter(0.0, "Lowest voltage, V.", within=(-24.0, 24.0))
+    high_v: float = parameter(10.0, "Highest voltage, V.", within=(-24.0, 24.0))
+    integral_v: float = parameter(
+        1.0, "Limit of the integral term on either side, V.", within=(0.0, 24.0)
+    )
 
 
 class PidNode(ControlNode):
     """A PID, stepped by each new reading."""
+
+    parameters = PidParameters
+    _params: PidParameters
 
     def __init__(self, **options: Any) -> None:
         """Declares the parameters; with ``autostart`` it is active at once.
@@ -44,29 +62,15 @@ class PidNode(ControlNode):
         """
         super().__init__("pid", **options)
 
-    def _declare(self) -> None:
-        self._tap = common.declare(
-            self,
-            "tap",
-            "end",
-            "Tap whose pressure is controlled; read from taps/<tap>/pressure.",
-            read_only=True,
-        )
-        self._rate_hz = common.declare(
-            self, "rate_hz", 250.0, "Control rate, Hz.", (1.0, 2000.0), read_only=True
-        )
-        self._declare_common()
-        values = {
-            name: common.declare(self, name, default, text, (low, high))
-            for name, (default, low, high, text) in GAINS.items()
-        }
-        self._pid = Pid(Gains(**values))
+    def _set_up(self) -> None:
+        self._tap = self._params.tap
+        self._pid = Pid(Gains(**{name: getattr(self._params, name) for name in GAINS}))
         self.add_on_set_parameters_callback(self._check_gains)
         self.add_post_set_parameters_callback(self._take_gains)
 
     def _make(self) -> None:
         self._taps = (self._tap,)
-        self._period_s = 1.0 / self._rate_hz
+        self._period_s = 1.0 / self._params.rate_hz
 
     def _rest(self) -> None:
         self._pid.reset()

@@ -7,14 +7,23 @@ with the newest reading of each tap that the controller sees. Parameters and top
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from pneu_common.errors import InputError
-from pneu_graph.nodes import common
+from pneu_graph.nodes.parameters import parameter
 from pneu_policy.controllers import Controller, PolicyController, load_controller
-from pneu_policy.nodes.control import ControlNode
+from pneu_policy.nodes.control import ControlNode, ControlParameters
 from pneu_policy.nodes.running import run_controller
-from pneu_sim.rig import load_rig
+
+
+@dataclass
+class PolicyParameters(ControlParameters):
+    """What the policy node is told."""
+
+    policy: str = parameter(
+        "", "File of the controller: a policy (.npz), or a tuned PID (.yaml).", read_only=True
+    )
 
 
 class PolicyNode(ControlNode):
@@ -24,7 +33,9 @@ class PolicyNode(ControlNode):
     would answer it with a voltage that means nothing.
     """
 
+    parameters = PolicyParameters
     takes_nan = True
+    _params: PolicyParameters
 
     def __init__(self, **options: Any) -> None:
         """Declares the parameters; with ``autostart`` it is active at once.
@@ -38,46 +49,25 @@ class PolicyNode(ControlNode):
         self._controller: Controller | None = None
         super().__init__("policy", **options)
 
-    def _declare(self) -> None:
-        self._file = common.declare(
-            self,
-            "policy",
-            "",
-            "File of the controller: a policy (.npz), or a tuned PID (.yaml).",
-            read_only=True,
-        )
-        self._rig_file = common.declare(
-            self,
-            "rig",
-            "",
-            "Rig file of what is controlled, which the policy must be for; empty is not checked.",
-            read_only=True,
-        )
-        self._declare_common()
-
     def _make(self) -> None:
-        if not self._file:
+        if not self._params.policy:
             raise InputError("parameter policy: found none, needed is the file of a controller")
-        controller = load_controller(self._file)
-        rig = load_rig(self._rig_file) if self._rig_file else None
+        controller = load_controller(self._params.policy)
+        rig = self._rig
         if isinstance(controller, PolicyController):
             policy = controller.policy
             if policy.recipe.line:
                 raise InputError(
-                    f"{self._file}: this policy sees the gas of lines, which no sensor tells"
+                    f"{self._params.policy}: this policy sees the gas of lines, which no sensor"
+                    " tells"
                 )
-            if self._command not in policy.rig["commands"]:
+            if self._params.command not in policy.rig["commands"]:
                 raise InputError(
-                    f"parameter command: found {self._command!r}, the policy commands"
+                    f"parameter command: found {self._params.command!r}, the policy commands"
                     f" {', '.join(policy.rig['commands'])}"
                 )
             if rig is not None:
                 policy.check_rig(rig)
-        elif rig is not None and controller.tap not in rig.taps:
-            raise InputError(
-                f"{self._file}: tap: found {controller.tap!r}, rig {rig.name!r} has"
-                f" {', '.join(rig.taps)}"
-            )
         self._controller = controller
         self._tap, self._taps = controller.tap, controller.taps
         self._preview_s, self._period_s = controller.preview_s, controller.period_s

@@ -4,6 +4,7 @@
 Parameters and topics: see ``ros_ws/README.md``.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,54 @@ from rclpy.node import Node
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
-from pneu_policy.targets import KINDS, Target
+from pneu_graph.nodes.parameters import Parameters, parameter
+from pneu_policy.targets import KINDS, Kind, Target
+
+
+@dataclass
+class TargetParameters(Parameters):
+    """What the target node is told."""
+
+    tap: str = parameter("end", "Tap that the target is for.", read_only=True)
+    kind: Kind = parameter(
+        "mixed",
+        "Sums of sines, straight lines between random points, random levels, or all in turn.",
+        choices=KINDS,
+        read_only=True,
+    )
+    low_pa: float = parameter(
+        150e3, "Lowest pressure, absolute, Pa.", within=(1.0, 1e7), read_only=True
+    )
+    high_pa: float = parameter(
+        500e3, "Highest pressure, absolute, Pa.", within=(1.0, 1e7), read_only=True
+    )
+    period_s: float = parameter(
+        0.6,
+        "Typical time from one extreme or level to the next, s.",
+        within=(0.01, 100.0),
+        read_only=True,
+    )
+    turn_s: float = parameter(
+        4.0,
+        "How long each kind lasts where they take turns, s.",
+        within=(0.1, 1000.0),
+        read_only=True,
+    )
+    jitter: float = parameter(
+        0.0,
+        "Share of the period by which corners of jagged targets are moved at random.",
+        within=(0.0, 0.9),
+        read_only=True,
+    )
+    start_s: float = parameter(
+        0.0, "Where in the target's own time it begins, s.", within=(0.0, 1e6), read_only=True
+    )
+    seed: int = parameter(0, "Seed.", within=(0, 2**31 - 1), read_only=True)
+    rate_hz: float = parameter(50.0, "Messages per second.", within=(1.0, 1000.0), read_only=True)
+    preview_s: float = parameter(
+        0.5, "How far ahead a message tells, s.", within=(0.0, 10.0), read_only=True
+    )
+    step_s: float = parameter(0.02, "Time between values, s.", within=(0.0005, 1.0), read_only=True)
 
 
 class TargetNode(Node):
@@ -35,79 +83,21 @@ class TargetNode(Node):
             raise
 
     def _set_up(self) -> None:
-        self._tap = common.declare(
-            self, "tap", "end", "Tap that the target is for.", read_only=True
-        )
-        kind = common.declare(
-            self,
-            "kind",
-            "mixed",
-            "Sums of sines, straight lines between random points, random levels, or all in turn.",
-            choices=KINDS,
-            read_only=True,
-        )
-        low = common.declare(
-            self, "low_pa", 150e3, "Lowest pressure, absolute, Pa.", (1.0, 1e7), read_only=True
-        )
-        high = common.declare(
-            self, "high_pa", 500e3, "Highest pressure, absolute, Pa.", (1.0, 1e7), read_only=True
-        )
-        period_s = common.declare(
-            self,
-            "period_s",
-            0.6,
-            "Typical time from one extreme or level to the next, s.",
-            (0.01, 100.0),
-            read_only=True,
-        )
-        turn_s = common.declare(
-            self,
-            "turn_s",
-            4.0,
-            "How long each kind lasts where they take turns, s.",
-            (0.1, 1000.0),
-            read_only=True,
-        )
-        jitter = common.declare(
-            self,
-            "jitter",
-            0.0,
-            "Share of the period by which corners of jagged targets are moved at random.",
-            (0.0, 0.9),
-            read_only=True,
-        )
-        self._offset_s = common.declare(
-            self,
-            "start_s",
-            0.0,
-            "Where in the target's own time it begins, s.",
-            (0.0, 1e6),
-            read_only=True,
-        )
-        seed = common.declare(self, "seed", 0, "Seed.", (0, 2**31 - 1), read_only=True)
-        rate_hz = common.declare(
-            self, "rate_hz", 50.0, "Messages per second.", (1.0, 1000.0), read_only=True
-        )
-        preview_s = common.declare(
-            self, "preview_s", 0.5, "How far ahead a message tells, s.", (0.0, 10.0), read_only=True
-        )
-        self._step_s = common.declare(
-            self, "step_s", 0.02, "Time between values, s.", (0.0005, 1.0), read_only=True
-        )
-        self._target = Target(kind, low, high, period_s, seed, turn_s, jitter)
-        self._ahead = np.arange(round(preview_s / self._step_s) + 1) * self._step_s
+        p = self._params = TargetParameters.declare(self)
+        self._target = Target(p.kind, p.low_pa, p.high_pa, p.period_s, p.seed, p.turn_s, p.jitter)
+        self._ahead = np.arange(round(p.preview_s / p.step_s) + 1) * p.step_s
         self._start_ns: int | None = None
         self._publisher = self.create_publisher(PressureTarget, "target", common.COMMAND_QOS)
-        self._timer = self.create_timer(1.0 / rate_hz, self._tick)
+        self._timer = self.create_timer(1.0 / p.rate_hz, self._tick)
 
     def _tick(self) -> None:
         now = self.get_clock().now()
         if self._start_ns is None or now.nanoseconds < self._start_ns:
             self._start_ns = now.nanoseconds  # the first time, or time was set back
-        at_s = self._offset_s + (now.nanoseconds - self._start_ns) * 1e-9
+        at_s = self._params.start_s + (now.nanoseconds - self._start_ns) * 1e-9
         message = PressureTarget(
-            tap=self._tap,
-            step_s=self._step_s,
+            tap=self._params.tap,
+            step_s=self._params.step_s,
             pressure_pa=self._target.at(at_s + self._ahead).tolist(),
         )
         message.header.stamp = now.to_msg()

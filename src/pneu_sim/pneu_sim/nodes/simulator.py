@@ -8,6 +8,7 @@ commands and requests for that thread. Parameters and topics: see ``ros_ws/READM
 """
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -19,14 +20,63 @@ from sensor_msgs.msg import FluidPressure
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
+from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_sim import topics
+from pneu_sim.models import kind_of
 from pneu_sim.nodes.stepper import Inputs, Pacing, Sample, Stepper
 from pneu_sim.rig import load_rig
 
-PACES = ("real_time", "as_fast_as_possible", "lock_step")
-SAFE = ("closed", "vent")
 DISCOVERY_S = 1.0
 """How long another publisher of the clock is looked for before this node becomes one."""
+
+
+@dataclass
+class SimulatorParameters(Parameters):
+    """What the simulator node is told."""
+
+    rig: str = parameter("", "Path of the rig file.", read_only=True)
+    pace: str = parameter(
+        "real_time",
+        "real_time follows the clock, times `factor`; as_fast_as_possible does not wait; lock_step"
+        " waits for ~/step.",
+        choices=("real_time", "as_fast_as_possible", "lock_step"),
+        read_only=True,
+    )
+    factor: float = parameter(
+        1.0, "Simulated seconds per second, for real_time.", within=(0.01, 100.0)
+    )
+    publish_rate_hz: float = parameter(
+        500.0,
+        "Control rate in simulated time: commands are taken and taps published this often, Hz.",
+        within=(1.0, 5000.0),
+        read_only=True,
+    )
+    dx_m: float = parameter(
+        0.0, "Cell length, m; 0 is the rig's own.", within=(0.0, 1.0), read_only=True
+    )
+    seed: int = parameter(0, "Seed of the sensor noise.", within=(0, 2**31 - 1), read_only=True)
+    line_state_rate_hz: float = parameter(
+        0.0,
+        "How often the state of every line is published while somebody listens, Hz; 0 is not.",
+        within=(0.0, 1000.0),
+    )
+    command_timeout_s: float = parameter(
+        0.1,
+        "Age in simulated time at which a command gives way to the safe voltage, s; 0: never.",
+        within=(0.0, 10.0),
+    )
+    safe: str = parameter(
+        "closed",
+        "Safe state of the valves: closed is each valve's null voltage, vent is vent_voltage_v.",
+        choices=("closed", "vent"),
+        read_only=True,
+    )
+    vent_voltage_v: float = parameter(
+        0.0, "Voltage that vents, V.", within=(-24.0, 24.0), read_only=True
+    )
+    publish_clock: bool = parameter(
+        False, "Publish simulated time on /clock; it begins at zero.", read_only=True
+    )
 
 
 class SimulatorNode(Node):
@@ -51,74 +101,15 @@ class SimulatorNode(Node):
             raise
 
     def _set_up(self) -> None:
-        rig_path = common.declare(self, "rig", "", "Path of the rig file.", read_only=True)
-        pace = common.declare(
-            self,
-            "pace",
-            "real_time",
-            "real_time follows the clock, times `factor`; as_fast_as_possible does not wait;"
-            " lock_step waits for ~/step.",
-            choices=PACES,
-            read_only=True,
-        )
-        factor = common.declare(
-            self, "factor", 1.0, "Simulated seconds per second, for real_time.", (0.01, 100.0)
-        )
-        rate_hz = common.declare(
-            self,
-            "publish_rate_hz",
-            500.0,
-            "Control rate in simulated time: commands are taken and taps published this often, Hz.",
-            (1.0, 5000.0),
-            read_only=True,
-        )
-        dx_m = common.declare(
-            self, "dx_m", 0.0, "Cell length, m; 0 is the rig's own.", (0.0, 1.0), read_only=True
-        )
-        seed = common.declare(
-            self, "seed", 0, "Seed of the sensor noise.", (0, 2**31 - 1), read_only=True
-        )
-        self._line_rate_hz = common.declare(
-            self,
-            "line_state_rate_hz",
-            0.0,
-            "How often the state of every line is published while somebody listens, Hz; 0 is not.",
-            (0.0, 1000.0),
-        )
-        timeout_s = common.declare(
-            self,
-            "command_timeout_s",
-            0.1,
-            "Age in simulated time at which a command gives way to the safe voltage, s; 0: never.",
-            (0.0, 10.0),
-        )
-        safe = common.declare(
-            self,
-            "safe",
-            "closed",
-            "Safe state of the valves: closed is each valve's null voltage, vent is"
-            " vent_voltage_v.",
-            choices=SAFE,
-            read_only=True,
-        )
-        vent_v = common.declare(
-            self, "vent_voltage_v", 0.0, "Voltage that vents, V.", (-24.0, 24.0), read_only=True
-        )
-        publish_clock = common.declare(
-            self,
-            "publish_clock",
-            False,
-            "Publish simulated time on /clock; it begins at zero.",
-            read_only=True,
-        )
-        if not rig_path:
+        params = self._params = SimulatorParameters.declare(self)
+        if not params.rig:
             raise InputError("parameter rig: found nothing, it must be the path of a rig file")
-        rig = load_rig(rig_path)
-        self._rig = rig
-        self._inputs = Inputs(rig, timeout_s, None if safe == "closed" else vent_v)
+        rig = self._rig = load_rig(params.rig)
+        safe_v = None if params.safe == "closed" else params.vent_voltage_v
+        self._inputs = Inputs(rig, params.command_timeout_s, safe_v)
         self._tap_topics = topics.tap_topics(rig)
         self._command_topics = topics.command_topics(rig)
-        if publish_clock:
+        if params.publish_clock:
             if common.other_clocks(self, patience_s=DISCOVERY_S):
                 raise InputError(
                     "parameter publish_clock: /clock already has a publisher, there can be one"
@@ -126,10 +117,34 @@ class SimulatorNode(Node):
             self._clock_publisher = self.create_publisher(
                 ClockMessage, common.CLOCK_TOPIC, common.COMMAND_QOS
             )
-        follows = bool(self.get_parameter("use_sim_time").value) and not publish_clock
-        pacing = Pacing(
-            pace, factor, self.get_clock() if follows else common.steady_clock(), follows
+        self._make_topics()
+        self.create_service(StepSimulator, "~/step", self._on_step)
+        self.create_service(ResetSimulator, "~/reset", self._on_reset)
+        self.add_post_set_parameters_callback(self._on_parameters)
+        self._diagnostics = common.Diagnostics(self, self._report)
+        follows = bool(self.get_parameter("use_sim_time").value) and not params.publish_clock
+        clock = self.get_clock() if follows else common.steady_clock()
+        self._stepper = Stepper(
+            rig,
+            self._inputs,
+            Pacing(params.pace, params.factor, clock, follows),
+            1.0 / params.publish_rate_hz,
+            params.dx_m or None,
+            params.seed,
+            origin_ns=None if params.publish_clock else lambda: self.get_clock().now().nanoseconds,
+            publish=self._publish,
+            running=self.context.ok,
         )
+        self.about = f"rig {rig.name!r} at {params.publish_rate_hz:g} Hz, {params.pace}"
+        if params.pace == "real_time" and params.factor != 1.0:
+            self.about += f" times {params.factor:g}"
+        self._stepper.start()
+
+    def _make_topics(self) -> None:
+        """Publishers of all that the rig shows, and subscriptions to its commands."""
+        rig = self._rig
+        # The set of all taps has a topic anyway.
+        self._tap_topics = [t for t in self._tap_topics if t.name != topics.TAPS_TOPIC]
         self._publishers_of = {
             topic.name: self.create_publisher(
                 topics.message_class(topic.type), topic.name, common.READINGS_QOS
@@ -144,7 +159,7 @@ class SimulatorNode(Node):
         )
         self._line_publishers = {
             name: self.create_publisher(LineState, f"lines/{name}/state", common.READINGS_QOS)
-            for name in rig.pipes
+            for name in (rig.pipes if kind_of(rig).along_lines else ())
         }
         self._next_line_s = 0.0
         for topic in self._command_topics:
@@ -154,25 +169,6 @@ class SimulatorNode(Node):
                 lambda message, topic=topic: self._inputs.take(topic.read(message)),
                 common.COMMAND_QOS,
             )
-        self.create_service(StepSimulator, "~/step", self._on_step)
-        self.create_service(ResetSimulator, "~/reset", self._on_reset)
-        self.add_post_set_parameters_callback(self._on_parameters)
-        self._diagnostics = common.Diagnostics(self, self._report)
-        self._stepper = Stepper(
-            rig,
-            self._inputs,
-            pacing,
-            1.0 / rate_hz,
-            dx_m or None,
-            seed,
-            origin_ns=None if publish_clock else lambda: self.get_clock().now().nanoseconds,
-            publish=self._publish,
-            running=self.context.ok,
-        )
-        self.about = f"rig {rig.name!r} at {rate_hz:g} Hz, {pace}"
-        if pace == "real_time" and factor != 1.0:
-            self.about += f" times {factor:g}"
-        self._stepper.start()
 
     def destroy_node(self) -> None:
         """Ends the simulation, then the node."""
@@ -183,13 +179,9 @@ class SimulatorNode(Node):
     # ---- called by the executor ----------------------------------------------------------------
 
     def _on_parameters(self, parameters: list[Any]) -> None:
-        for parameter in parameters:
-            if parameter.name == "factor" and self._stepper is not None:
-                self._stepper.pacing.set_factor(float(parameter.value))
-            elif parameter.name == "command_timeout_s":
-                self._inputs.timeout_s = float(parameter.value)
-            elif parameter.name == "line_state_rate_hz":
-                self._line_rate_hz = float(parameter.value)
+        self._inputs.timeout_s = self._params.command_timeout_s
+        if self._stepper is not None and any(p.name == "factor" for p in parameters):
+            self._stepper.pacing.set_factor(self._params.factor)
 
     async def _on_step(
         self, request: StepSimulator.Request, response: StepSimulator.Response
@@ -300,8 +292,8 @@ class SimulatorNode(Node):
         applied.header.stamp = common.to_stamp(sample.since_ns)
         applied.header.frame_id = self._rig.name
         self._applied.publish(applied)
-        if self._line_rate_hz > 0.0 and sample.time_s >= self._next_line_s - 1e-9:
-            self._next_line_s = sample.time_s + 1.0 / self._line_rate_hz
+        if self._params.line_state_rate_hz > 0.0 and sample.time_s >= self._next_line_s - 1e-9:
+            self._next_line_s = sample.time_s + 1.0 / self._params.line_state_rate_hz
             self._publish_lines(stamp)
 
     def _publish_lines(self, stamp: Any) -> None:

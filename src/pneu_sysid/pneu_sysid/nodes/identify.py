@@ -10,6 +10,7 @@ import math
 import threading
 import uuid
 from collections import deque
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from rclpy.qos import qos_profile_sensor_data
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
+from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_sim import topics
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
@@ -37,6 +39,40 @@ AHEAD_S, BEHIND_S = 0.02, 0.2
 readings lags (a simulator that cannot keep time): it counts from the newest reading on."""
 
 LEVELS = {0: DiagnosticStatus.OK, 1: DiagnosticStatus.WARN, 2: DiagnosticStatus.ERROR}
+
+
+@dataclass
+class IdentifyParameters(Parameters):
+    """What the identify node is told."""
+
+    workers: int = parameter(0, "Threads of a task; 0 is all cores.", within=(0, 256))
+    watch_rig: str = parameter(
+        "", "Rig file of the model to run alongside; empty is none.", read_only=True
+    )
+    watch_rate_hz: float = parameter(
+        250.0,
+        "Rate at which model and taps are compared, not above that of the taps, Hz.",
+        within=(10.0, 5000.0),
+        read_only=True,
+    )
+    watch_window_s: float = parameter(
+        0.0,
+        "Length of a window, s; 0 is the horizon of the rig's fit.",
+        within=(0.0, 10.0),
+        read_only=True,
+    )
+    warn_times: float = parameter(
+        3.0,
+        "Multiple of the expected error that is worth a warning.",
+        within=(1.0, 1e6),
+        read_only=True,
+    )
+    error_times: float = parameter(
+        10.0,
+        "Multiple of the expected error at which the model does not describe the rig.",
+        within=(1.0, 1e6),
+        read_only=True,
+    )
 
 
 class IdentifyNode(Node):
@@ -63,53 +99,11 @@ class IdentifyNode(Node):
             raise
 
     def _set_up(self) -> None:
-        self._workers = common.declare(
-            self, "workers", 0, "Threads of a task; 0 is all cores.", (0, 256)
-        )
-        watch_rig = common.declare(
-            self,
-            "watch_rig",
-            "",
-            "Rig file of the model to run alongside; empty is none.",
-            read_only=True,
-        )
-        rate_hz = common.declare(
-            self,
-            "watch_rate_hz",
-            250.0,
-            "Rate at which model and taps are compared, not above that of the taps, Hz.",
-            (10.0, 5000.0),
-            read_only=True,
-        )
-        window_s = common.declare(
-            self,
-            "watch_window_s",
-            0.0,
-            "Length of a window, s; 0 is the horizon of the rig's fit.",
-            (0.0, 10.0),
-            read_only=True,
-        )
-        warn = common.declare(
-            self,
-            "warn_times",
-            3.0,
-            "Multiple of the expected error that is worth a warning.",
-            (1.0, 1e6),
-            read_only=True,
-        )
-        error = common.declare(
-            self,
-            "error_times",
-            10.0,
-            "Multiple of the expected error at which the model does not describe the rig.",
-            (1.0, 1e6),
-            read_only=True,
-        )
-        if watch_rig:
-            rig = load_rig(watch_rig)
-            self._watcher = Watcher(
-                self, rig, Watch(rig, rate_hz, window_s or None), Verdict(warn, error)
-            )
+        p = self._params = IdentifyParameters.declare(self)
+        if p.watch_rig:
+            rig = load_rig(p.watch_rig)
+            watch = Watch(rig, p.watch_rate_hz, p.watch_window_s or None)
+            self._watcher = Watcher(self, rig, watch, Verdict(p.warn_times, p.error_times))
         self._action = ActionServer(
             self,
             Identify,
@@ -153,7 +147,7 @@ class IdentifyNode(Node):
             goal.rig,
             goal.output,
             str(aside),
-            int(self._workers),
+            int(self._params.workers),
             tuple(goal.more_bags),
         )
         try:

@@ -6,6 +6,7 @@ topics, at the pace it was recorded times `rate`. Parameters and topics: see ``r
 """
 
 import threading
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
+from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_sim import topics
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
@@ -79,6 +81,38 @@ def load_events(rig: Rig, bag: Path, mode: str) -> Events:
     return events
 
 
+@dataclass
+class ReplayParameters(Parameters):
+    """What the replay node is told."""
+
+    bag: str = parameter("", "Recording: folder or .mcap file.", read_only=True)
+    rig: str = parameter("", "Rig file, whose channels say what is replayed.", read_only=True)
+    mode: str = parameter(
+        "all",
+        "What is published: taps and commands, or one of them.",
+        choices=MODES,
+        read_only=True,
+    )
+    rate: float = parameter(
+        1.0, "Recorded seconds per second.", within=(0.01, 100.0), read_only=True
+    )
+    loop: bool = parameter(False, "Begin again at the end.")
+    publish_clock: bool = parameter(
+        False,
+        "Publish recorded time on /clock and keep recorded stamps; else stamps are the present's.",
+        read_only=True,
+    )
+    clock_rate_hz: float = parameter(
+        250.0, "Least rate of /clock in recorded time, Hz.", within=(1.0, 5000.0), read_only=True
+    )
+    start_delay_s: float = parameter(
+        1.0,
+        "Pause before the first message, for subscribers to be found, s.",
+        within=(0.0, 60.0),
+        read_only=True,
+    )
+
+
 class ReplayNode(Node):
     """A recording on the topics of its rig."""
 
@@ -103,64 +137,25 @@ class ReplayNode(Node):
             raise
 
     def _set_up(self) -> None:
-        bag = common.declare(self, "bag", "", "Recording: folder or .mcap file.", read_only=True)
-        rig_path = common.declare(
-            self, "rig", "", "Rig file, whose channels say what is replayed.", read_only=True
-        )
-        mode = common.declare(
-            self,
-            "mode",
-            "all",
-            "What is published: taps and commands, or one of them.",
-            choices=MODES,
-            read_only=True,
-        )
-        self._rate = common.declare(
-            self, "rate", 1.0, "Recorded seconds per second.", (0.01, 100.0), read_only=True
-        )
-        self._loop = common.declare(self, "loop", False, "Begin again at the end.")
-        publish_clock = common.declare(
-            self,
-            "publish_clock",
-            False,
-            "Publish recorded time on /clock and keep recorded stamps; else stamps are the"
-            " present's.",
-            read_only=True,
-        )
-        self._clock_rate_hz = common.declare(
-            self,
-            "clock_rate_hz",
-            250.0,
-            "Least rate of /clock in recorded time, Hz.",
-            (1.0, 5000.0),
-            read_only=True,
-        )
-        self._delay_s = common.declare(
-            self,
-            "start_delay_s",
-            1.0,
-            "Pause before the first message, for subscribers to be found, s.",
-            (0.0, 60.0),
-            read_only=True,
-        )
-        for name, value in (("bag", bag), ("rig", rig_path)):
+        p = self._params = ReplayParameters.declare(self)
+        for name, value in (("bag", p.bag), ("rig", p.rig)):
             if not value:
                 raise InputError(f"parameter {name}: found nothing, it must be a path")
         if common.other_clocks(self, patience_s=DISCOVERY_S):
             raise InputError(
                 "/clock already has a publisher; a recording beside it would mix two times"
             )
-        rig = load_rig(rig_path)
-        self._name = Path(bag).name
-        self._events = load_events(rig, Path(bag), mode)
+        rig = load_rig(p.rig)
+        self._name = Path(p.bag).name
+        self._events = load_events(rig, Path(p.bag), p.mode)
         self._position = 0
         self._clock_publisher: Any = None
-        if publish_clock:
+        if p.publish_clock:
             self._clock_publisher = self.create_publisher(
                 ClockMessage, common.CLOCK_TOPIC, common.COMMAND_QOS
             )
         taps = {t.name for t in topics.tap_topics(rig)}
-        self._taps = {t for t in taps if mode != "commands"}
+        self._taps = {t for t in taps if p.mode != "commands"}
         used = {topic.name: topic for _, group in self._events for topic, _ in group}
         self._publishers_of = {
             name: self.create_publisher(
@@ -177,7 +172,7 @@ class ReplayNode(Node):
             )
         self._rig = rig
         self._diagnostics = common.Diagnostics(self, self._report)
-        self.get_logger().info(f"{mode} of {bag}, {self._length_s():.3g} s")
+        self.get_logger().info(f"{p.mode} of {p.bag}, {self._length_s():.3g} s")
         self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
         self._thread.start()
 
@@ -201,8 +196,8 @@ class ReplayNode(Node):
 
     def _run(self) -> None:
         try:
-            self._ended.wait(self._delay_s)
-            while self._once() and self.get_parameter("loop").value:
+            self._ended.wait(self._params.start_delay_s)
+            while self._once() and self._params.loop:
                 continue
             self.done.set_result(None)
         except Exception:
@@ -218,14 +213,14 @@ class ReplayNode(Node):
         shift = 0
         if self._clock_publisher is None:
             shift = self.get_clock().now().nanoseconds - first
-        tick = round(1e9 / self._clock_rate_hz)
+        tick = round(1e9 / self._params.clock_rate_hz)
         told = first
         for position, (stamp, group) in enumerate(self._events):
             self._position = position
             between = range(told + tick, stamp, tick) if self._clock_publisher else ()
             for due in (*between, stamp):
                 while (
-                    left := (due - first) / self._rate - (clock.now().nanoseconds - began)
+                    left := (due - first) / self._params.rate - (clock.now().nanoseconds - began)
                 ) > 0 and not self._ended.is_set():
                     self._ended.wait(left * 1e-9)
                 if self._ended.is_set() or not self.context.ok():
