@@ -43,7 +43,7 @@ def _steps() -> Table:
         for count in (1, 16, 64):
             taps = ("end", "valve_out", "middle", "supply", "exhaust")
             settings = EnvSettings(
-                rig=str(RIGS / rig), recipe=Recipe("end", taps), num_envs=count, dx_m=dx_m,
+                rig=str(RIGS / rig), recipe=Recipe(tap="end", taps=taps), num_envs=count, dx_m=dx_m,
                 horizon=STEPS,
             )  # fmt: skip
             env = make_env(settings)

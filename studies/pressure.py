@@ -135,7 +135,7 @@ def is_of(path: Path, run: Run) -> bool:
         return False
     found = PolicyFile.load(path).training
     rig = hashlib.sha256((ROOT / run.settings.env.rig).read_bytes()).hexdigest()
-    asked = json.loads(json.dumps(run.settings.to_dict()))
+    asked = json.loads(json.dumps(run.settings.plain()))
     return bool(found["settings"] == asked and found["rig"]["sha256"] == rig)
 
 

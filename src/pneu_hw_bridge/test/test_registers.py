@@ -203,7 +203,11 @@ def test_a_clock_is_read():
         ("counter: {address: 0}", "counter: {address: 6}", "both use input 6"),
         ("counter: {address: 0}", "counter: {table: holding, address: 9}", "no single read has"),
         ("tick_s: 1.0e-9", "tick_s: 0.0", "clock.samples.time.tick_s"),
-        ("tick_s: 1.0e-9", "period: 1.0e-9", "known are address, byte_order, table, tick_s, type"),
+        (
+            "tick_s: 1.0e-9",
+            "period: 1.0e-9",
+            "known are table, address, type, word_order, byte_order, tick_s",
+        ),
         ("stride: 8", "stride: 6", "less than the 7 registers of a record"),
         ("    stride: 8\n", "", "3 records need a stride"),
         ("records: 3", "records: 17", "take 135 registers, one read has at most 125"),

@@ -11,12 +11,15 @@ horizon moves on. Derivatives are differences between rigs that run side by side
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import model_validator
 from scipy.optimize import lsq_linear
 
 from pneu_common.errors import InputError
+from pneu_common.validation import Settings
 from pneu_policy.evaluate import target_series
 from pneu_policy.metrics import Track
 from pneu_policy.plants import ControlPlant
@@ -39,8 +42,7 @@ DAMPING = (1e-4, 1e-2, 1.0, 100.0)
 """Levenberg-Marquardt terms that are tried, relative to the mean square of the derivatives."""
 
 
-@dataclass(frozen=True)
-class LimitSettings:
+class LimitSettings(Settings):
     """How the limit is computed.
 
     Attributes:
@@ -72,8 +74,8 @@ class LimitSettings:
     null_v: float = 5.0
     smooth_pa_per_v: float = 10.0
 
-    def __post_init__(self) -> None:
-        """Raises InputError where the times do not divide."""
+    @model_validator(mode="after")
+    def _divide(self) -> Self:
         for name, part in (
             ("knot_s", self.period_s),
             ("horizon_s", self.knot_s),
@@ -81,13 +83,14 @@ class LimitSettings:
         ):
             whole = getattr(self, name) / part
             if not (math.isfinite(whole) and whole >= 1.0 and abs(whole - round(whole)) < 1e-6):
-                raise InputError(
+                raise ValueError(
                     f"{name}: found {getattr(self, name):g}, it must be a multiple of {part:g} s"
                 )
         if self.commit_s > self.horizon_s:
-            raise InputError(
+            raise ValueError(
                 f"commit_s: found {self.commit_s:g}, at most the horizon of {self.horizon_s:g} s"
             )
+        return self
 
 
 @dataclass(frozen=True)

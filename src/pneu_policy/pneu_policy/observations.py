@@ -5,15 +5,14 @@ A recipe says which; it travels with the policy, so that training and the real r
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
-from pneu_common.errors import InputError
+from pneu_common.validation import Listed, Settings
 
 Floats = NDArray[np.float64]
 
@@ -24,8 +23,12 @@ DENSITY_KG_M3, VELOCITY_M_S = 1.2, 100.0
 """Densities and velocities of the gas are told in these."""
 
 
-@dataclass(frozen=True)
-class Recipe:
+Positive = Annotated[float, Field(gt=0.0)]
+Points = Annotated[tuple[str, Annotated[int, Field(ge=1, le=1000)]], Listed]
+"""A pipe with a number of points along it."""
+
+
+class Recipe(Settings):
     """How features are made.
 
     Attributes:
@@ -46,42 +49,29 @@ class Recipe:
     """
 
     tap: str
-    taps: tuple[str, ...]
-    preview_s: tuple[float, ...] = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2)
-    past: int = 2
-    line: tuple[tuple[str, int], ...] = ()
-    base: float = 2.0
-    levels: int = 3
-    period_s: float = 0.01
-    span_pa: float = 1.0e5
-    centre_pa: float = 350e3
-    range_pa: float = 200e3
+    taps: Annotated[tuple[str, ...], Listed]
+    preview_s: Annotated[tuple[float, ...], Listed] = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2)
+    past: Annotated[int, Field(ge=0, le=20)] = 2
+    line: Annotated[tuple[Points, ...], Listed] = ()
+    base: Positive = 2.0
+    levels: Annotated[int, Field(ge=0, le=20)] = 3
+    period_s: Positive = 0.01
+    span_pa: Positive = 1.0e5
+    centre_pa: Positive = 350e3
+    range_pa: Positive = 200e3
     null_v: float = 5.0
-    half_v: float = 5.0
+    half_v: Positive = 5.0
 
-    def __post_init__(self) -> None:
-        """Raises InputError where the numbers make no recipe."""
+    @model_validator(mode="after")
+    def _makes_sense(self) -> Self:
         if self.tap not in self.taps:
-            raise InputError(f"taps: found {', '.join(self.taps) or 'none'}, needed is {self.tap}")
+            raise ValueError(f"taps: found {', '.join(self.taps) or 'none'}, needed is {self.tap}")
         if len(set(self.taps)) != len(self.taps):
-            raise InputError(f"taps: found {', '.join(self.taps)}, each may stand there once")
+            raise ValueError(f"taps: found {', '.join(self.taps)}, each may stand there once")
         ahead = self.preview_s
-        rising = all(a < b for a, b in pairwise(ahead))
-        if not ahead or ahead[0] != 0.0 or not rising or not math.isfinite(ahead[-1]):
-            raise InputError(f"preview_s: found {list(ahead)}, needed are rising times from 0")
-        for name in ("period_s", "span_pa", "range_pa", "half_v", "base", "centre_pa"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"{name}: found {value}, it must be positive")
-        if not math.isfinite(self.null_v):
-            raise InputError(f"null_v: found {self.null_v}, it must be finite")
-        for name in ("past", "levels"):
-            value = getattr(self, name)
-            if not 0 <= value <= 20:
-                raise InputError(f"{name}: found {value}, allowed are 0 to 20")
-        for pipe, points in self.line:
-            if not 1 <= points <= 1000:
-                raise InputError(f"line.{pipe}: found {points} points, allowed are 1 to 1000")
+        if not ahead or ahead[0] != 0.0 or not all(a < b for a, b in pairwise(ahead)):
+            raise ValueError(f"preview_s: found {list(ahead)}, needed are rising times from 0")
+        return self
 
     @property
     def size(self) -> int:
@@ -111,58 +101,6 @@ class Recipe:
             action: Action or array of them; beyond -1 and 1 it is cut off.
         """
         return self.null_v + self.half_v * np.clip(action, -1.0, 1.0)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Returns the recipe as plain lists and numbers."""
-        return {
-            name: [list(item) if isinstance(item, tuple) else item for item in value]
-            if isinstance(value, tuple)
-            else value
-            for name, value in asdict(self).items()
-        }
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> "Recipe":
-        """Reads a recipe back.
-
-        Args:
-            data: What `to_dict` gave.
-
-        Raises:
-            InputError: A field is unknown, missing or of the wrong kind.
-        """
-        known = {field.name: field for field in fields(cls)}
-        for name in data:
-            if name not in known:
-                raise InputError(f"{name}: found in a recipe, known are {', '.join(known)}")
-        values: dict[str, Any] = {}
-        for name, field in known.items():
-            if name not in data:
-                if name in ("tap", "taps"):
-                    raise InputError(f"{name}: missing from the recipe")
-                continue
-            value = data[name]
-            try:
-                if name == "tap":
-                    if not isinstance(value, str):
-                        raise TypeError
-                elif name == "taps":
-                    if isinstance(value, str) or not all(isinstance(v, str) for v in value):
-                        raise TypeError
-                    value = tuple(value)
-                elif name == "preview_s":
-                    value = tuple(float(v) for v in value)
-                elif name == "line":
-                    value = tuple((str(pipe), int(points)) for pipe, points in value)
-                else:
-                    number = float(value)
-                    if isinstance(value, str) or (field.type is int and number != int(number)):
-                        raise TypeError
-                    value = int(number) if field.type is int else number
-            except (TypeError, ValueError, OverflowError):
-                raise InputError(f"{name}: found {value!r} in a recipe") from None
-            values[name] = value
-        return cls(**values)
 
 
 class Observer:

@@ -158,7 +158,7 @@ class PolicyFile:
         """
         about = {
             "pneu_policy": VERSION,
-            "recipe": self.recipe.to_dict(),
+            "recipe": self.recipe.plain(),
             "rig": self.rig,
             "training": self.training,
         }
@@ -217,7 +217,7 @@ class PolicyFile:
         if not (isinstance(recipe, dict) and isinstance(rig, dict) and isinstance(training, dict)):
             raise InputError(f"{path}: is no policy file (recipe, rig and training are mappings)")
         try:
-            return cls(weights, Recipe.from_dict(recipe), rig, training, log_std, path)
+            return cls(weights, Recipe(**recipe), rig, training, log_std, path)
         except (InputError, OverflowError) as error:  # a recipe with an infinite whole number
             raise InputError(f"{path}: {error}") from None
 

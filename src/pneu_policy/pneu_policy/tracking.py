@@ -5,23 +5,23 @@ Many rigs side by side as a gymnasium vector environment. The reward is that of 
 logarithm floored (thesis 9.2.1): -alpha |e| - beta log(max(|e|, floor)) + offset.
 """
 
-import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
+from pydantic import Field
 
 from pneu_common.errors import InputError
+from pneu_common.validation import Settings
 from pneu_policy.ensembles import draw_rigs
 from pneu_policy.observations import Observer, Recipe
 from pneu_policy.plants import ControlPlant
-from pneu_policy.targets import KINDS, Kind, Target
+from pneu_policy.ranges import DelayRange, Kinds, Range, Seed
+from pneu_policy.targets import Target
 from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import Rig
 
@@ -31,8 +31,7 @@ LONGEST_S = 60.0
 """Targets begin within this time of their own start, so that few episodes are alike."""
 
 
-@dataclass(frozen=True)
-class Reward:
+class Reward(Settings):
     """Reward of a control period (thesis 7.1).
 
     Attributes:
@@ -42,18 +41,10 @@ class Reward:
         offset: What is added, so that a good policy earns more than nothing.
     """
 
-    alpha: float = 1.0
-    beta: float = 0.25
-    floor: float = 0.01
+    alpha: Annotated[float, Field(ge=0.0)] = 1.0
+    beta: Annotated[float, Field(ge=0.0)] = 0.25
+    floor: Annotated[float, Field(gt=0.0)] = 0.01
     offset: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Raises InputError where the numbers make no reward."""
-        for name, value in vars(self).items():
-            if not math.isfinite(value) or (name != "offset" and value < 0.0):
-                raise InputError(f"reward.{name}: found {value}, it must be finite and positive")
-        if self.floor == 0.0:
-            raise InputError("reward.floor: found 0, the logarithm needs a positive one")
 
     def of(self, error: Floats) -> Floats:
         """Rewards of some errors.
@@ -66,8 +57,7 @@ class Reward:
         return self.offset - self.alpha * size - self.beta * log
 
 
-@dataclass(frozen=True)
-class EnvSettings:
+class EnvSettings(Settings):
     """What is trained on.
 
     Attributes:
@@ -93,86 +83,21 @@ class EnvSettings:
 
     rig: str
     recipe: Recipe
-    num_envs: int = 64
-    horizon: int = 200
-    kinds: tuple[Kind, ...] = ("smooth", "jagged")
+    num_envs: Annotated[int, Field(ge=1, le=100_000)] = 64
+    horizon: Annotated[int, Field(ge=1, le=1_000_000)] = 200
+    kinds: Kinds = ("smooth", "jagged")
     low_pa: float = 150e3
     high_pa: float = 550e3
-    target_period_s: tuple[float, float] = (0.3, 0.3)
+    target_period_s: Range = (0.3, 0.3)
     jitter: float = 0.6
     dx_m: float | None = None
     physics_step_s: float | None = None
     spread: float = 1.0
-    delay_s: tuple[float, float] = (0.002, 0.01)
-    noise_pa: float | None = None
-    start_error_pa: float = 20e3
-    reward: Reward = field(default_factory=Reward)
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        """Raises InputError where a number is out of range."""
-        if not 1 <= self.num_envs <= 100_000:
-            raise InputError(f"num_envs: found {self.num_envs}, allowed are 1 to 100000")
-        if not 1 <= self.horizon <= 1_000_000:
-            raise InputError(f"horizon: found {self.horizon}, allowed are 1 to 1000000")
-        if not self.kinds or any(kind not in KINDS for kind in self.kinds):
-            raise InputError(f"kinds: found {list(self.kinds)}, allowed are {', '.join(KINDS)}")
-        for name in ("target_period_s", "delay_s"):
-            low, high = getattr(self, name)
-            if not (0.0 <= low <= high and math.isfinite(high)):
-                raise InputError(f"{name}: found {low:g} to {high:g}, the first is the smaller one")
-        if self.delay_s[1] > 0.2:
-            raise InputError(f"delay_s: found {self.delay_s[1]:g}, allowed is up to 0.2 s")
-        if not 0.0 <= self.start_error_pa < 1e6:
-            raise InputError(
-                f"start_error_pa: found {self.start_error_pa:g}, it must not be negative"
-            )
-        if self.noise_pa is not None and not 0.0 <= self.noise_pa < 1e6:
-            raise InputError(f"noise_pa: found {self.noise_pa}, it must not be negative")
-
-    def to_dict(self) -> dict[str, Any]:
-        """Returns the settings as plain lists and numbers."""
-        data = {name: getattr(self, name) for name in (f.name for f in fields(self))}
-        data["recipe"] = self.recipe.to_dict()
-        data["reward"] = asdict(self.reward)
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in data.items()}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> "EnvSettings":
-        """Reads settings back.
-
-        Args:
-            data: What `to_dict` gave, or a part of it.
-
-        Raises:
-            InputError: A field is unknown, missing or of the wrong kind.
-        """
-        known = [f.name for f in fields(cls)]
-        values = dict(data)
-        for name in values:
-            if name not in known:
-                raise InputError(f"env.{name}: found, known are {', '.join(known)}")
-        for name in ("rig", "recipe"):
-            if name not in values:
-                raise InputError(f"env.{name}: missing")
-        try:
-            if isinstance(values["recipe"], Mapping):
-                values["recipe"] = Recipe.from_dict(values["recipe"])
-            if isinstance(values.get("reward"), Mapping):
-                values["reward"] = Reward(**{k: float(v) for k, v in values["reward"].items()})
-            for name in ("kinds", "target_period_s", "delay_s"):
-                if name in values:
-                    values[name] = tuple(values[name])
-            for name in ("num_envs", "horizon", "seed"):
-                if name in values and int(values[name]) != values[name]:
-                    raise InputError(
-                        f"env.{name}: found {values[name]!r}, a whole number is needed"
-                    )
-            return cls(**values)
-        except InputError:
-            raise
-        except (TypeError, ValueError) as error:
-            raise InputError(f"env: {error}") from None
+    delay_s: DelayRange = (0.002, 0.01)
+    noise_pa: Annotated[float, Field(ge=0.0, lt=1e6)] | None = None
+    start_error_pa: Annotated[float, Field(ge=0.0, lt=1e6)] = 20e3
+    reward: Reward = Reward()
+    seed: Seed = 0
 
 
 class PressureTracking(gymnasium.vector.VectorEnv):

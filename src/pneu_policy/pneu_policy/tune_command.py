@@ -57,19 +57,19 @@ def tune_pid(
     target_period: Annotated[
         float,
         typer.Option("--target-period", help="Typical time between a target's extremes, s."),
-    ] = TuneSettings.target_period_s,
+    ] = TuneSettings.usual("target_period_s"),
     trials: Annotated[
         int,
         typer.Option(
             "--trials", help="Runs of each candidate, each on its own rig.", min=1, max=1000
         ),
-    ] = TuneSettings.trials,
+    ] = TuneSettings.usual("trials"),
     candidates: Annotated[
         int, typer.Option("--candidates", help="Candidates of a generation.", min=5, max=1000)
-    ] = TuneSettings.candidates,
+    ] = TuneSettings.usual("candidates"),
     generations: Annotated[
         int, typer.Option("--generations", help="Generations.", min=1, max=1000)
-    ] = TuneSettings.generations,
+    ] = TuneSettings.usual("generations"),
     force: Force = False,
 ) -> None:
     """Tune a PID, or one with feed-forward, on simulated rigs: same seed, same gains."""
@@ -80,10 +80,10 @@ def tune_pid(
         raise InputError(f"{output}: a PID is written as .yaml")
     check_output(output, force)
     settings = TuneSettings(
-        str(rig),
-        kind,  # type: ignore[arg-type]  # checked there
-        seed,
-        tap,
+        rig=str(rig),
+        kind=kind,  # type: ignore[arg-type]  # checked there
+        seed=seed,
+        tap=tap,
         target_period_s=target_period,
         trials=trials,
         candidates=candidates,

@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `pneu tune` is asked for: which controller, on what rigs and targets, how long."""
 
-import math
-from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal, Self
 
-from pneu_common.errors import InputError
-from pneu_policy.targets import KINDS, Kind
+from pydantic import Field, model_validator
+
+from pneu_common.validation import Settings
+from pneu_policy.ranges import DelayRange, Kinds, Seed
 
 PidKind = Literal["pid", "feed_forward"]
 
 
-@dataclass(frozen=True)
-class TuneSettings:
+class TuneSettings(Settings):
     """What is tuned, and on what.
 
     Attributes:
@@ -39,44 +38,25 @@ class TuneSettings:
 
     rig: str
     kind: PidKind = "pid"
-    seed: int = 0
+    seed: Seed = 0
     tap: str = "end"
-    period_s: float = 0.004
-    kinds: tuple[Kind, ...] = ("smooth", "jagged")
+    period_s: Annotated[float, Field(gt=0.0)] = 0.004
+    kinds: Kinds = ("smooth", "jagged")
     low_pa: float = 150e3
     high_pa: float = 550e3
     target_period_s: float = 0.3
     jitter: float = 0.6
-    trials: int = 6
+    trials: Annotated[int, Field(ge=1, le=1000)] = 6
     seconds: float = 2.0
     spread: float = 1.0
-    delay_s: tuple[float, float] = (0.002, 0.01)
-    noise_pa: float = 250.0
+    delay_s: DelayRange = (0.002, 0.01)
+    noise_pa: Annotated[float, Field(ge=0.0)] = 250.0
     dx_m: float = 0.15
-    candidates: int = 20
-    generations: int = 35
+    candidates: Annotated[int, Field(ge=5, le=1000)] = 20
+    generations: Annotated[int, Field(ge=1, le=1000)] = 35
 
-    def __post_init__(self) -> None:
-        """Raises InputError where a number is out of range."""
-        if self.kind not in get_args(PidKind):
-            allowed = ", ".join(get_args(PidKind))
-            raise InputError(f"kind: found {self.kind!r}, allowed are {allowed}")
-        if not self.kinds or any(kind not in KINDS for kind in self.kinds):
-            raise InputError(f"kinds: found {list(self.kinds)}, allowed are {', '.join(KINDS)}")
-        for name, low, high in (
-            ("seed", 0, 2**31 - 1),
-            ("trials", 1, 1000),
-            ("candidates", 5, 1000),
-            ("generations", 1, 1000),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise InputError(
-                    f"{name}: found {getattr(self, name)}, allowed are {low} to {high}"
-                )
-        if not (math.isfinite(self.seconds) and self.seconds >= self.period_s > 0.0):
-            raise InputError(f"seconds: found {self.seconds:g}, needed is a period or more")
-        if not (math.isfinite(self.noise_pa) and self.noise_pa >= 0.0):
-            raise InputError(f"noise_pa: found {self.noise_pa}, it must not be negative")
-        least, most = self.delay_s
-        if not 0.0 <= least <= most <= 0.2:
-            raise InputError(f"delay_s: found {least:g} to {most:g}, allowed are 0 to 0.2 s")
+    @model_validator(mode="after")
+    def _lasts(self) -> Self:
+        if self.seconds < self.period_s:
+            raise ValueError(f"seconds: found {self.seconds:g}, needed is a period or more")
+        return self

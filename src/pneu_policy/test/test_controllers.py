@@ -51,7 +51,7 @@ def controllers(rig):
     return [
         PidController(GAINS),
         FeedForwardPid(GAINS, ahead, 0.02),
-        PolicyController(make_policy(rig, Recipe("end", ALL_TAPS))),
+        PolicyController(make_policy(rig, Recipe(tap="end", taps=ALL_TAPS))),
     ]
 
 
@@ -108,7 +108,7 @@ def test_a_step_takes_microseconds(controller):
 
 
 def test_the_policy_is_its_network_on_the_features_of_its_recipe(rig):
-    recipe = Recipe("end", ("end", "middle"), (0.0, 0.1), past=2, levels=2)
+    recipe = Recipe(tap="end", taps=("end", "middle"), preview_s=(0.0, 0.1), past=2, levels=2)
     policy = make_policy(rig, recipe)
     controller, observer = PolicyController(policy), Observer(recipe, 1)
     for k in range(20):
@@ -120,7 +120,7 @@ def test_the_policy_is_its_network_on_the_features_of_its_recipe(rig):
 
 
 def test_a_policy_that_sees_the_gas_of_lines_wants_it(rig):
-    recipe = Recipe("end", ("end",), line=(("tube", 2),))
+    recipe = Recipe(tap="end", taps=("end",), line=(("tube", 2),))
     controller = PolicyController(make_policy(rig, recipe))
     taps, targets = told(controller, 0)
     with pytest.raises(ValueError, match="gas of lines"):
@@ -232,7 +232,7 @@ def test_pids_come_back_from_their_files(rig, tmp_path):
 
 
 def test_a_policy_comes_from_its_file(rig, tmp_path):
-    policy = make_policy(rig, Recipe("end", ALL_TAPS))
+    policy = make_policy(rig, Recipe(tap="end", taps=ALL_TAPS))
     policy.save(tmp_path / "deft.npz")
     controller = load_controller(tmp_path / "deft.npz")
     assert isinstance(controller, PolicyController) and controller.name == "deft"

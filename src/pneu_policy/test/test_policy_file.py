@@ -3,7 +3,6 @@
 
 import json
 import zipfile
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from pneu_policy.policy_file import PolicyFile, rig_identity
 from pneu_sim.rig import load_rig
 
 ROOT = Path(__file__).parents[3]
-RECIPE = Recipe("end", ("valve_out", "middle", "end"), (0.0, 0.05, 0.2), past=1)
+RECIPE = Recipe(tap="end", taps=("valve_out", "middle", "end"), preview_s=(0.0, 0.05, 0.2), past=1)
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +136,7 @@ def about_with(**changes):
         ("weight_2", lambda w: np.full_like(w, np.nan), "layer 2.*not finite"),
         ("bias_0", lambda b: np.array([object()]), "damaged"),
         ("about", about_with(pneu_policy=7), "found 7, this version reads 1"),
-        ("about", about_with(recipe={"tap": "end"}), "taps: missing"),
+        ("about", about_with(recipe={"tap": "end"}), "taps: Field required"),
         ("about", about_with(rig={"name": "x"}), "rig:"),
         ("about", lambda a: a[:-5], "is no policy file"),
     ],
@@ -162,7 +161,7 @@ def test_it_runs_on_the_rig_however_that_is_modelled_and_calibrated_and_on_no_ot
 
 def test_a_recipe_of_taps_that_the_rig_has_not_is_refused(rig):
     with pytest.raises(InputError, match="'nose'"):
-        make_policy(rig, replace(RECIPE, taps=("end", "nose")))
+        make_policy(rig, RECIPE.but(taps=("end", "nose")))
 
 
 def test_a_folder_that_is_not_there_is_named(rig, tmp_path):

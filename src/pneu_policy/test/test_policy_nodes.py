@@ -373,7 +373,7 @@ def test_an_unknown_kind_of_target_is_refused(graph):
 
 def write_policy(path, weights, taps=("middle", "end"), rig="rig_a_fitted", **recipe):
     """A policy of one linear layer, made so that its voltages are known by heart."""
-    made = Recipe("end", taps, levels=0, **{"preview_s": (0.0, 0.1), **recipe})
+    made = Recipe(tap="end", taps=taps, levels=0, **{"preview_s": (0.0, 0.1), **recipe})
     layer = np.zeros((1, made.size), dtype=np.float32)
     for name, value in weights.items():
         layer[0, made.names().index(name)] = value
@@ -488,7 +488,7 @@ def test_a_target_that_tells_too_little_of_the_future_is_not_followed(graph, pol
 def test_a_tuned_pid_runs_in_the_place_of_a_policy(graph, tmp_path):
     path = tmp_path / "pid.yaml"
     save_pid(PidController(Gains(kp_v_per_pa=1e-5), period_s=0.02), {}, path)
-    graph.add(PolicyNode, autostart=True, policy=str(path), rig=str(ROOT / "rigs/rig_b.yaml"))
+    graph.add(PolicyNode, autostart=True, policy=str(path), rig=str(ROOT / "rigs/lab.yaml"))
     Plant(graph).settles_at(5.5)
 
 

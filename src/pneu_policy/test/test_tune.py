@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tuning: the search finds known minima, and PIDs get better on runs that are as they are said."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import typer
-from scipy.optimize import rosen
 from typer.testing import CliRunner
 
 from pneu_common.errors import InputError
@@ -15,7 +13,6 @@ from pneu_policy.controllers import FeedForwardPid, PidController, load_controll
 from pneu_policy.observations import Recipe
 from pneu_policy.pid import Gains
 from pneu_policy.policy_file import PolicyFile, rig_identity
-from pneu_policy.search import Search
 from pneu_policy.tune import Trials, tune
 from pneu_policy.tune_command import register_policy, register_tune
 from pneu_policy.tune_settings import TuneSettings
@@ -23,53 +20,24 @@ from pneu_sim.rig import load_rig
 
 ROOT = Path(__file__).parents[3]
 RIG = str(ROOT / "rigs/rig_a_thin_plate.yaml")  # the fast model
-SHORT = TuneSettings(RIG, "pid", trials=2, seconds=0.4, spread=0.0, candidates=8, generations=4)
-
-
-def least_of(function, size, generations, begin=0.3):
-    """The search after some generations of 20 points."""
-    search = Search(np.full(size, begin), 20, np.random.default_rng(0))
-    for _ in range(generations):
-        search.tell(np.array([function(point) for point in search.ask()]))
-    return search
-
-
-def test_the_search_finds_the_bottom_of_a_long_bent_valley():
-    search = least_of(lambda x: rosen(4.0 * x - 2.0), 3, 300)  # its bottom is at 1
-    assert np.allclose(4.0 * search.best - 2.0, 1.0, atol=1e-3) and search.least < 1e-6
-
-
-def test_the_search_finds_the_deepest_of_many_hollows():
-    def hollows(x):
-        return float(np.sum((6.0 * (x - 0.6)) ** 2 + 5.0 - 5.0 * np.cos(12.0 * np.pi * (x - 0.6))))
-
-    assert np.allclose(least_of(hollows, 3, 150, begin=0.1).best, 0.6, atol=1e-3)
-
-
-def test_the_search_stays_in_the_cube():
-    search = least_of(lambda x: float(np.sum((x - np.array([0.4, 1.5, -0.5])) ** 2)), 3, 80)
-    assert np.allclose(search.best, [0.4, 1.0, 0.0], atol=1e-3)
-
-
-def test_the_search_does_not_care_for_scale():
-    one = least_of(lambda x: float(np.sum((x - 0.6) ** 2)), 3, 20)
-    other = least_of(lambda x: 1e9 * float(np.sum((x - 0.6) ** 2)) + 7.0, 3, 20)
-    assert np.array_equal(one.best, other.best)
+SHORT = TuneSettings(
+    rig=RIG, kind="pid", trials=2, seconds=0.4, spread=0.0, candidates=8, generations=4
+)
 
 
 def test_candidates_are_run_alone_as_they_are_side_by_side():
     """A candidate's errors do not depend on its neighbours, nor on the lane it has."""
     rig = load_rig(RIG)
     good, wild = PidController(Gains(1e-5)), PidController(Gains(1e-4, kd_v_s_per_pa=1e-5))
-    side_by_side = Trials(replace(SHORT, candidates=5), rig).run([wild, good, good])
-    alone = Trials(replace(SHORT, candidates=1 + 4), rig).run([good])
+    side_by_side = Trials(SHORT.but(candidates=5), rig).run([wild, good, good])
+    alone = Trials(SHORT.but(candidates=1 + 4), rig).run([good])
     assert np.allclose(side_by_side[1], alone[0], rtol=1e-9)
     assert np.array_equal(side_by_side[1], side_by_side[2])
     assert side_by_side[0].mean() > 2.0 * side_by_side[1].mean()
 
 
 def test_a_valve_that_stays_closed_misses_the_target_by_the_target_s_own_spread():
-    settings = replace(SHORT, trials=1, kinds=("jagged",))
+    settings = SHORT.but(trials=1, kinds=("jagged",))
     trials = Trials(settings, load_rig(RIG))
     # So little gain that the valve does not leave its null.
     (square,) = trials.run([PidController(Gains(1e-12))])
@@ -81,7 +49,7 @@ def test_a_valve_that_stays_closed_misses_the_target_by_the_target_s_own_spread(
 
 @pytest.mark.parametrize("kind", ["pid", "feed_forward"])
 def test_the_same_seed_gives_the_same_gains_and_better_ones(kind):
-    settings = replace(SHORT, kind=kind)
+    settings = SHORT.but(kind=kind)
     told = []
     tuned = tune(settings, lambda generation, rmse_pa: told.append((generation, rmse_pa)))
     again = tune(settings)
@@ -95,12 +63,12 @@ def test_the_same_seed_gives_the_same_gains_and_better_ones(kind):
     assert tuned.of_kind_pa == pytest.approx(
         {"smooth": np.sqrt(square[0, 0]), "jagged": np.sqrt(square[0, 1])}
     )
-    other = tune(replace(settings, seed=1))
+    other = tune(settings.but(seed=1))
     assert other.controller.gains != tuned.controller.gains
 
 
 def test_no_term_looks_further_ahead_than_policies_do():
-    tuned = tune(replace(SHORT, kind="feed_forward", generations=1))
+    tuned = tune(SHORT.but(kind="feed_forward", generations=1))
     assert isinstance(tuned.controller, FeedForwardPid)
     assert tuned.controller.preview_s[-1] <= 0.2
 
@@ -108,9 +76,9 @@ def test_no_term_looks_further_ahead_than_policies_do():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"kind": "fuzzy"}, "found 'fuzzy', allowed are pid, feed_forward"),
-        ({"kinds": ("wavy",)}, "kinds: found"),
-        ({"candidates": 2}, "candidates: found 2"),
+        ({"kind": "fuzzy"}, "kind: Input should be 'pid' or 'feed_forward', found 'fuzzy'"),
+        ({"kinds": ("wavy",)}, "kinds.0: Input should be"),
+        ({"candidates": 2}, "candidates: .*found 2"),
         ({"noise_pa": -1.0}, "noise_pa"),
         ({"delay_s": (0.1, 0.05)}, "delay_s"),
         ({"seconds": 0.0}, "seconds"),
@@ -118,12 +86,12 @@ def test_no_term_looks_further_ahead_than_policies_do():
 )
 def test_settings_out_of_range_are_refused(changed, message):
     with pytest.raises(InputError, match=message):
-        replace(SHORT, **changed)
+        SHORT.but(**changed)
 
 
 def test_a_tap_that_the_rig_has_not_is_refused():
     with pytest.raises(InputError, match="found 'nose'"):
-        tune(replace(SHORT, tap="nose"))
+        tune(SHORT.but(tap="nose"))
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +116,7 @@ def test_the_commands_tune_write_and_show(app, tmp_path):
 
 
 def test_the_command_shows_what_a_policy_is(app, tmp_path):
-    recipe = Recipe("end", ("end", "middle"))
+    recipe = Recipe(tap="end", taps=("end", "middle"))
     layer = (np.zeros((1, recipe.size), np.float32), np.zeros(1, np.float32))
     identity = rig_identity(load_rig(ROOT / "rigs/rig_a_fitted.yaml"))
     path = tmp_path / "one.npz"

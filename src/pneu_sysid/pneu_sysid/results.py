@@ -18,6 +18,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
+from pneu_common.validation import sentence
 
 
 def _finite(value: Any) -> Any:
@@ -477,9 +478,7 @@ def result_of(data: dict[str, Any]) -> Head:
     try:
         return kinds[name].model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"result of schema {name}: {where}: {first['msg']}") from None
+        raise InputError(f"result of schema {name}: {sentence(error, kinds[name])}") from None
 
 
 def write_json(path: str | Path, result: Head | dict[str, Any]) -> None:

@@ -17,6 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 from pneu_common.documents import check_values, read_text, read_yaml
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
+from pneu_common.validation import sentence
 from pneu_sim.effects import find_effect
 from pneu_sim.rig.schema import AttachedEffect
 
@@ -101,11 +102,9 @@ def _checked(data: Any, path: str) -> list[AttachedEffect]:
     try:
         effects = _EFFECTS.validate_python(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
         raise InputError(
-            f"{path}: {where + ': ' if where else ''}{first['msg']}; needed is a list of effect,"
-            " place, parameters"
+            f"{path}: {sentence(error, list[AttachedEffect])}; needed is a list of effect, place,"
+            " parameters"
         ) from None
     for k, one in enumerate(effects):
         try:

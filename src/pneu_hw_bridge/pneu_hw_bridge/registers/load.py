@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading register maps: a YAML file or a profile by name, one clear sentence where it is wrong."""
 
-import difflib
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
@@ -11,16 +10,10 @@ from pydantic import ValidationError
 
 from pneu_common.documents import parse_yaml, read_text
 from pneu_common.errors import InputError
-from pneu_hw_bridge.registers.clock import Clock, Commands, Count, Records, Ticks
-from pneu_hw_bridge.registers.part import Part
+from pneu_common.validation import sentence
 from pneu_hw_bridge.registers.schema import (
     SCHEMA_VERSION,
-    Batching,
-    Device,
-    Input,
-    Output,
     RegisterMap,
-    Setting,
 )
 
 
@@ -77,42 +70,4 @@ def parse_register_map(
     try:
         return RegisterMap.model_validate(data)
     except ValidationError as error:
-        raise InputError(_sentence(name, error)) from None
-
-
-def _sentence(name: str, error: ValidationError) -> str:
-    """Turns the first fault of a validation into one sentence."""
-    # A misspelt key is also a missing one; the misspelling is what helps.
-    faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
-    first = faults[0]
-    # The direction, by which pydantic tells channels apart, is no key of the file.
-    loc = [str(part) for part in first["loc"] if part not in ("read", "write")]
-    where = ".".join(loc)
-    if first["type"] == "extra_forbidden":
-        known = _fields_at(loc)
-        near = difflib.get_close_matches(loc[-1], known, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"
-        return f"{name}: unknown key {where!r}{hint}"
-    message = first["msg"].removeprefix("Value error, ")
-    found = first.get("input")
-    shown = f", found {found!r}" if isinstance(found, int | float | str | bool) else ""
-    return f"{name}: {where + ': ' if where else ''}{message}{shown}"
-
-
-def _fields_at(loc: list[str]) -> list[str]:
-    """Names allowed where an unknown key was found."""
-    parts: dict[str, tuple[type[Part], ...]] = {
-        "channels": (Output, Input),
-        "device": (Device,),
-        "batching": (Batching,),
-        "settings": (Setting,),
-        "clock": (Clock,),
-        "clock.samples": (Records,),
-        "clock.commands": (Commands,),
-        "clock.samples.counter": (Count,),
-        "clock.samples.time": (Ticks,),
-        "clock.commands.counter": (Count,),
-        "clock.commands.time": (Ticks,),
-    }
-    models = parts.get(".".join(loc[:-1])) or parts.get(loc[0]) if len(loc) > 1 else None
-    return sorted({name for model in models or (RegisterMap,) for name in model.model_fields})
+        raise InputError(f"{name}: {sentence(error, RegisterMap)}") from None

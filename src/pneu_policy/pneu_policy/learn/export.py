@@ -75,7 +75,7 @@ def export_policy(trained: Trained, path: str | Path) -> PolicyFile:
         "score": last["eval_score"],
         "rmse_pa": None if last["eval_rmse_atm"] is None else last["eval_rmse_atm"] * ATM_PA,
         "versions": _versions(),
-        "settings": trained.settings.to_dict(),
+        "settings": trained.settings.plain(),
     }
     file = PolicyFile(
         weights=trained.weights,

@@ -234,5 +234,5 @@ def train_ppo(
     watch = _Watch(settings, adapter, judge, report)
     model.learn(settings.iterations * adapter.num_envs * settings.env.horizon, callback=watch)
     watch.add_row()
-    shown = {**settings.to_dict(), "ppo": {k: repr(v) for k, v in hyperparameters.items()}}
+    shown = {**settings.plain(), "ppo": {k: repr(v) for k, v in hyperparameters.items()}}
     return History("ppo", shown, watch.rows, finished=True)

@@ -95,7 +95,7 @@ class Run:
         if not path.exists() or not (self.folder / POLICY).exists():
             return None
         history = History.load(path)
-        wanted = self.settings.to_dict()
+        wanted = self.settings.plain()
         longer = history.settings.get("iterations", 0) < wanted["iterations"]
         but = ("iterations",) if longer else ()
         other = first_difference(history.settings, wanted, but)
@@ -137,14 +137,14 @@ def expand(document: Mapping[str, Any], folder: Path) -> list[Run]:
     if not isinstance(axes, Mapping) or not all(isinstance(v, list) and v for v in axes.values()):
         raise InputError(f"sweep: found {axes!r}, needed are fields with lists of values")
     if not axes:
-        return [Run(folder, TrainSettings.from_dict(base))]
+        return [Run(folder, TrainSettings(**base))]
     runs = []
     for values in itertools.product(*axes.values()):
         settings, name = base, []
         for path, value in zip(axes, values, strict=True):
             settings = _with(settings, str(path).split("."), value, str(path))
             name.append(f"{str(path).rpartition('.')[2]}-{_word(value)}")
-        runs.append(Run(folder / "_".join(name), TrainSettings.from_dict(settings)))
+        runs.append(Run(folder / "_".join(name), TrainSettings(**settings)))
     doubled = {run.name for run in runs if sum(run.name == other.name for other in runs) > 1}
     if doubled:
         raise InputError(f"sweep: two runs would be named {sorted(doubled)[0]!r}")

@@ -181,7 +181,7 @@ class Trainer:
 
     def history(self) -> History:
         """How the training went so far."""
-        return History("npg", self.settings.to_dict(), list(self.rows), self.finished)
+        return History("npg", self.settings.plain(), list(self.rows), self.finished)
 
     def save(self, path: str | Path) -> None:
         """Writes a checkpoint.
@@ -193,7 +193,7 @@ class Trainer:
             InputError: It cannot be written.
         """
         state = {
-            "settings": self.settings.to_dict(),
+            "settings": self.settings.plain(),
             "rig_sha256": self.rig_sha256,
             "policy": self.policy.state_dict(),
             "values": self.values.state_dict(),
@@ -214,7 +214,7 @@ class Trainer:
         """
         state = load_checkpoint(path)
         try:
-            other = first_difference(state["settings"], self.settings.to_dict(), ("iterations",))
+            other = first_difference(state["settings"], self.settings.plain(), ("iterations",))
             if other:
                 raise InputError(f"{path}: the checkpoint is of other settings: {other}")
             if state["rig_sha256"] != self.rig_sha256:
