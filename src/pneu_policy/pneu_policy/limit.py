@@ -16,7 +16,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
-from scipy.optimize import lsq_linear
 
 from pneu_common.errors import InputError
 from pneu_common.validation import Settings
@@ -28,6 +27,7 @@ from pneu_policy.targets import Target
 from pneu_policy.tasks import Tasks
 from pneu_sim.plant import State
 from pneu_sim.rig.schema import Rig
+from pneu_sysid.gauss_newton import damped_steps
 
 Floats = NDArray[np.float64]
 
@@ -230,18 +230,21 @@ class _Search:
         weight = s.smooth_pa_per_v / SCALE_PA
         moved = change @ plan
         moved[0] -= last_v
-        size = float(np.mean(np.sum(slope**2, axis=0)))
-        out = []
+        size = math.sqrt(float(np.mean(np.sum(slope**2, axis=0))) + 1e-12)
         lengths = count // len(DAMPING)
-        for damping in DAMPING:
-            matrix = np.vstack(
-                [slope, weight * change, math.sqrt(damping * size + 1e-12) * np.eye(self.knots)]
-            )
-            rest = np.concatenate([error, weight * moved, np.zeros(self.knots)])
-            bounds = (s.low_v - plan - 1e-9, s.high_v - plan + 1e-9)
-            step = lsq_linear(matrix, -rest, bounds, method="bvls").x
-            out += [np.clip(plan + 0.6**k * step, s.low_v, s.high_v) for k in range(lengths)]
-        return out
+        steps = damped_steps(
+            np.vstack([slope, weight * change]),
+            -np.concatenate([error, weight * moved]),
+            s.low_v - plan,
+            s.high_v - plan,
+            DAMPING,
+            np.full(self.knots, size),
+        )
+        return [
+            np.clip(plan + 0.6**k * step, s.low_v, s.high_v)
+            for step in steps
+            for k in range(lengths)
+        ]
 
     def _cost(self, error: Floats, plans: Floats, last_v: float) -> Floats:
         """(lanes,) sums of squares of (steps, lanes) errors and of the plans' changes."""

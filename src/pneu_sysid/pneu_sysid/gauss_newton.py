@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bounded Gauss-Newton with a batched Jacobian: every column and every trial step is one batch."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -223,16 +224,10 @@ def minimise(
         norms = np.linalg.norm(upper_r, axis=0)
         # One or two variables need no finely graded damping.
         for dampings in (DAMPINGS if x.size > 2 else DAMPINGS[::2], LAST_DAMPINGS):
-            trials = []
-            for damping in dampings:
-                d = np.sqrt(damping) * np.maximum(norms, 1e-6 * norms.max())
-                step = lsq_linear(
-                    np.vstack([upper_r, np.diag(d)]),
-                    np.concatenate([-c, np.zeros(x.size)]),
-                    bounds=((lower - x) / span - 1e-12, (upper - x) / span + 1e-12),
-                    method="bvls",  # of a hundred variables still thirty times as fast as "trf"
-                ).x
-                trials.append(np.clip(x + step * span, lower, upper))
+            low, high = (lower - x) / span, (upper - x) / span
+            size = np.maximum(norms, 1e-6 * norms.max())
+            steps = damped_steps(upper_r, -c, low, high, dampings, size)
+            trials = [np.clip(x + step * span, lower, upper) for step in steps]
             found = residuals(trials)
             costs = [total(found[k], trials[k]) for k in range(len(trials))]
             best = int(np.nanargmin(costs))
@@ -256,6 +251,38 @@ def minimise(
         fresh, left, reused = True, left - 1, 0
     gained = 1.0 - _cost(r, robust) / max(begun, 1e-300)
     return _summary(x, r, j, variables, precision, scale, history, gained, robust, tie_a)
+
+
+def damped_steps(
+    matrix: Floats,
+    right: Floats,
+    low: Floats,
+    high: Floats,
+    dampings: Sequence[float],
+    size: Floats,
+) -> list[Floats]:
+    """Bounded least-squares steps of a linear problem, one for each damping.
+
+    Args:
+        matrix: (n, P) of the problem.
+        right: (n,) its right side.
+        low: (P,) least steps.
+        high: (P,) greatest steps.
+        dampings: Levenberg-Marquardt terms, relative to the squares of what follows.
+        size: (P,) size of each variable's column.
+
+    Returns:
+        (P,) steps.
+    """
+    return [
+        lsq_linear(
+            np.vstack([matrix, np.diag(math.sqrt(damping) * size)]),
+            np.concatenate([right, np.zeros(size.size)]),
+            bounds=(low - 1e-12, high + 1e-12),
+            method="bvls",  # of a hundred variables still thirty times as fast as "trf"
+        ).x
+        for damping in dampings
+    ]
 
 
 def _after(
