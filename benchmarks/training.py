@@ -7,8 +7,8 @@ import numpy as np
 
 from benchmarks.report import ROOT, Table
 from benchmarks.timing import best_s
-from pneu_policy.observations import Recipe
-from pneu_policy.tracking import EnvSettings, make_env
+from pneu_policy.control.observations import Recipe
+from pneu_policy.task.tracking import EnvSettings, make_env
 
 RIGS = ROOT / "rigs"
 CASES = (

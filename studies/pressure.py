@@ -32,16 +32,16 @@ from rich.console import Console
 from pneu_common.errors import InputError
 from pneu_common.progress import progress
 from pneu_hw_bridge.lab.sealed import open_sealed
-from pneu_policy.evaluate import evaluate_simulated
+from pneu_policy.control.policy_file import PolicyFile
+from pneu_policy.judge.evaluate import evaluate_simulated
+from pneu_policy.judge.limit import evaluate_limit
+from pneu_policy.judge.results import Evaluation, error_rows, load, rich_table
+from pneu_policy.judge.tasks import Conditions, Tasks
 from pneu_policy.learn.settings import load_document
 from pneu_policy.learn.sweep import Run, expand
 from pneu_policy.learn.trainer import HISTORY, POLICY
-from pneu_policy.limit import evaluate_limit
-from pneu_policy.live import evaluate_live
-from pneu_policy.live_rig import LivePlant
-from pneu_policy.policy_file import PolicyFile
-from pneu_policy.results import Evaluation, error_rows, load, rich_table
-from pneu_policy.tasks import Conditions, Tasks
+from pneu_policy.live.evaluate import evaluate_live
+from pneu_policy.live.rig import LivePlant
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 from studies import pressure_page

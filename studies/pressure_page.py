@@ -10,9 +10,8 @@ from typing import Any
 
 from pneu_common.files import write_whole
 from pneu_hw_bridge.lab.sealed import open_sealed
-from pneu_policy import figures
-from pneu_policy.learn.history import History
-from pneu_policy.results import (
+from pneu_policy.judge import figures
+from pneu_policy.judge.results import (
     LIMIT,
     Evaluation,
     error_rows,
@@ -22,6 +21,7 @@ from pneu_policy.results import (
     save,
     spread,
 )
+from pneu_policy.learn.history import History
 
 THESIS = {
     ("short", "smooth"): (0.090, 0.319),
@@ -321,8 +321,9 @@ def _measured(live: Evaluation) -> str:
     failed = [run for run in own if run.metrics is None]
     text = (
         f"Targets lie between {tasks['low_pa'] / 1e3:g} and {tasks['high_pa'] / 1e3:g} kPa with"
-        f" {tasks['period_s']:g} s from one extreme to the next (`pneu_policy.targets`). Errors are"
-        " computed from the recording alone, with the sensor's own reading. The limit is of the"
+        f" {tasks['period_s']:g} s from one extreme to the next (`pneu_policy.task.targets`)."
+        " Errors are computed from the recording alone, with the sensor's own reading. The limit is"
+        " of the"
         " known plant on 30 cells per tube and without noise, each voltage held for 10 ms. Of"
         f" {len(own)} runs on the lab {len(again)} were repeated, because the machine had not kept"
         f" up; {len(failed)} are missing for that reason."

@@ -110,7 +110,7 @@ def test_a_ready_file_that_is_none(refused, folder, content):
 
 @pytest.mark.parametrize("content", ["[" * 100_000, f'{{"pneu_evaluation": {DIGITS}}}', "[]", "1"])
 def test_a_folder_of_an_evaluation_that_is_none(folder, content):
-    from pneu_policy.results import load
+    from pneu_policy.judge.results import load
 
     (folder / "evaluation.json").write_text(content)
     with pytest.raises(InputError, match=r"evaluation\.json"):

@@ -150,7 +150,7 @@ def full_disk(most_bytes=100):
 
 
 def write_policy(path):
-    from pneu_policy.policy_file import PolicyFile
+    from pneu_policy.control.policy_file import PolicyFile
 
     policy = PolicyFile.load(Path(__file__).parent.parent / "policies" / "short_pde_0.npz")
     return lambda: policy.save(path)
@@ -183,7 +183,7 @@ def write_curves(path):
 def write_figure(path):
     from matplotlib.figure import Figure
 
-    from pneu_policy.figures import _save
+    from pneu_policy.judge.figures import _save
 
     figure = Figure()
     figure.subplots().plot([0, 1])
@@ -191,8 +191,8 @@ def write_figure(path):
 
 
 def write_track(path):
-    from pneu_policy.metrics import Track
-    from pneu_policy.results import save_track
+    from pneu_policy.judge.metrics import Track
+    from pneu_policy.judge.results import save_track
 
     names = Track.__dataclass_fields__
     noise = np.random.default_rng(1).normal(size=500)

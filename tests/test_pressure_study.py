@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 from tests.measured import MachineStalledError, Processor
 
-from pneu_policy.evaluate import file_for, provenance
-from pneu_policy.live import evaluate_live
-from pneu_policy.live_rig import LivePlant
-from pneu_policy.results import Evaluation, load, spread
-from pneu_policy.tasks import Tasks
+from pneu_policy.judge.evaluate import file_for, provenance
+from pneu_policy.judge.results import Evaluation, load, spread
+from pneu_policy.judge.tasks import Tasks
+from pneu_policy.live.evaluate import evaluate_live
+from pneu_policy.live.rig import LivePlant
 
 ROOT = Path(__file__).parent.parent
 POLICIES = ROOT / "policies"

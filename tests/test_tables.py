@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 import pneu_sim.commands
 from pneu_common.cli import build_app
 from pneu_common.tables import Column, NamedTable
+from pneu_policy.judge.results import rich_table
 from pneu_policy.learn.command import _table as runs_table
-from pneu_policy.results import rich_table
 from pneu_sim.effects import registry
 from pneu_sim.rig.schema import FitParameter, Rig
 from pneu_sysid.commands import (

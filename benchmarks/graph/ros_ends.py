@@ -25,7 +25,7 @@ from sensor_msgs.msg import FluidPressure, JointState
 from std_msgs.msg import Float64
 
 from benchmarks.graph.loops import Ticks
-from pneu_policy.pid import Gains, Pid
+from pneu_policy.control.pid import Gains, Pid
 
 JOINTS = 7
 LONGEST_S = 60.0

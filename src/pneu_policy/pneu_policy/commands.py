@@ -3,9 +3,9 @@
 
 import typer
 
-from pneu_policy.evaluate_command import register_evaluate
+from pneu_policy.judge.command import register_evaluate
 from pneu_policy.learn.command import register_train
-from pneu_policy.tune_command import register_policy, register_tune
+from pneu_policy.tune.command import register_policy, register_tune
 
 
 def register(app: typer.Typer) -> None:

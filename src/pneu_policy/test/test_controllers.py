@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 
 from pneu_common.errors import InputError
-from pneu_policy.controllers import (
+from pneu_policy.control.controllers import (
     FeedForwardPid,
     PidController,
     PolicyController,
     load_controller,
     save_pid,
 )
-from pneu_policy.feed_forward import FeedForward
-from pneu_policy.observations import Observer, Recipe
-from pneu_policy.pid import Gains, Pid
-from pneu_policy.plants import ControlPlant
-from pneu_policy.policy_file import PolicyFile, rig_identity
-from pneu_policy.targets import Target
+from pneu_policy.control.feed_forward import FeedForward
+from pneu_policy.control.observations import Observer, Recipe
+from pneu_policy.control.pid import Gains, Pid
+from pneu_policy.control.policy_file import PolicyFile, rig_identity
+from pneu_policy.task.plants import ControlPlant
+from pneu_policy.task.targets import Target
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from pneu_common.errors import InputError
-from pneu_policy.controllers import PidController, load_controller, save_pid
-from pneu_policy.evaluate import (
+from pneu_policy.control.controllers import PidController, load_controller, save_pid
+from pneu_policy.control.pid import Gains
+from pneu_policy.judge.evaluate import (
     Conditions,
     Tasks,
     evaluate_simulated,
     names_of,
     simulated_tracks,
 )
-from pneu_policy.limit import LimitSettings, evaluate_limit
-from pneu_policy.metrics import Metrics
-from pneu_policy.pid import Gains
-from pneu_policy.results import (
+from pneu_policy.judge.limit import LimitSettings, evaluate_limit
+from pneu_policy.judge.metrics import Metrics
+from pneu_policy.judge.results import (
     Evaluation,
     Run,
     error_rows,

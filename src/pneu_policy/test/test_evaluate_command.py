@@ -10,9 +10,9 @@ import typer
 from typer.testing import CliRunner
 
 from pneu_common.errors import InputError
-from pneu_policy.controllers import PidController, save_pid
-from pneu_policy.evaluate_command import register_evaluate
-from pneu_policy.pid import Gains
+from pneu_policy.control.controllers import PidController, save_pid
+from pneu_policy.control.pid import Gains
+from pneu_policy.judge.command import register_evaluate
 
 ROOT = Path(__file__).parents[3]
 RIG = ROOT / "rigs" / "rig_a_fitted.yaml"

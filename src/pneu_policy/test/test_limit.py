@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from pneu_common.errors import InputError
-from pneu_policy.limit import LimitSettings, physical_limit
-from pneu_policy.plants import ControlPlant
+from pneu_policy.judge.limit import LimitSettings, physical_limit
+from pneu_policy.task.plants import ControlPlant
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import AttachedEffect
 

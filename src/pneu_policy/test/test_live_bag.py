@@ -19,9 +19,9 @@ from pneu_graph.bag.metadata import Topic  # noqa: E402
 from pneu_graph.bag.qos import OfferedQos  # noqa: E402
 from pneu_graph.nodes import common  # noqa: E402
 from pneu_graph.nodes.type_support import definition_text, type_hash  # noqa: E402
-from pneu_policy.live_bag import LateError, track_of  # noqa: E402
-from pneu_policy.metrics import ATM_PA  # noqa: E402
-from pneu_policy.tasks import Tasks  # noqa: E402
+from pneu_policy.judge.metrics import ATM_PA  # noqa: E402
+from pneu_policy.judge.tasks import Tasks  # noqa: E402
+from pneu_policy.live.bag import LateError, track_of  # noqa: E402
 
 ZERO_NS = 1_700_000_000_000_000_000
 TASKS = Tasks(kinds=("smooth",), seeds=(0,), duration_s=3.0, skip_s=0.5)

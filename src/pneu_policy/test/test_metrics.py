@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from pneu_policy.metrics import ATM_PA, Metrics, Track, measure
+from pneu_policy.judge.metrics import ATM_PA, Metrics, Track, measure
 
 BEGIN_S, END_S = 1.0, 12.0
 MEAN_PA, SWING_PA, RATE_HZ = 350e3, 100e3, 1.0

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pneu_common.errors import InputError
-from pneu_policy.pid import Gains, Pid
-from pneu_policy.targets import Target
+from pneu_policy.control.pid import Gains, Pid
+from pneu_policy.task.targets import Target
 from pneu_sim.rig import load_rig
 from pneu_sim.simulator import Simulator
 

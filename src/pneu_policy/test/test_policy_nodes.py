@@ -26,14 +26,14 @@ from sensor_msgs.msg import FluidPressure
 from pneu_common.errors import InputError
 from pneu_graph.launch.plan import Plan
 from pneu_graph.nodes import common
-from pneu_policy.controllers import PidController, save_pid
+from pneu_policy.control.controllers import PidController, save_pid
+from pneu_policy.control.observations import Recipe
+from pneu_policy.control.pid import Gains
+from pneu_policy.control.policy_file import PolicyFile, rig_identity
 from pneu_policy.nodes.pid import PidNode
 from pneu_policy.nodes.policy import PolicyNode
 from pneu_policy.nodes.target import TargetNode
-from pneu_policy.observations import Recipe
-from pneu_policy.pid import Gains
-from pneu_policy.policy_file import PolicyFile, rig_identity
-from pneu_policy.targets import Target
+from pneu_policy.task.targets import Target
 from pneu_sim.rig import load_rig
 
 ROOT = Path(__file__).parents[3]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pneu_common.errors import InputError
-from pneu_policy.targets import KINDS, Target
+from pneu_policy.task.targets import KINDS, Target
 
 T = np.linspace(0.0, 30.0, 30001)
 

@@ -7,11 +7,11 @@ import pytest
 gymnasium = pytest.importorskip("gymnasium")
 
 from pneu_common.errors import InputError  # noqa: E402
-from pneu_policy.ensembles import draw_rigs  # noqa: E402
-from pneu_policy.observations import Observer, Recipe  # noqa: E402
-from pneu_policy.plants import ControlPlant  # noqa: E402
-from pneu_policy.targets import Target  # noqa: E402
-from pneu_policy.tracking import EnvSettings, PressureTracking, Reward, make_env  # noqa: E402
+from pneu_policy.control.observations import Observer, Recipe  # noqa: E402
+from pneu_policy.task.ensembles import draw_rigs  # noqa: E402
+from pneu_policy.task.plants import ControlPlant  # noqa: E402
+from pneu_policy.task.targets import Target  # noqa: E402
+from pneu_policy.task.tracking import EnvSettings, PressureTracking, Reward, make_env  # noqa: E402
 from pneu_sim.rig.load import load_rig  # noqa: E402
 from pneu_sim.rig.parameters import get_parameter, with_parameters  # noqa: E402
 from pneu_sim.rig.schema import Ripple  # noqa: E402

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 torch = pytest.importorskip("torch")
 
 from pneu_common.errors import InputError  # noqa: E402
+from pneu_policy.control.policy_file import PolicyFile  # noqa: E402
 from pneu_policy.learn import sweep  # noqa: E402
 from pneu_policy.learn.checkpoint import load_checkpoint, save_checkpoint  # noqa: E402
 from pneu_policy.learn.command import register_train  # noqa: E402
@@ -25,8 +26,7 @@ from pneu_policy.learn.networks import mean_action  # noqa: E402
 from pneu_policy.learn.rollout import roll_out  # noqa: E402
 from pneu_policy.learn.settings import TrainSettings, load_settings  # noqa: E402
 from pneu_policy.learn.trainer import Trainer  # noqa: E402
-from pneu_policy.policy_file import PolicyFile  # noqa: E402
-from pneu_policy.tracking import make_env  # noqa: E402
+from pneu_policy.task.tracking import make_env  # noqa: E402
 
 ROOT = Path(__file__).parents[3]
 

@@ -9,13 +9,13 @@ import typer
 from typer.testing import CliRunner
 
 from pneu_common.errors import InputError
-from pneu_policy.controllers import FeedForwardPid, PidController, load_controller
-from pneu_policy.observations import Recipe
-from pneu_policy.pid import Gains
-from pneu_policy.policy_file import PolicyFile, rig_identity
-from pneu_policy.tune import Trials, tune
-from pneu_policy.tune_command import register_policy, register_tune
-from pneu_policy.tune_settings import TuneSettings
+from pneu_policy.control.controllers import FeedForwardPid, PidController, load_controller
+from pneu_policy.control.observations import Recipe
+from pneu_policy.control.pid import Gains
+from pneu_policy.control.policy_file import PolicyFile, rig_identity
+from pneu_policy.tune.command import register_policy, register_tune
+from pneu_policy.tune.gains import Trials, tune
+from pneu_policy.tune.settings import TuneSettings
 from pneu_sim.rig import load_rig
 
 ROOT = Path(__file__).parents[3]

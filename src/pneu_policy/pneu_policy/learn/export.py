@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
+from pneu_policy.control.policy_file import PolicyFile, rig_identity
 from pneu_policy.learn.history import ATM_PA, Row
 from pneu_policy.learn.settings import TrainSettings
-from pneu_policy.policy_file import PolicyFile, rig_identity
-from pneu_policy.tracking import PressureTracking
+from pneu_policy.task.tracking import PressureTracking
 
 _VERSIONS_OF = ("pneu", "torch", "numpy", "gymnasium")
 

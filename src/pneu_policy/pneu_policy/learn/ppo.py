@@ -17,7 +17,7 @@ from pneu_common.errors import InputError
 from pneu_policy.learn.history import ATM_PA, History, Row
 from pneu_policy.learn.rollout import roll_out
 from pneu_policy.learn.settings import TrainSettings
-from pneu_policy.tracking import make_env
+from pneu_policy.task.tracking import make_env
 
 try:
     from stable_baselines3 import PPO

@@ -13,8 +13,8 @@ from pydantic import Field, model_validator
 from pneu_common.documents import read_yaml
 from pneu_common.errors import InputError
 from pneu_common.validation import Listed, Settings
-from pneu_policy.ranges import Seed
-from pneu_policy.tracking import EnvSettings
+from pneu_policy.task.ranges import Seed
+from pneu_policy.task.tracking import EnvSettings
 
 Layers = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Listed]
 """Units of the hidden layers of a network."""

@@ -28,7 +28,7 @@ from pneu_policy.learn.history import History, Row
 from pneu_policy.learn.networks import GaussianPolicy, ValueNetwork, mean_action
 from pneu_policy.learn.rollout import Episodes, roll_out
 from pneu_policy.learn.settings import TrainSettings
-from pneu_policy.tracking import make_env
+from pneu_policy.task.tracking import make_env
 
 Array = NDArray[np.float32]
 

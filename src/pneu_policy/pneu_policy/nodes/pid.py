@@ -13,9 +13,9 @@ from rcl_interfaces.msg import SetParametersResult
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes.parameters import parameter
+from pneu_policy.control.pid import Gains, Pid
 from pneu_policy.nodes.control import ControlNode, ControlParameters
 from pneu_policy.nodes.running import run_controller
-from pneu_policy.pid import Gains, Pid
 
 GAINS = tuple(f.name for f in fields(Gains))
 

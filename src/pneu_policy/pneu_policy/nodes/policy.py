@@ -12,7 +12,7 @@ from typing import Any
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes.parameters import parameter
-from pneu_policy.controllers import Controller, PolicyController, load_controller
+from pneu_policy.control.controllers import Controller, PolicyController, load_controller
 from pneu_policy.nodes.control import ControlNode, ControlParameters
 from pneu_policy.nodes.running import run_controller
 

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
 from pneu_graph.nodes.parameters import Parameters, parameter
-from pneu_policy.targets import KINDS, Kind, Target
+from pneu_policy.task.targets import KINDS, Kind, Target
 
 
 @dataclass

@@ -19,10 +19,10 @@ from ruamel.yaml import YAML
 from pneu_common.documents import read_yaml
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
-from pneu_policy.feed_forward import FeedForward
-from pneu_policy.observations import Observer
-from pneu_policy.pid import Gains, Pid
-from pneu_policy.policy_file import PolicyFile
+from pneu_policy.control.feed_forward import FeedForward
+from pneu_policy.control.observations import Observer
+from pneu_policy.control.pid import Gains, Pid
+from pneu_policy.control.policy_file import PolicyFile
 
 Floats = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass
 from typing import Any, cast
 
 from pneu_common.errors import InputError
-from pneu_policy.metrics import LATE_S, Metrics, Track, measure
-from pneu_policy.targets import KINDS, Kind, Target
+from pneu_policy.judge.metrics import LATE_S, Metrics, Track, measure
+from pneu_policy.task.targets import KINDS, Kind, Target
 
 LONGEST_S = 3600.0
 """Longest run, s."""

@@ -17,10 +17,10 @@ from pneu_common.files import write_whole
 from pneu_common.options import MOST_SEED, Force
 from pneu_common.outputs import check_folder, check_output
 from pneu_common.progress import progress
-from pneu_policy.tasks import Conditions, Tasks
+from pneu_policy.judge.tasks import Conditions, Tasks
 
 if TYPE_CHECKING:
-    from pneu_policy.results import Evaluation
+    from pneu_policy.judge.results import Evaluation
     from pneu_sim.rig.schema import Rig
 
 _DEFAULT = Tasks()
@@ -100,9 +100,9 @@ def evaluate(
     force: Force = False,
 ) -> None:
     """Try controllers on the same targets and tell errors, latency, effort and oscillation."""
-    from pneu_policy.controllers import load_controller
-    from pneu_policy.evaluate import evaluate_simulated
-    from pneu_policy.results import save
+    from pneu_policy.control.controllers import load_controller
+    from pneu_policy.judge.evaluate import evaluate_simulated
+    from pneu_policy.judge.results import save
 
     tasks = Tasks(
         kinds=cast(Any, tuple(word.strip() for word in targets.split(","))),
@@ -138,8 +138,8 @@ def evaluate(
     console = _console()
     with progress("evaluating") as told:
         if live:
-            from pneu_policy.live import evaluate_live
-            from pneu_policy.live_rig import LivePlant
+            from pneu_policy.live.evaluate import evaluate_live
+            from pneu_policy.live.rig import LivePlant
 
             labs = [
                 LivePlant(name, file, hidden[i] if hidden else None, dx, noise)
@@ -149,7 +149,7 @@ def evaluate(
         else:
             evaluate_simulated(evaluation, tried, plants, tasks, conditions, told)
         if limit:
-            from pneu_policy.limit import evaluate_limit
+            from pneu_policy.judge.limit import evaluate_limit
 
             tap = load_controller(next(iter(tried.values()))[0]).tap
             evaluate_limit(evaluation, plants, tap, tasks, workers=workers, progress=told)
@@ -171,7 +171,7 @@ def report(evaluation: "Evaluation", folder: Path, console: Console) -> None:
         folder: Where they go.
         console: Where to print.
     """
-    from pneu_policy.results import error_rows, markdown, rich_table, rows
+    from pneu_policy.judge.results import error_rows, markdown, rich_table, rows
 
     errors, figures = error_rows(evaluation), rows(evaluation)
     console.print(rich_table("mean ± standard deviation over runs", *errors))
@@ -185,7 +185,7 @@ def report(evaluation: "Evaluation", folder: Path, console: Console) -> None:
     if importlib.util.find_spec("matplotlib") is None:
         console.print("no figures: they need matplotlib, `pip install matplotlib`")
         return
-    from pneu_policy.figures import write_figures
+    from pneu_policy.judge.figures import write_figures
 
     for path in write_figures(evaluation, folder):
         console.print(f"{path}")
@@ -206,8 +206,8 @@ def _seeds(text: str) -> tuple[int, ...]:
 
 def _named_controllers(texts: Sequence[str]) -> dict[str, list[Path]]:
     """Files of controllers by name: the one given, else that of the file."""
-    from pneu_policy.evaluate import names_of
-    from pneu_policy.results import LIMIT
+    from pneu_policy.judge.evaluate import names_of
+    from pneu_policy.judge.results import LIMIT
 
     named = {n: [Path(f) for f in rest.split(",")] for n, e, rest in _parted(texts) if e}
     plain = names_of([Path(name) for name, equals, _ in _parted(texts) if not equals])
@@ -250,7 +250,7 @@ def _opened(
     folder: Path, tasks: Tasks, conditions: Conditions, live: bool, plants: "dict[str, Rig]"
 ) -> "Evaluation":
     """What a folder holds already, if it was made alike; else an empty evaluation."""
-    from pneu_policy.results import Evaluation, load
+    from pneu_policy.judge.results import Evaluation, load
 
     digests = {
         name: hashlib.sha256(rig.model_dump_json().encode()).hexdigest()

@@ -10,12 +10,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from pneu_common.errors import InputError
-from pneu_policy.evaluate import Controllers, file_for, open_controllers
-from pneu_policy.live_bag import LateError, track_of
-from pneu_policy.live_rig import LivePlant, LiveRig
-from pneu_policy.metrics import Metrics, Track
-from pneu_policy.results import Evaluation, Run
-from pneu_policy.tasks import Tasks
+from pneu_policy.judge.evaluate import Controllers, file_for, open_controllers
+from pneu_policy.judge.metrics import Metrics, Track
+from pneu_policy.judge.results import Evaluation, Run
+from pneu_policy.judge.tasks import Tasks
+from pneu_policy.live.bag import LateError, track_of
+from pneu_policy.live.rig import LivePlant, LiveRig
 from pneu_sim.rig import load_rig
 
 TRIES = 3

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from pneu_common.files import whole
-from pneu_policy.metrics import ATM_PA, Track, target_at
-from pneu_policy.results import LIMIT, Evaluation, Run, load_track, spread
+from pneu_policy.judge.metrics import ATM_PA, Track, target_at
+from pneu_policy.judge.results import LIMIT, Evaluation, Run, load_track, spread
 
 TARGET_COLOUR = "0.25"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#882255", "#999933")

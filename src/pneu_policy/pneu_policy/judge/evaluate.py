@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
-from pneu_policy.controllers import Controller, PolicyController, load_controller
-from pneu_policy.metrics import EARLY_S, Track
-from pneu_policy.plants import ControlPlant
-from pneu_policy.results import LIMIT, Evaluation, Run
-from pneu_policy.targets import Target
-from pneu_policy.tasks import Conditions, Tasks
+from pneu_policy.control.controllers import Controller, PolicyController, load_controller
+from pneu_policy.judge.metrics import EARLY_S, Track
+from pneu_policy.judge.results import LIMIT, Evaluation, Run
+from pneu_policy.judge.tasks import Conditions, Tasks
+from pneu_policy.task.plants import ControlPlant
+from pneu_policy.task.targets import Target
 from pneu_sim import sensors
 from pneu_sim.rig.schema import AttachedEffect, Rig
 

@@ -22,13 +22,13 @@ from scipy.optimize import differential_evolution
 from scipy.stats.qmc import LatinHypercube
 
 from pneu_common.errors import InputError
-from pneu_policy.controllers import FeedForwardPid, PidController
-from pneu_policy.ensembles import draw_rigs
-from pneu_policy.feed_forward import HALF_WINDOW_S, FeedForward
-from pneu_policy.pid import Gains
-from pneu_policy.plants import ControlPlant
-from pneu_policy.targets import Target
-from pneu_policy.tune_settings import TuneSettings
+from pneu_policy.control.controllers import FeedForwardPid, PidController
+from pneu_policy.control.feed_forward import HALF_WINDOW_S, FeedForward
+from pneu_policy.control.pid import Gains
+from pneu_policy.task.ensembles import draw_rigs
+from pneu_policy.task.plants import ControlPlant
+from pneu_policy.task.targets import Target
+from pneu_policy.tune.settings import TuneSettings
 from pneu_sim.models import kind_of
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from pneu_common.validation import Settings
-from pneu_policy.ranges import DelayRange, Kinds, Seed
+from pneu_policy.task.ranges import DelayRange, Kinds, Seed
 
 PidKind = Literal["pid", "feed_forward"]
 

@@ -15,12 +15,12 @@ from pneu_common.errors import InputError
 from pneu_common.options import MOST_SEED, Force
 from pneu_common.outputs import check_output
 from pneu_common.progress import progress
-from pneu_policy.tune_settings import TuneSettings
+from pneu_policy.tune.settings import TuneSettings
 
 if TYPE_CHECKING:
-    from pneu_policy.controllers import FeedForwardPid, PidController
-    from pneu_policy.policy_file import PolicyFile
-    from pneu_policy.tune import Tuned
+    from pneu_policy.control.controllers import FeedForwardPid, PidController
+    from pneu_policy.control.policy_file import PolicyFile
+    from pneu_policy.tune.gains import Tuned
 
 ATM_PA = 101325.0
 
@@ -73,8 +73,8 @@ def tune_pid(
     force: Force = False,
 ) -> None:
     """Tune a PID, or one with feed-forward, on simulated rigs: same seed, same gains."""
-    from pneu_policy.controllers import save_pid
-    from pneu_policy.tune import tune
+    from pneu_policy.control.controllers import save_pid
+    from pneu_policy.tune.gains import tune
 
     if output.suffix not in (".yaml", ".yml"):
         raise InputError(f"{output}: a PID is written as .yaml")
@@ -110,8 +110,8 @@ def show(
     ] = None,
 ) -> None:
     """Show what the file of a controller is: what it sees, its rig, its training."""
-    from pneu_policy.controllers import FeedForwardPid, PidController, load_controller
-    from pneu_policy.policy_file import PolicyFile
+    from pneu_policy.control.controllers import FeedForwardPid, PidController, load_controller
+    from pneu_policy.control.policy_file import PolicyFile
     from pneu_sim.rig import load_rig
 
     if file.suffix == ".npz":
@@ -153,7 +153,7 @@ def _rows_of_policy(policy: "PolicyFile") -> list[tuple[str, str]]:
 
 
 def _rows_of_pid(controller: "PidController | FeedForwardPid") -> list[tuple[str, str]]:
-    from pneu_policy.controllers import FeedForwardPid
+    from pneu_policy.control.controllers import FeedForwardPid
 
     rows = [
         ("controls", controller.tap),

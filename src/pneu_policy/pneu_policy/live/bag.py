@@ -12,7 +12,7 @@ import numpy as np
 
 from pneu_common.errors import InputError
 from pneu_graph.bag.reader import BagReader
-from pneu_policy.metrics import Track
+from pneu_policy.judge.metrics import Track
 from pneu_runtime import hook
 
 NAMESPACE = "lab"

@@ -19,12 +19,12 @@ from pydantic import model_validator
 
 from pneu_common.errors import InputError
 from pneu_common.validation import Settings
-from pneu_policy.evaluate import target_series
-from pneu_policy.metrics import Track
-from pneu_policy.plants import ControlPlant
-from pneu_policy.results import LIMIT, Evaluation, Run
-from pneu_policy.targets import Target
-from pneu_policy.tasks import Tasks
+from pneu_policy.judge.evaluate import target_series
+from pneu_policy.judge.metrics import Track
+from pneu_policy.judge.results import LIMIT, Evaluation, Run
+from pneu_policy.judge.tasks import Tasks
+from pneu_policy.task.plants import ControlPlant
+from pneu_policy.task.targets import Target
 from pneu_sim.plant import State
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.gauss_newton import damped_steps

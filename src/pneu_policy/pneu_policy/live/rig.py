@@ -26,10 +26,10 @@ from pneu_common.errors import InputError
 from pneu_graph.launch.guard import on_death_of_parent
 from pneu_graph.tools.executables import command_of
 from pneu_hw_bridge.lab.asking import ask
-from pneu_policy.live_bag import NAMESPACE, LateError
-from pneu_policy.metrics import EARLY_S
-from pneu_policy.targets import Target
-from pneu_policy.tasks import NOISE_PA, Tasks
+from pneu_policy.judge.metrics import EARLY_S
+from pneu_policy.judge.tasks import NOISE_PA, Tasks
+from pneu_policy.live.bag import NAMESPACE, LateError
+from pneu_policy.task.targets import Target
 from pneu_runtime import hook
 
 RATE_HZ = 500.0

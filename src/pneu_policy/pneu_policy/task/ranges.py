@@ -6,7 +6,7 @@ from typing import Annotated
 from pydantic import AfterValidator, Field
 
 from pneu_common.validation import Listed
-from pneu_policy.targets import Kind
+from pneu_policy.task.targets import Kind
 
 LONGEST_DELAY_S = 0.2
 

@@ -17,7 +17,7 @@ from pneu_common.documents import read_json
 from pneu_common.errors import InputError
 from pneu_common.files import whole, write_whole
 from pneu_common.tables import Column, NamedTable
-from pneu_policy.metrics import Metrics, Track
+from pneu_policy.judge.metrics import Metrics, Track
 
 VERSION = 1
 LIMIT = "limit"

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_common.files import whole
-from pneu_policy.observations import Recipe
+from pneu_policy.control.observations import Recipe
 from pneu_sim.rig.schema import Rig
 
 VERSION = 1
