@@ -31,6 +31,7 @@ from pneu_policy.judge.tasks import NOISE_PA, Tasks
 from pneu_policy.live.bag import NAMESPACE, LateError
 from pneu_policy.task.targets import Target
 from pneu_runtime import hook
+from pneu_sim.rig import load_rig, save_rig
 
 RATE_HZ = 500.0
 """Of the bus and of the readings."""
@@ -167,7 +168,19 @@ class LiveRig:
         """Ends them all."""
         self._stack.close()
 
+    def _write_rig(self) -> Path:
+        """The rig with its topics where this graph has them, whatever its recordings have."""
+        rig = load_rig(self.plant.rig)
+        for command in rig.commands.values():
+            command.channel = None
+        for tap in rig.taps.values():
+            tap.channel = None
+        path = self.folder / "rig.yaml"
+        save_rig(rig, path)
+        return path
+
     def _start(self) -> None:
+        self._rig = self._write_rig()
         scratch = Path(self._stack.enter_context(tempfile.TemporaryDirectory()))
         ready = scratch / "ready.json"
         lab = [sys.executable, "-m", "pneu_common.cli", "lab", "--rig", str(self.plant.rig)]
@@ -185,6 +198,7 @@ class LiveRig:
         bridge = self._node(
             "pneu_hw_bridge",
             "valve_bridge",
+            rig=str(self._rig.resolve()),
             port=ports["modbus_port"],
             rate_hz=RATE_HZ,
             publish_rate_hz=RATE_HZ,
@@ -277,7 +291,7 @@ class LiveRig:
                 "pneu_policy",
                 "policy",
                 policy=str(controller.resolve()),
-                rig=str(self.plant.rig.resolve()),
+                rig=str(self._rig.resolve()),
                 target_timeout_s=0.25,
                 autostart=True,
             )
