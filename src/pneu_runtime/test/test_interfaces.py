@@ -11,10 +11,13 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
 from pneu_common.errors import InputError
 from pneu_runtime import interfaces
 from pneu_runtime.interfaces.catalogue import Catalogue
+from pneu_runtime.interfaces.errors import DefinitionError
+from pneu_runtime.interfaces.hashes import rihs01
 from pneu_runtime.interfaces.parse import parse_structure
 from pneu_runtime.interfaces.registry import Registry
 
@@ -190,8 +193,6 @@ def test_full_text_holds_every_definition_once():
 
 
 def test_full_texts_are_read_by_an_independent_parser():
-    from rosbags.typesys import get_types_from_msg
-
     for name in interfaces.known_types():
         if "/msg/" in name:
             assert name in get_types_from_msg(interfaces.full_text(name), name)
@@ -302,3 +303,41 @@ def test_padding_and_big_endian_bytes_are_accepted():
 def test_no_message_is_no_message():
     with pytest.raises(InputError):
         interfaces.serialize("text")
+
+
+def test_hashes_of_messages_are_those_of_rosbags():
+    store = get_typestore(Stores.ROS2_JAZZY)
+    registry = Registry({})
+    names = [name for name in store.fielddefs if name.split("/")[1] == "msg"]
+    assert len(names) > 150
+    differ = [name for name in names if rihs01(registry, name) != store.hash_rihs01(name)]
+    # Those with a char somewhere in them: rosidl makes it a uint8, and hashes that.
+    assert set(differ) == {
+        "rmw_dds_common/msg/Gid",
+        "rmw_dds_common/msg/NodeEntitiesInfo",
+        "rmw_dds_common/msg/ParticipantEntitiesInfo",
+        "service_msgs/msg/ServiceEventInfo",
+        "std_msgs/msg/Char",
+    }
+
+
+def test_why_definitions_are_read_here_and_not_by_rosbags():
+    """What it cannot do is what a graph needs beyond a bag; where it can, this reader may go."""
+    # Defaults are lost, with which a message of rclpy begins.
+    (_, fields) = get_types_from_msg("float64 gain 2.5", "mine/msg/Gain")["mine/msg/Gain"]
+    assert fields == [("gain", (1, ("float64", 0)))]
+    assert parse_structure("mine/msg/Gain", "float64 gain 2.5").fields[0].default == 2.5
+    # Services and actions are none of its types, neither whole nor by their parts.
+    service = "bool data\n---\nbool success\nstring message\n"
+    with pytest.raises(TypesysError):
+        get_types_from_msg(service, "std_srvs/srv/SetBool")
+    assert list(get_types_from_msg("bool data", "std_srvs/srv/SetBool_Request")) != [
+        "std_srvs/srv/SetBool_Request"
+    ]
+    assert not any("/srv/" in name for name in get_typestore(Stores.ROS2_JAZZY).fielddefs)
+    assert Registry({}).is_service("std_srvs/srv/SetBool")
+    # What rosidl refuses passes.
+    for wrong in ("float64 a\nfloat64 a", "float64[<=0] a"):
+        assert get_types_from_msg(wrong, "mine/msg/Wrong")
+        with pytest.raises(DefinitionError):
+            parse_structure("mine/msg/Wrong", wrong)
