@@ -24,6 +24,8 @@ from std_msgs.msg import Float64, Float64MultiArray
 from pneu_common.errors import InputError
 from pneu_graph.launch.plan import Plan
 from pneu_graph.nodes import common
+from pneu_sim.rig import load_rig
+from pneu_sysid.records import read_recording
 
 ROOT = Path(__file__).parent.parent
 LAUNCH = ROOT / "ros_ws/src/pneu_bringup/launch/rig.launch.yaml"
@@ -130,12 +132,12 @@ OWN = {
 """Channels as a data logger may have them: other topics, types, units, several in one message."""
 
 
-def rig_with_own_channels(path):
+def rig_with_own_channels(path, channels=OWN):
     document = YAML().load((ROOT / "rigs/lab.yaml").read_text())
     for part in ("commands", "taps"):
         for name, entry in document[part].items():
-            if name in OWN:
-                entry["channel"] = OWN[name]
+            if name in channels:
+                entry["channel"] = channels[name]
     YAML().dump(document, path)
     return path
 
@@ -167,6 +169,36 @@ def test_all_follow_the_channels_of_the_rig_file(tmp_path, backend):
         assert 0.9e5 < np.median([m.fluid_pressure for m in usual]) < 1.5e5
         assert graph.probe.count_publishers("/lab/valve/command") == 0
         assert graph.probe.count_publishers("/lab/taps/end/pressure") == 0
+
+
+def test_a_channel_of_another_distribution_is_simulated_recorded_and_read(tmp_path, monkeypatch):
+    """A message type that only a folder beside knows; recordings carry what it means."""
+    gauge = {
+        "topic": "gauges/end",
+        "type": "my_msgs/msg/Gauge",
+        "field": "bar_gauge",
+        "scale": 1e5,
+        "offset": 101325.0,
+    }
+    path = rig_with_own_channels(tmp_path / "own.yaml", {"end": gauge})
+    monkeypatch.setenv("PNEU_INTERFACE_PATH", str(ROOT / "examples/my_msgs"))
+    bag = tmp_path / "bag"
+    words = [f"rig:={path}", f"record:={bag}"]
+    with running_graph() as graph:
+        commands = graph.listen(ValveCommand, "/lab/valve/command", common.COMMAND_QOS)
+        with process("launch", "pneu_bringup", "rig.launch.yaml", *words):
+            # its own topic feeds the controller, which else would not open the valve
+            wait_for(lambda: sum(m.voltage_v[0] > 5.1 for m in commands) > 200, 60.0)
+    monkeypatch.delenv("PNEU_INTERFACE_PATH")
+    rig = load_rig(path)
+    recording = read_recording(
+        bag,
+        commands={name: command.channel for name, command in rig.commands.items()},
+        pressures={name: tap.channel for name, tap in rig.taps.items()},
+    )
+    ends, middle = (recording.pressures[tap].values for tap in ("end", "middle"))
+    assert ends.size > 500 and np.ptp(ends) > 5e4
+    assert np.median(ends) == pytest.approx(np.median(middle), rel=0.1)
 
 
 def run(graph, seconds, **arguments):
