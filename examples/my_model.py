@@ -11,7 +11,7 @@ and a rig file that says ``model: first_order`` is then checked, simulated, and 
 like any other.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.integrate import cumulative_simpson
@@ -19,7 +19,7 @@ from scipy.integrate import cumulative_simpson
 from pneu_sim.models import ModelKind
 from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Rig
-from pneu_sim.simulate import TICK_S, Course, InitialField, Prediction
+from pneu_sim.simulate import TICK_S, Course, InitialField, Prediction, RunOptions
 
 TAU_S = 0.15
 
@@ -33,17 +33,14 @@ class FirstOrder(ModelKind):
         plan: Plan,
         courses: Sequence[Course],
         field: InitialField,
-        workers: int | None = None,
-        progress: Callable[[float], None] | None = None,
-        strict: bool = True,
-        flows: bool = False,
+        options: RunOptions = RunOptions(),
     ) -> list[Prediction]:
         """Follows the commands by a first-order lag, its integral taken from tick to tick."""
         out = []
         for own, course in zip(rigs, courses, strict=True):
             tick_s = course.begin_s + TICK_S * np.arange(course.ticks, dtype=np.float64)
             readings = np.full((len(own), *course.time_s.shape), np.nan)
-            taps = np.empty((len(own), course.ticks if flows else 0, len(plan.taps)))
+            taps = np.empty((len(own), course.ticks if options.flows else 0, len(plan.taps)))
             for k, rig in enumerate(own):
                 low, *_, high = sorted(r.pressure_pa for r in rig.reservoirs.values())
                 valve = next(iter(rig.valves.values()))
@@ -57,7 +54,7 @@ class FirstOrder(ModelKind):
                 for t in range(len(plan.taps)):
                     due = np.isfinite(course.time_s[t])
                     readings[k, t, due] = np.interp(course.time_s[t, due], tick_s, pressure)
-                if flows:
+                if options.flows:
                     taps[k] = pressure[:, None]
             nothing = np.zeros((len(own), taps.shape[1], 0))
             ports = np.zeros((len(own), taps.shape[1], plan.ports.shape[0]))

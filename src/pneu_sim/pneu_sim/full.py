@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The model in full: the equations of gas dynamics along every pipe."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,7 +15,7 @@ from pneu_sim.rig.build import build
 from pneu_sim.rig.model import Model
 from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Rig
-from pneu_sim.simulate import Course, InitialField, Prediction, predict
+from pneu_sim.simulate import Course, InitialField, Prediction, RunOptions, predict
 from pneu_sim.simulator import Simulator
 from pneu_sim.solver import Series, Solver
 
@@ -36,10 +36,7 @@ class Full(ModelKind):
         plan: Plan,
         courses: Sequence[Course],
         field: InitialField,
-        workers: int | None = None,
-        progress: Callable[[float], None] | None = None,
-        strict: bool = True,
-        flows: bool = False,
+        options: RunOptions = RunOptions(),
     ) -> list[Prediction]:
         """Runs rigs along recordings; see `ModelKind.predict`.
 
@@ -48,14 +45,11 @@ class Full(ModelKind):
             plan: Their grid plan.
             courses: The recordings.
             field: How readings spread over lines and chambers.
-            workers: Threads.
-            progress: Called with the fraction done.
-            strict: Whether an unstable run is an error.
-            flows: Whether flows and pressures are kept from tick to tick.
+            options: How.
         """
         built = {id(own): [build(rig, plan) for rig in own] for own in rigs}
         models = [built[id(own)] for own in rigs]
-        return predict(models, courses, field, None, workers, progress, strict, flows)
+        return predict(models, courses, field, None, *options)
 
     def from_rest(
         self, rig: Rig, commands: Mapping[str, Floats], sample_s: float

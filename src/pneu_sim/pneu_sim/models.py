@@ -7,7 +7,7 @@ entry point of another distribution.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -19,7 +19,7 @@ from pneu_sim.rig.kinds import found
 from pneu_sim.rig.plan import Plan, plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
-from pneu_sim.simulate import Course, InitialField, Prediction, rest
+from pneu_sim.simulate import Course, InitialField, Prediction, RunOptions, rest
 from pneu_sim.solver import Solver
 
 Floats = NDArray[np.float64]
@@ -42,10 +42,7 @@ class ModelKind(ABC):
         plan: Plan,
         courses: Sequence[Course],
         field: InitialField,
-        workers: int | None = None,
-        progress: Callable[[float], None] | None = None,
-        strict: bool = True,
-        flows: bool = False,
+        options: RunOptions = RunOptions(),
     ) -> list[Prediction]:
         """Runs rigs along recordings, in one batch.
 
@@ -54,16 +51,13 @@ class ModelKind(ABC):
             plan: Their grid plan.
             courses: The recordings.
             field: How readings spread over lines and chambers, for kinds that have any.
-            workers: Threads; None is one per core.
-            progress: Called with the fraction done.
-            strict: Whether an unstable run is an error; else its predictions are not finite.
-            flows: Whether flows, chamber and tap pressures are kept from tick to tick.
+            options: How.
 
         Returns:
             The predictions, one per course.
 
         Raises:
-            InputError: A rig cannot be computed so, or a prediction is not finite and ``strict``.
+            InputError: A rig cannot be computed so, or is unstable and that is an error.
         """
 
     def solver(self, rigs: Sequence[Rig], plan: Plan, gas: Gas = AIR) -> Solver:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -271,6 +272,22 @@ class Prediction:
     flows: Floats
     chambers: Floats
     taps: Floats
+
+
+class RunOptions(NamedTuple):
+    """How models are run along recordings.
+
+    Attributes:
+        workers: Threads; None is one per core.
+        progress: Called with the fraction done.
+        strict: Whether an unstable run is an error; else its predictions are not finite.
+        flows: Whether flows, chamber and tap pressures are kept from tick to tick.
+    """
+
+    workers: int | None = None
+    progress: Callable[[float], None] | None = None
+    strict: bool = True
+    flows: bool = False
 
 
 def shares(count: int, workers: int) -> list[slice]:

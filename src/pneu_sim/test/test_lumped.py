@@ -23,7 +23,7 @@ from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.plan import Plan, plan_grid
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.run import run_rig
-from pneu_sim.simulate import Prediction, even_course, initial_field
+from pneu_sim.simulate import Prediction, RunOptions, even_course, initial_field
 
 R, GAMMA, T0 = 287.05, 1.4, 293.15
 MU = 1.8134e-5  # air at 293.15 K: Sutherland's law, U.S. Standard Atmosphere 1976
@@ -117,7 +117,7 @@ def roll(
     models = [reduced(rig, plan) for rig in rigs]
     field = initial_field(rigs[0], plan)
     course = even_course(field, commands, dt_s, measured, **more)
-    return predict([models], [course], flows=True)[0]
+    return predict([models], [course], RunOptions(flows=True))[0]
 
 
 def choked(conductance: float, p_up: float) -> float:

@@ -28,6 +28,7 @@ from pneu_sim.simulate import (
     Course,
     InitialField,
     Prediction,
+    RunOptions,
     initial_field,
     predict,
 )
@@ -404,9 +405,8 @@ class Problem:
         own: list[Sequence[Rig]] = [rigs] * len(courses)
         if any(rig.recordings for rig in rigs):
             own = [[rig_in_recording(rig, self.recordings[c].name) for rig in rigs] for c in of]
-        return kind_of(rigs[0]).predict(
-            own, ready.plan, courses, ready.field, self.workers, progress, strict, flows
-        )
+        options = RunOptions(self.workers, progress, strict, flows)
+        return kind_of(rigs[0]).predict(own, ready.plan, courses, ready.field, options)
 
     def _arranged(self, readings: Floats, c: int) -> Floats:
         """(K, n_taps, m) values along a recording as (K, its stretches, horizon, n_taps)."""

@@ -2,7 +2,7 @@
 """Running lumped models along recordings: many parameter sets in one batch."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -13,7 +13,7 @@ from pneu_sim import sensors
 from pneu_sim.lumped.model import LumpedModel
 from pneu_sim.lumped.solver import LumpedSolver
 from pneu_sim.simulate import TICK_S as RUN_TICK_S
-from pneu_sim.simulate import Course, Prediction
+from pneu_sim.simulate import Course, Prediction, RunOptions
 from pneu_sim.spool import MEMORY
 from pneu_sim.valve import openings_along
 
@@ -28,9 +28,7 @@ GAP = 3.0
 def predict(
     models: Sequence[Sequence[LumpedModel]],
     courses: Sequence[Course],
-    workers: int | None = None,
-    progress: Callable[[float], None] | None = None,
-    flows: bool = False,
+    options: RunOptions = RunOptions(),
 ) -> list[Prediction]:
     """Runs every model along every recording, like ``pneu_sim.simulate.predict``.
 
@@ -40,9 +38,7 @@ def predict(
     Args:
         models: (n_courses, n_models) parameter sets of one rig.
         courses: The recordings.
-        workers: Threads; None is one per core.
-        progress: Called with the fraction done.
-        flows: Whether flows and pressures are kept from tick to tick.
+        options: How.
 
     Returns:
         The predictions, one per course.
@@ -51,14 +47,14 @@ def predict(
     tasks = [(c, m) for c in range(len(courses)) for m in range(count)]
     found: dict[tuple[int, int], tuple[Floats, Floats, Floats, Floats]] = {}
 
-    tally = Tally([courses[c].ticks for c, _ in tasks], progress)
+    tally = Tally([courses[c].ticks for c, _ in tasks], options.progress)
 
     def run(k: int) -> None:
         c, m = tasks[k]
         found[c, m] = _along(models[c][m], courses[c])
         tally.reached(k, 1.0)
 
-    threads = min(workers or os.cpu_count() or 1, len(tasks))
+    threads = min(options.workers or os.cpu_count() or 1, len(tasks))
     if threads > 1:
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(run, range(len(tasks))))
@@ -66,7 +62,7 @@ def predict(
         for k in range(len(tasks)):
             run(k)
     out = []
-    every = ticks_of(models[0][0]) if flows else 0
+    every = ticks_of(models[0][0]) if options.flows else 0
     for c, course in enumerate(courses):
         series = [
             np.stack(column) for column in zip(*(found[c, m] for m in range(count)), strict=True)

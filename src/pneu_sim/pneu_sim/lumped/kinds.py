@@ -2,7 +2,7 @@
 """The lumped models as kinds: closed volumes behind orifices, with or without the line's delay."""
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.lumped import batch, delay_line, thin_plate
@@ -11,7 +11,7 @@ from pneu_sim.lumped.solver import LumpedSolver
 from pneu_sim.models import ModelKind
 from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Rig
-from pneu_sim.simulate import Course, InitialField, Prediction
+from pneu_sim.simulate import Course, InitialField, Prediction, RunOptions
 from pneu_sim.solver import Solver
 
 
@@ -37,10 +37,7 @@ class Lumped(ModelKind):
         plan: Plan,
         courses: Sequence[Course],
         field: InitialField,
-        workers: int | None = None,
-        progress: Callable[[float], None] | None = None,
-        strict: bool = True,
-        flows: bool = False,
+        options: RunOptions = RunOptions(),
     ) -> list[Prediction]:
         """Runs rigs along recordings; see `ModelKind.predict`.
 
@@ -49,14 +46,11 @@ class Lumped(ModelKind):
             plan: Their grid plan.
             courses: The recordings.
             field: Not looked at: volumes are drawn to the mean of their taps.
-            workers: Threads.
-            progress: Called with the fraction done.
-            strict: Not looked at: the step follows the fastest volume.
-            flows: Whether flows and pressures are kept from tick to tick.
+            options: How; the step follows the fastest volume, and none is unstable.
         """
-        del field, strict
+        del field
         models = [[self.build(rig, plan) for rig in own] for own in rigs]
-        return batch.predict(models, courses, workers, progress, flows)
+        return batch.predict(models, courses, options)
 
     def solver(self, rigs: Sequence[Rig], plan: Plan, gas: Gas = AIR) -> Solver:
         """What steps rigs side by side; see `ModelKind.solver`.
