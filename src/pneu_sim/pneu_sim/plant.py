@@ -17,7 +17,8 @@ from pneu_common.errors import InputError
 from pneu_sim import layout as L
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.models import kind_of
-from pneu_sim.rig.plan import common_plan, reservoir_of_pipes
+from pneu_sim.rig.network import reservoir_of_pipes
+from pneu_sim.rig.plan import common_plan
 from pneu_sim.rig.schema import Rig
 from pneu_sim.sensors import Sensors
 from pneu_sim.solver import Series
@@ -167,7 +168,7 @@ class Plant:
         room_pa, room_k = np.stack([m.ambient for m in models], axis=-1)
         p = np.tile(room_pa, (plan.slots, 1))
         chambers_pa = np.tile(room_pa, (len(plan.chambers), 1))
-        fed = reservoir_of_pipes(first, plan)
+        fed = reservoir_of_pipes(first, plan.reservoirs)
         for name, (start, n) in plan.pipes.items():
             value = given.get(name)
             if value is None and name in fed:

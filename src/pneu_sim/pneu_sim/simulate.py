@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from pneu_common.tally import Tally
 from pneu_sim import layout as L
 from pneu_sim.rig.model import S_BIAS, S_GAIN, S_LAG, S_OFFSET, Model
-from pneu_sim.rig.plan import Plan, reservoir_of_pipes
+from pneu_sim.rig.network import reservoir_of_pipes
+from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import CLOSED, Rig
 from pneu_sim.signals import Signal
 from pneu_sim.spool import MEMORY
@@ -182,7 +183,7 @@ def rest(rig: Rig, plan: Plan) -> Start:
     """
     room = rig.ambient.pressure_pa
     pressure = np.full(plan.slots, room)
-    for name, k in reservoir_of_pipes(rig, plan).items():
+    for name, k in reservoir_of_pipes(rig, plan.reservoirs).items():
         first, n = plan.pipes[name]
         reservoir = rig.reservoirs.get(plan.reservoirs[k])
         if reservoir is not None:

@@ -11,13 +11,13 @@ from pneu_sim import layout as L
 from pneu_sim.gas import AIR
 from pneu_sim.rig import rig_in_recording
 from pneu_sim.rig.build import build
+from pneu_sim.rig.network import port_ends, volume_of_tap, volumes_of
 from pneu_sim.rig.plan import Plan, plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import TICK_S, initial_field
 from pneu_sim.valve import evenly_open
 from pneu_sysid.problem import Problem, Rollouts
 from pneu_sysid.results import RegimeKind
-from pneu_sysid.volumes import volume_of_tap, volumes_of
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -224,11 +224,7 @@ def _directions(problem: Problem, rig: Rig, out: Rollouts) -> dict[str, list[Tic
     behind its valve ports. Where a rig has none, the tap's own rise and fall take their place.
     """
     volume, fed = volumes_of(rig)
-    ends = [
-        (port.from_node, port.to_node)
-        for valve in rig.valves.values()
-        for port in valve.ports.values()
-    ] + [(orifice.from_node, orifice.to_node) for orifice in rig.orifices.values()]
+    ends = port_ends(rig)
     joined = [(volume.get(a, ""), volume.get(b, "")) for a, b in ends]
     known = all(
         along.flows.shape[-1] == len(ends) and bool(np.isfinite(along.flows).all())

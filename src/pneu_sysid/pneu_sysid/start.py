@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim.gas import AIR
+from pneu_sim.rig.network import volume_of_tap, volumes_of
 from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import InitialField, Start, rest
 from pneu_sysid.records import Recording
-from pneu_sysid.volumes import volume_of_tap, volumes_of
 
 Floats = NDArray[np.float64]
 

@@ -24,6 +24,7 @@ import numpy as np
 from pneu_common.errors import InputError
 from pneu_sim.gas import AIR, ANR_DENSITY_KG_M3, ANR_TEMPERATURE_K
 from pneu_sim.rig.build import build
+from pneu_sim.rig.network import volume_of_tap, volumes_of
 from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import Rig
 
@@ -283,22 +284,12 @@ def _numbers(data: Any, kind: type, but: tuple[str, ...]) -> dict[str, Any]:
 
 def _volume_behind(rig: Rig, tap: str) -> float:
     """Volume of all pipes and chambers joined to a tap without a valve or reservoir between."""
-    first = rig.taps[tap]
-    pipes = {first.pipe} if first.pipe is not None else set()
-    nodes = {first.chamber} if first.chamber is not None else set()
-    ends = {name: {pipe.from_node, pipe.to_node} for name, pipe in rig.pipes.items()}
-    apart = set(rig.reservoirs) | {"closed"}
-    for valve in rig.valves.values():
-        apart |= {node for port in valve.ports.values() for node in (port.from_node, port.to_node)}
-    while True:
-        inner = nodes | {node for pipe in pipes for node in ends[pipe]} - apart
-        more = pipes | {name for name, both in ends.items() if both & inner}
-        if more == pipes and inner == nodes:
-            break
-        pipes, nodes = more, inner
-    total = sum(rig.chambers[node].volume_m3 for node in nodes if node in rig.chambers)
-    for name in pipes:
-        pipe = rig.pipes[name]
+    volume, _ = volumes_of(rig)
+    own = volume_of_tap(volume, rig.taps[tap])
+    total = sum(c.volume_m3 for name, c in rig.chambers.items() if volume[name] == own)
+    for name, pipe in rig.pipes.items():
+        if volume[f"pipe:{name}"] != own:
+            continue
         area = pipe.area_m2
         if pipe.area_profile is not None:
             at, areas = zip(*pipe.area_profile, strict=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_sim.plant import Plant, State
 from pneu_sim.rig.model import S_OFFSET, V_DELAY
-from pneu_sim.rig.plan import reservoir_of_pipes
+from pneu_sim.rig.network import reservoir_of_pipes
 from pneu_sim.rig.schema import Rig
 
 Floats = NDArray[np.float64]
@@ -62,7 +62,7 @@ class ControlPlant:
         self.period_s = period_s
         self._samples = max(1, math.ceil(period_s / SAMPLE_S - 1e-9))
         self._own_delay_s = self._plant.spools.spool[:, 0, V_DELAY].copy()
-        fed = reservoir_of_pipes(self.rigs[0], plan)
+        fed = reservoir_of_pipes(self.rigs[0], plan.reservoirs)
         self._behind = [*(name for name in plan.pipes if name not in fed), *plan.chambers]
 
     @property

@@ -21,8 +21,8 @@ from pneu_sim.effects import apply_to_rig
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.lumped import thin_plate
 from pneu_sim.lumped.model import LumpedModel
-from pneu_sim.lumped.network import distances_from, end_nodes
 from pneu_sim.rig.model import Model
+from pneu_sim.rig.network import distances_from, end_nodes, port_ends
 from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Rig
 
@@ -47,7 +47,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> LumpedModel:
     model = thin_plate.build(rig, plan, gas)
     rig = apply_to_rig(rig)  # lengths may have changed
     speed = float(gas.sound_speed(model.base.ambient[1]))
-    nodes = _side_nodes(rig)
+    nodes = [node for ends in port_ends(rig) for node in ends]
     n_sides = len(nodes)
     tap_delay = np.zeros((len(rig.taps), n_sides))
     side_delay = np.zeros((n_sides, n_sides))
@@ -79,13 +79,6 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> LumpedModel:
         rig.lumped.resistance
     ]
     return replace(model, tap_delay_s=tap_delay, side_delay_s=side_delay, drag=drag)
-
-
-def _side_nodes(rig: Rig) -> list[str]:
-    """Nodes of the sides of all ports, then orifices, as the grid plan orders them."""
-    ports = [port for valve in rig.valves.values() for port in valve.ports.values()]
-    nodes = [node for port in ports for node in (port.from_node, port.to_node)]
-    return nodes + [n for o in rig.orifices.values() for n in (o.from_node, o.to_node)]
 
 
 def _resistance(full: Model, pipe: str) -> np.ndarray:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim import layout as L
+from pneu_sim.rig.network import port_ends
 from pneu_sim.rig.schema import CLOSED, Rig
 
 Ints = NDArray[np.int64]
@@ -81,12 +82,7 @@ def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
     chambers = list(rig.chambers)
     at_node: dict[str, list[int]] = {}
     ends = np.zeros((2 * len(pipes), L.END_COLUMNS), dtype=np.int64)
-    ported = {
-        node
-        for valve in rig.valves.values()
-        for port in valve.ports.values()
-        for node in (port.from_node, port.to_node)
-    } | {node for o in rig.orifices.values() for node in (o.from_node, o.to_node)}
+    ported = {node for ends_of_port in port_ends(rig) for node in ends_of_port}
     for k, (name, pipe) in enumerate(rig.pipes.items()):
         first, cells = pipes[name]
         last = first + cells - 1
@@ -194,22 +190,3 @@ def common_plan(rigs: Sequence[Rig], dx_m: float | None = None) -> Plan:
                 " rigs that run side by side share one structure"
             )
     return plan
-
-
-def reservoir_of_pipes(rig: Rig, plan: Plan) -> dict[str, int]:
-    """Number of the reservoir that each pipe is filled from, through pipes alone.
-
-    Args:
-        rig: The rig.
-        plan: Its plan.
-    """
-    found: dict[str, int] = {}
-    reached = {name: i for i, name in enumerate(plan.reservoirs)}
-    for _ in rig.pipes:
-        for name, pipe in rig.pipes.items():
-            for node, far in ((pipe.from_node, pipe.to_node), (pipe.to_node, pipe.from_node)):
-                if node in reached and name not in found:
-                    found[name] = reached[node]
-                    if far != CLOSED and far not in rig.chambers:
-                        reached.setdefault(far, reached[node])
-    return found

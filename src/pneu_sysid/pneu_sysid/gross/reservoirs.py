@@ -4,10 +4,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_sim.rig.network import volume_of_tap, volumes_of
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.gross.findings import GrossError
 from pneu_sysid.problem import Problem
-from pneu_sysid.volumes import volume_of_tap, volumes_of
 
 Floats = NDArray[np.float64]
 
