@@ -450,7 +450,7 @@ def add(
     from pneu_sim.rig import save_rig
     from pneu_sysid.learn import add_effect
     from pneu_sysid.problem import make_problem
-    from pneu_sysid.results import LearnResult, pneu_version, write_json
+    from pneu_sysid.results import LearnResult, write_json
 
     console = _console()
     for path in (output, json_path):
@@ -474,13 +474,7 @@ def add(
         write_json(
             json_path,
             LearnResult(
-                pneu_version=pneu_version(),
-                recording=_titled(recordings),
-                recordings=[recording.name for recording in recordings],
-                rigs=[loaded.name],
-                taps=problem.taps,
-                noise_floor_pa=dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True)),
-                findings=read_findings(recordings),
+                **problem.about(loaded.name, read_findings(recordings)),
                 steps=[before, after],
                 verdict="effect",
                 sentence=f"{name} added at {after.place}.",

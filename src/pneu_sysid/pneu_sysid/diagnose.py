@@ -25,7 +25,6 @@ from pneu_sysid.results import (
     DiagnoseResult,
     Numerics,
     Verdict,
-    pneu_version,
 )
 from pneu_sysid.standing import Standing, against_noise, since_calibration, standing_of
 from pneu_sysid.thresholds import Thresholds
@@ -437,13 +436,7 @@ def result_of_diagnosis(name: str, found: Diagnosis, findings: list[str]) -> Dia
         )
     problem = found.problem
     return DiagnoseResult(
-        pneu_version=pneu_version(),
-        recording=problem.name,
-        recordings=[r.name for r in problem.recordings],
-        rigs=[name],
-        taps=problem.taps,
-        noise_floor_pa=dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True)),
-        findings=findings,
+        **problem.about(name, findings),
         verdict=found.verdict,
         sentence=found.sentence,
         statements=found.statements,

@@ -26,7 +26,7 @@ from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.refits import effect_variables, refit_effects
-from pneu_sysid.results import LearnResult, Step, Verdict, pneu_version, write_json
+from pneu_sysid.results import LearnResult, Step, Verdict, write_json
 from pneu_sysid.sites import all_sites
 from pneu_sysid.thresholds import Thresholds
 from pneu_sysid.words import strength_in_words
@@ -486,13 +486,7 @@ def result_of_learning(
         output: Folder of the results.
     """
     return LearnResult(
-        pneu_version=pneu_version(),
-        recording=problem.name,
-        recordings=[r.name for r in problem.recordings],
-        rigs=[name],
-        taps=problem.taps,
-        noise_floor_pa=dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True)),
-        findings=findings,
+        **problem.about(name, findings),
         steps=learned.steps,
         verdict=learned.verdict,
         sentence=learned.sentence,

@@ -11,6 +11,7 @@ percent of it at the worst. See docs/residual.md.
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,7 @@ from pneu_sim.simulate import (
 )
 from pneu_sysid.courses import course_of, edges_of, first_part, index_of
 from pneu_sysid.records import Recording, noise_floor, read_recording
+from pneu_sysid.results import pneu_version
 from pneu_sysid.start import (
     Beginning,
     Modes,
@@ -125,6 +127,23 @@ class Problem:
     def name(self) -> str:
         """Names of the recordings in one line."""
         return ", ".join(recording.name for recording in self.recordings)
+
+    def about(self, rig: str, findings: Sequence[str]) -> dict[str, Any]:
+        """What every result of one rig on the recordings begins with; see `results.Head`.
+
+        Args:
+            rig: Name of the rig.
+            findings: What was wrong with the recordings.
+        """
+        return {
+            "pneu_version": pneu_version(),
+            "recording": self.name,
+            "recordings": [recording.name for recording in self.recordings],
+            "rigs": [rig],
+            "taps": self.taps,
+            "noise_floor_pa": dict(zip(self.taps, self.noise_pa.tolist(), strict=True)),
+            "findings": list(findings),
+        }
 
     @property
     def stretches(self) -> int:

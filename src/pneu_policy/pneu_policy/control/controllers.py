@@ -112,7 +112,7 @@ class PidController:
         return self._pid.step(targets_pa[0], taps_pa[self.tap], self.period_s)
 
 
-class FeedForwardPid:
+class FeedForwardPid(PidController):
     """A PID beside the voltage that the target's slope ahead asks for.
 
     The PID may take its target from a little ahead as well, because what it commands arrives late.
@@ -140,31 +140,15 @@ class FeedForwardPid:
         Raises:
             InputError: A time is none.
         """
-        for what, value, least in (
-            ("period_s", period_s, 1e-6),
-            ("target_lead_s", target_lead_s, 0.0),
-        ):
-            if not (math.isfinite(value) and value >= least):
-                raise InputError(f"{what}: found {value}, it must be {least:g} or more")
-        self.name, self.tap, self.period_s = name, tap, period_s
-        self.taps: tuple[str, ...] = (tap,)
-        self.tuned: Mapping[str, Any] = {}  # how its gains were found, where a file told
+        super().__init__(gains, tap, period_s, name)
+        if not (math.isfinite(target_lead_s) and target_lead_s >= 0.0):
+            raise InputError(f"target_lead_s: found {target_lead_s}, it must be 0 or more")
         self.ahead = ahead
         self.target_lead_s = target_lead_s
         early, late = ahead.preview_s
-        self.preview_s: tuple[float, ...] = tuple(sorted({0.0, target_lead_s, early, late}))
+        self.preview_s = tuple(sorted({0.0, target_lead_s, early, late}))
         self._early, self._late = map(self.preview_s.index, (early, late))
         self._target = self.preview_s.index(target_lead_s)
-        self._pid = Pid(gains)
-
-    @property
-    def gains(self) -> Gains:
-        """What the PID is set to."""
-        return self._pid.gains
-
-    def reset(self) -> None:
-        """Forgets the past."""
-        self._pid.reset()
 
     def step(self, taps_pa: Mapping[str, float], targets_pa: Sequence[float]) -> float:
         """Voltage for the next period; see `Controller.step`.
