@@ -175,18 +175,14 @@ class Client:
         Raises:
             RequestError: It could not be read.
         """
-        reply = await self._request(
-            f"read of {batch.count} at {batch.table} {batch.address}",
-            self._asks(batch.table),
-            batch.address,
-            count=batch.count,
-            device_id=self._device.unit,
-        )
-        return self._registers_of(batch, reply)
+        return await self._read(batch, self._request)
 
     async def _ask(self, batch: Batch) -> list[int]:
         """Reads a batch, while it is one's turn."""
-        reply = await self._request_now(
+        return await self._read(batch, self._request_now)
+
+    async def _read(self, batch: Batch, request: Callable[..., Any]) -> list[int]:
+        reply = await request(
             f"read of {batch.count} at {batch.table} {batch.address}",
             self._asks(batch.table),
             batch.address,
