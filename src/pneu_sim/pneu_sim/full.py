@@ -141,7 +141,8 @@ class FullSolver(Solver):
         for name in tiles.CHANGING:
             of_tiles = [getattr(tile, name) for tile, _ in self.tiles]
             parts.append(np.concatenate(of_tiles, axis=-1)[..., : self.lanes])
-        return parts
+        # Clocks count steps, of this length.
+        return [*parts, np.full(self.lanes, self.tiles[0][0].dt_s)]
 
     def set_state(self, parts: Sequence[NDArray[Any]]) -> None:
         """Goes back to a state; see `Solver.set_state`.
@@ -149,9 +150,11 @@ class FullSolver(Solver):
         Args:
             parts: As of `state`.
         """
+        *changing, step_s = parts
         for tile, of in self.tiles:
-            for name, part in zip(tiles.CHANGING, parts, strict=True):
+            for name, part in zip(tiles.CHANGING, changing, strict=True):
                 getattr(tile, name)[:] = part[..., of]
+            tile.dt_s = float(step_s[0])
 
     def set_reservoir(self, index: int, pressure_pa: Floats | float) -> None:
         """Changes what a reservoir supplies; its own pressure follows within its time constant.

@@ -172,9 +172,8 @@ class Spools:
             parts: As of `state`.
         """
         self._time = parts[0].copy()
-        self._volts, self.memory = (
-            np.ascontiguousarray(np.moveaxis(part, -1, 0)) for part in parts[1:]
-        )
+        # A copy in any case: of one rig the moved array is contiguous as it is.
+        self._volts, self.memory = (np.moveaxis(part, -1, 0).copy(order="C") for part in parts[1:])
 
 
 def longest_delay_s(spool: Floats) -> float:

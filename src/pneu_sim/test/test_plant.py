@@ -13,7 +13,7 @@ from pneu_sim.effects import registry
 from pneu_sim.full import WIDTH
 from pneu_sim.plant import Plant
 from pneu_sim.rig import Rig, load_rig
-from pneu_sim.rig.schema import AttachedEffect
+from pneu_sim.rig.schema import AttachedEffect, Ripple
 
 RIGS = Path(__file__).parents[3] / "rigs"
 INTERVALS, INTERVAL_S, DX_M = 60, 1e-3, 0.25
@@ -183,6 +183,22 @@ def test_a_plant_comes_back_to_a_state_and_puts_it_into_other_lanes(model: str) 
         assert np.array_equal(first, second)
         assert np.array_equal(np.broadcast_to(first, of_all.shape), of_all)
     assert one.time_s == many.time_s == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("model", ["pde", "thin_plate", "delay_line"])
+def test_a_state_of_another_interval_is_taken_back(model: str) -> None:
+    rig = rig_named("rig_a", model)
+    rig.reservoirs["supply"].ripples = [Ripple(amplitude_pa=2e4, frequency_hz=7.0)]
+    plant = Plant([rig], DX_M)
+    volts = commands(plant, 60)
+    run(plant, volts[:, :, :20], [])
+    kept = plant.state()
+    on = run(plant, volts[:, :, 20:], [])
+    plant.set_state(kept)
+    plant.advance(volts[:, :, :7], 0.0037)  # other steps, other pasts
+    plant.set_state(kept)
+    for first, second in zip(on, run(plant, volts[:, :, 20:], [5]), strict=True):
+        assert np.array_equal(first, second)
 
 
 def test_gas_along_a_line_is_told_and_set() -> None:

@@ -159,7 +159,9 @@ class LumpedSolver(Solver):
 
     def state(self) -> list[NDArray[Any]]:
         """Returns copies of all that the future depends on; see `Solver.state`."""
-        return [np.moveaxis(part, 0, -1).copy() for part in self._shares]
+        parts = [np.moveaxis(part, 0, -1).copy() for part in self._shares]
+        # The past is told at steps of this length.
+        return [*parts, np.full(self.lanes, self._past_s)]
 
     def set_state(self, parts: Sequence[NDArray[Any]]) -> None:
         """Goes back to a state; see `Solver.set_state`.
@@ -167,7 +169,11 @@ class LumpedSolver(Solver):
         Args:
             parts: As of `state`.
         """
-        for own, part in zip(self._shares, parts, strict=True):
+        *shares, step_s = parts
+        if step_s[0] != self._past_s:
+            self._past_s = float(step_s[0])
+            self._shares = self._room_for(self._past_s or 1.0)
+        for own, part in zip(self._shares, shares, strict=True):
             own[:] = np.moveaxis(part, -1, 0)
 
     def set_reservoir(self, index: int, pressure_pa: Floats | float) -> None:
