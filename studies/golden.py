@@ -29,7 +29,7 @@ from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import AttachedEffect
 from pneu_sim.run import run_rig
 from pneu_sim.signals import Signal
-from pneu_sim.simulate import Course, InitialField, predict, rest
+from pneu_sim.simulate import Course, InitialField, RunOptions, predict, rest
 from pneu_sim.simulator import Simulator
 
 Floats = NDArray[np.float64]
@@ -118,7 +118,7 @@ def answers(rig: Rig) -> dict[str, Floats]:
         spread = InitialField(
             even, even[:, 0] * 0.0, even[: len(plan.chambers)], np.zeros(len(plan.chambers))
         )
-        found = predict([[build(rig, plan)]], [course], spread, workers=1, strict=False)
+        found = predict([[build(rig, plan)]], [course], spread, None, RunOptions(1, strict=False))
         out["along readings"] = found[0].readings
     return out
 

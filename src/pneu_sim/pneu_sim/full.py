@@ -49,7 +49,7 @@ class Full(ModelKind):
         """
         built = {id(own): [build(rig, plan) for rig in own] for own in rigs}
         models = [built[id(own)] for own in rigs]
-        return predict(models, courses, field, None, *options)
+        return predict(models, courses, field, None, options)
 
     def from_rest(
         self, rig: Rig, commands: Mapping[str, Floats], sample_s: float

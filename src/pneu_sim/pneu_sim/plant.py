@@ -66,7 +66,9 @@ class Clock:
 
 @dataclass(frozen=True)
 class State:
-    """All that the future of a plant depends on; the rig is the last index of every array.
+    """All that the future of a plant depends on, but what its reservoirs were set to.
+
+    The rig is the last index of every array but that of the times of commands.
 
     Attributes:
         clock: The time.
@@ -86,11 +88,10 @@ class State:
         Args:
             lanes: The one that each takes.
         """
-        spools, sensors, gas = (
-            [part[..., lanes] for part in parts] for parts in (self.spools, self.sensors, self.gas)
-        )
-        # when commands were told is the same for all
-        return State(self.clock, [self.spools[0], *spools[1:]], sensors, gas)
+        told, *spools = self.spools  # when commands were told is the same for all
+        moved = ([part[..., lanes] for part in parts] for parts in (spools, self.sensors, self.gas))
+        spools, sensors, gas = moved
+        return State(self.clock, [told, *spools], sensors, gas)
 
 
 class Plant:
@@ -127,7 +128,6 @@ class Plant:
         self.solver = kind_of(first).solver(self.rigs, self.plan, gas)
         self.spools = Spools(self.solver.models)
         self._sensors = Sensors(self.solver.models)
-        self._gas = gas
         self.reset()
 
     @property

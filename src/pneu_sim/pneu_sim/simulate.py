@@ -308,10 +308,7 @@ def predict(
     courses: Sequence[Course],
     field: InitialField,
     starts: Sequence[Sequence[Start]] | None = None,
-    workers: int | None = None,
-    progress: Callable[[float], None] | None = None,
-    strict: bool = True,
-    flows: bool = False,
+    options: RunOptions = RunOptions(),
 ) -> list[Prediction]:
     """Runs every model along every recording, in one batch.
 
@@ -323,22 +320,19 @@ def predict(
         courses: The recordings.
         field: How readings spread over lines and chambers.
         starts: (n_courses, n_models) where each begins; None is the course's own start.
-        workers: Threads; None is one per core.
-        progress: Called with the fraction done.
-        strict: Whether an unstable run is an error; else its predictions are not finite.
-        flows: Whether flows, chamber and tap pressures are kept from tick to tick.
+        options: How.
 
     Returns:
         The predictions, one per course.
 
     Raises:
-        InputError: A prediction is not finite, and ``strict``.
+        InputError: A prediction is not finite, and that is an error.
     """
     plan, count = models[0][0].plan, len(models[0])
-    threads = workers or os.cpu_count() or 1
+    threads = options.workers or os.cpu_count() or 1
     out = []
     for course in courses:
-        kept = course.ticks if flows else 0
+        kept = course.ticks if options.flows else 0
         out.append(
             Prediction(
                 np.full((count, *course.time_s.shape), np.nan),
@@ -349,12 +343,14 @@ def predict(
             )
         )
     tasks = [(c, part) for c in range(len(courses)) for part in shares(count, threads)]
-    tally = Tally([courses[c].ticks for c, _ in tasks], progress)
+    tally = Tally([courses[c].ticks for c, _ in tasks], options.progress)
 
     def run(k: int) -> None:
         c, part = tasks[k]
         of = [courses[c].start] * count if starts is None else list(starts[c])
-        _run(models[c][part], of[part], courses[c], field, part, out[c], strict, tally.of(k))
+        _run(
+            models[c][part], of[part], courses[c], field, part, out[c], options.strict, tally.of(k)
+        )
 
     if threads > 1 and len(tasks) > 1:
         with ThreadPoolExecutor(threads) as pool:

@@ -177,7 +177,7 @@ def command_topics(rig: Rig) -> list[Topic]:
     """
     usual = _usual_command_channels(rig.commands)
     of_rig = {name: command.channel for name, command in rig.commands.items()}
-    return _grouped(f"rig {rig.name!r}: commands", of_rig, usual)
+    return _grouped(f"rig {rig.name!r}", "commands", of_rig, usual, FLOAT64)
 
 
 def tap_topics(rig: Rig) -> list[Topic]:
@@ -190,7 +190,8 @@ def tap_topics(rig: Rig) -> list[Topic]:
         InputError: A channel's field is no path to a number, or one topic has two types.
     """
     of_rig = {name: tap.channel for name, tap in rig.taps.items()}
-    return _grouped(f"rig {rig.name!r}: taps", of_rig, _usual_tap_channels(rig.taps))
+    usual = _usual_tap_channels(rig.taps)
+    return _grouped(f"rig {rig.name!r}", "taps", of_rig, usual, FLUID_PRESSURE)
 
 
 def usual_command_topics(names: Iterable[str]) -> list[Topic]:
@@ -200,7 +201,7 @@ def usual_command_topics(names: Iterable[str]) -> list[Topic]:
         names: Names of the commands.
     """
     usual = _usual_command_channels(names)
-    return _grouped("commands", dict.fromkeys(usual), usual)
+    return _grouped("topics", "commands", usual, usual, VALVE_COMMAND)
 
 
 def usual_tap_topics(names: Iterable[str]) -> list[Topic]:
@@ -210,7 +211,7 @@ def usual_tap_topics(names: Iterable[str]) -> list[Topic]:
         names: Names of the taps.
     """
     usual = _usual_tap_channels(names)
-    return _grouped("taps", dict.fromkeys(usual), usual)
+    return _grouped("topics", "taps", usual, usual, FLUID_PRESSURE)
 
 
 def only(topics: Iterable[Topic], names: Collection[str]) -> list[Topic]:
@@ -285,17 +286,14 @@ def same_topic(recorded: str, wanted: str) -> bool:
     return recorded == wanted or (not wanted.startswith("/") and recorded.endswith(f"/{wanted}"))
 
 
-def _signal(what: str, name: str, channel: Channel) -> Signal:
-    kind = channel.type
-    if kind is None:
-        commands = what.endswith("commands")
-        kind = FLOAT64 if commands or channel.field == "data" else FLUID_PRESSURE
+def _signal(where: str, name: str, channel: Channel, untyped: str) -> Signal:
+    kind = channel.type or (FLOAT64 if channel.field == "data" else untyped)
     path: list[tuple[str, int | None]] = []
     for step in channel.field.split("."):
         match = _STEP.match(step)
         if match is None or int(match[2] or 0) >= _LONGEST:
             raise InputError(
-                f"{what}.{name}.channel.field: found {channel.field!r}, allowed is a path such as"
+                f"{where}.{name}.channel.field: found {channel.field!r}, allowed is a path such as"
                 " 'data', 'a.b' or 'position[0]'"
             )
         path.append((match[1], None if match[2] is None else int(match[2])))
@@ -304,18 +302,23 @@ def _signal(what: str, name: str, channel: Channel) -> Signal:
 
 
 def _grouped(
-    what: str, channels: Mapping[str, Channel | None], usual: Mapping[str, Channel]
+    rig: str,
+    part: str,
+    channels: Mapping[str, Channel | None],
+    usual: Mapping[str, Channel],
+    untyped: str,
 ) -> list[Topic]:
     """Signals by topic; each where its channel has it, or where it usually is."""
     topics: dict[str, list[Signal]] = {}
     for name, channel in channels.items():
-        given = channel is not None and channel.topic is not None
-        signal = _signal(what, name, channel if channel is not None and given else usual[name])
+        if channel is None or channel.topic is None:
+            channel = usual[name]
+        signal = _signal(f"{rig}: {part}", name, channel, untyped)
         group = topics.setdefault(signal.topic, [])
         group.append(signal)
         if signal.type != group[0].type:
             raise InputError(
-                f"{what.rpartition(':')[0]}: topic {signal.topic!r} has the type {group[0].type}"
-                f" for {group[0].name!r} and {signal.type} for {signal.name!r}; it can have one"
+                f"{rig}: topic {signal.topic!r} has the type {group[0].type} for"
+                f" {group[0].name!r} and {signal.type} for {signal.name!r}; it can have one"
             )
     return [Topic(name, group[0].type, tuple(group)) for name, group in topics.items()]

@@ -17,26 +17,46 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 KNOTS_PER_SAMPLE = 4
-"""Openings are computed at this distance within a sample interval, and linear between."""
+"""Parts into which a sample interval is cut; openings are given at their ends, linear between."""
 
 
 @compiled
 def _port_openings(
-    x: Floats, row: Floats, lo: float, hi: float, table: Floats, out: Floats
+    positions: Floats,
+    spool: Floats,
+    port_valve: Ints,
+    curve_v: Floats,
+    curve: Floats,
+    out: Floats,
 ) -> None:
-    """Opening of one port along the spool's positions."""
-    offset = row[M.V_OFFSET]
-    dead = row[M.V_DEAD]
-    null = row[M.V_NULL]
-    top = table.size - 1
-    scale = top / (hi - lo)
-    for k in range(x.size):
-        s = x[k] - offset - null
-        if dead > 0.0:
-            s = math.copysign(max(abs(s) - dead, 0.0), s)
-        f = min(max((null + s - lo) * scale, 0.0), float(top))
-        i = min(int(f), top - 1)
-        out[k] = table[i] + (f - i) * (table[i + 1] - table[i])
+    """Openings of the ports of one rig where its spools stand; overlap and opening curve.
+
+    Args:
+        positions: (valves, intervals, knots + 1) V.
+        spool: (valves, VALVE_COLUMNS) valve parameters.
+        port_valve: (ports,) valve of each port; -1 for an orifice, which is open.
+        curve_v: (ports, 2) voltage range of the opening curve.
+        curve: (ports, points) opening curve.
+        out: (intervals, knots + 1, ports) openings.
+    """
+    for q in range(port_valve.size):
+        v = port_valve[q]
+        if v < 0:
+            out[:, :, q] = 1.0
+            continue
+        dead = spool[v, M.V_DEAD]
+        null = spool[v, M.V_NULL]
+        lo, hi = curve_v[q]
+        top = curve.shape[1] - 1
+        scale = top / (hi - lo)
+        for n in range(out.shape[0]):
+            for k in range(out.shape[1]):
+                x = positions[v, n, k] - spool[v, M.V_OFFSET] - null
+                if dead > 0.0:
+                    x = math.copysign(max(abs(x) - dead, 0.0), x)
+                f = min(max((null + x - lo) * scale, 0.0), float(top))
+                i = min(int(f), top - 1)
+                out[n, k, q] = curve[q, i] + (f - i) * (curve[q, i + 1] - curve[q, i])
 
 
 @compiled
@@ -70,23 +90,14 @@ def _batch_openings(
         curve: (lanes, ports, points) opening curve.
         out: (intervals, knots + 1, ports, lanes) openings.
     """
-    count, knots = out.shape[:2]
-    positions = np.empty((spool.shape[1], count, knots))
-    column = np.empty(count * knots)
+    positions = np.empty((spool.shape[1], out.shape[0], out.shape[1]))
     for j in range(spool.shape[0]):
         for v in range(spool.shape[1]):
             spool_positions(
                 time, volts[j, v], origin, first, interval, spool[j, v], at_null, memory[j, v],
                 positions[v],
             )  # fmt: skip
-        for q in range(port_valve.size):
-            v = port_valve[q]
-            if v < 0:
-                out[:, :, q, j] = 1.0
-                continue
-            lo, hi = curve_v[j, q]
-            _port_openings(positions[v].reshape(-1), spool[j, v], lo, hi, curve[j, q], column)
-            out[:, :, q, j] = column.reshape((count, knots))
+        _port_openings(positions, spool[j], port_valve, curve_v[j], curve[j], out[:, :, :, j])
 
 
 class Spools:
@@ -215,22 +226,18 @@ def openings_along(
     Returns:
         (intervals, parts + 1, n_ports) openings, dimensionless; orifices are open.
     """
-    count, knots = shape[0], shape[1] + 1
-    result = np.ones((count, knots, model.plan.ports.shape[0]))
-    positions = np.empty((len(model.plan.commands), count, knots))
-    for v, name in enumerate(model.plan.commands):
+    plan, knots = model.plan, shape[1] + 1
+    positions = np.empty((len(plan.commands), shape[0], knots))
+    for v, name in enumerate(plan.commands):
         signal, row = commands[name], model.spool[v]
         spool_positions(
             signal.time_s, signal.values, origin_s, first, interval_s, row, at_null, memory[v],
             positions[v],
         )  # fmt: skip
-    out = np.empty(count * knots)
-    for q, v in enumerate(model.plan.port_valve):
-        if v >= 0:
-            lo, hi = model.curve_v[q]
-            _port_openings(positions[v].reshape(-1), model.spool[v], lo, hi, model.curve[q], out)
-            result[:, :, q] = out.reshape(count, knots)
-    return result
+    out = np.empty((shape[0], knots, plan.ports.shape[0]))
+    port_valve = np.array(plan.port_valve, dtype=np.int64)
+    _port_openings(positions, model.spool, port_valve, model.curve_v, model.curve, out)
+    return out
 
 
 def evenly_open(

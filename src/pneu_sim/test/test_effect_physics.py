@@ -17,7 +17,7 @@ from pneu_sim.rig.build import build
 from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import AttachedEffect, Chamber, Opening
 from pneu_sim.signals import Signal
-from pneu_sim.simulate import Prediction, even_course, initial_field, predict
+from pneu_sim.simulate import Prediction, RunOptions, even_course, initial_field, predict
 from pneu_sim.simulator import Simulator
 from pneu_sim.valve import KNOTS_PER_SAMPLE, evenly_open
 
@@ -93,7 +93,7 @@ def run(
     start = np.tile(start_pa, (volts.size, 1))
     field = initial_field(rigs[0], plan)
     course = even_course(field, commands, dt_s, start)
-    return predict([models], [course], field, flows=True)[0]
+    return predict([models], [course], field, None, RunOptions(flows=True))[0]
 
 
 def rig_a(rigs: list[Rig], volts: np.ndarray, tube_pa: float = ROOM_PA) -> tuple[np.ndarray, ...]:

@@ -179,6 +179,11 @@ def test_a_plant_comes_back_to_a_state_and_puts_it_into_other_lanes(model: str) 
     on, all_on = run(one, volts[:, :, 20:], []), run(many, volts[:, :, 20:], [])
     one.set_state(kept)
     again = run(one, volts[:, :, 20:], [13])
+    there = many.state()
+    order = np.random.default_rng(2).permutation(many.lanes)
+    many.set_state(there.of(order))
+    for a, b in zip(there.gas, many.state().gas, strict=True):
+        assert np.array_equal(a[..., order], b)
     for first, second, of_all in zip(on, again, all_on, strict=True):
         assert np.array_equal(first, second)
         assert np.array_equal(np.broadcast_to(first, of_all.shape), of_all)

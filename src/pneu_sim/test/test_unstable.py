@@ -15,7 +15,7 @@ from pneu_sim.rig.build import build
 from pneu_sim.rig.model import Model
 from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import Chamber, Rig, Ripple
-from pneu_sim.simulate import Prediction, even_course, initial_field, predict
+from pneu_sim.simulate import Prediction, RunOptions, even_course, initial_field, predict
 from pneu_sim.simulator import Simulator
 
 Floats = NDArray[np.float64]
@@ -60,7 +60,7 @@ def predicted(models: list[Model], strict: bool = True, flows: bool = False) -> 
     field = initial_field(first, models[0].plan)
     start = np.full((VOLTS.size, 1), 101325.0)
     course = even_course(field, {"volts": VOLTS}, 1e-3, start)
-    return predict([models], [course], field, workers=1, strict=strict, flows=flows)[0]
+    return predict([models], [course], field, None, RunOptions(1, None, strict, flows))[0]
 
 
 PROPER = {100.0: 425.0, 250.0: 500.0}

@@ -448,6 +448,7 @@ def add(
 ) -> None:
     """Add an effect to a rig and refit it."""
     from pneu_sim.rig import save_rig
+    from pneu_sysid.heading import heading
     from pneu_sysid.learn import add_effect
     from pneu_sysid.problem import make_problem
     from pneu_sysid.results import LearnResult, write_json
@@ -474,7 +475,7 @@ def add(
         write_json(
             json_path,
             LearnResult(
-                **problem.about(loaded.name, read_findings(recordings)),
+                **heading(problem, loaded.name, read_findings(recordings)),
                 steps=[before, after],
                 verdict="effect",
                 sentence=f"{name} added at {after.place}.",

@@ -16,6 +16,7 @@ from pneu_sysid.candidates import Score, best_per_place, residual_matrix, scores
 from pneu_sysid.dependence import dependences, seldom
 from pneu_sysid.evidence import lead
 from pneu_sysid.fit import tap_rmse
+from pneu_sysid.heading import heading
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.refits import Refit, refit
@@ -436,7 +437,7 @@ def result_of_diagnosis(name: str, found: Diagnosis, findings: list[str]) -> Dia
         )
     problem = found.problem
     return DiagnoseResult(
-        **problem.about(name, findings),
+        **heading(problem, name, findings),
         verdict=found.verdict,
         sentence=found.sentence,
         statements=found.statements,

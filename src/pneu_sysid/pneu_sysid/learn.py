@@ -22,6 +22,7 @@ from pneu_sysid.diagnose import Diagnosis, diagnose_apart, look
 from pneu_sysid.evidence import lead
 from pneu_sysid.fit import fit_rig, tap_rmse
 from pneu_sysid.gauss_newton import Estimate
+from pneu_sysid.heading import heading
 from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
@@ -486,7 +487,7 @@ def result_of_learning(
         output: Folder of the results.
     """
     return LearnResult(
-        **problem.about(name, findings),
+        **heading(problem, name, findings),
         steps=learned.steps,
         verdict=learned.verdict,
         sentence=learned.sentence,

@@ -11,7 +11,6 @@ percent of it at the worst. See docs/residual.md.
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +34,6 @@ from pneu_sim.simulate import (
 )
 from pneu_sysid.courses import course_of, edges_of, first_part, index_of
 from pneu_sysid.records import Recording, noise_floor, read_recording
-from pneu_sysid.results import pneu_version
 from pneu_sysid.start import (
     Beginning,
     Modes,
@@ -127,23 +125,6 @@ class Problem:
     def name(self) -> str:
         """Names of the recordings in one line."""
         return ", ".join(recording.name for recording in self.recordings)
-
-    def about(self, rig: str, findings: Sequence[str]) -> dict[str, Any]:
-        """What every result of one rig on the recordings begins with; see `results.Head`.
-
-        Args:
-            rig: Name of the rig.
-            findings: What was wrong with the recordings.
-        """
-        return {
-            "pneu_version": pneu_version(),
-            "recording": self.name,
-            "recordings": [recording.name for recording in self.recordings],
-            "rigs": [rig],
-            "taps": self.taps,
-            "noise_floor_pa": dict(zip(self.taps, self.noise_pa.tolist(), strict=True)),
-            "findings": list(findings),
-        }
 
     @property
     def stretches(self) -> int:
@@ -374,9 +355,8 @@ class Problem:
             wanted = modes_of(rig, ready.plan, course.start, self.taps, self.noise_pa)
             short = first_part(course, course.begin_s + remembered)
             starts = [course.start, *(mode.start for mode in wanted)]
-            out = predict(
-                [[model] * len(starts)], [short], ready.field, [starts], self.workers, strict=False
-            )[0]
+            options = RunOptions(self.workers, strict=False)
+            out = predict([[model] * len(starts)], [short], ready.field, [starts], options)[0]
             reached = out.readings.shape[2]
             along = np.full((len(starts), *course.time_s.shape), np.nan)
             along[:, :, :reached] = out.readings
@@ -406,7 +386,8 @@ class Problem:
         0 where nothing is compared.
         """
         part = first_part(course, until_s)
-        out = predict([[model]], [part], ready.field, None, self.workers, strict=False)[0]
+        options = RunOptions(self.workers, strict=False)
+        out = predict([[model]], [part], ready.field, None, options)[0]
         left = (part.measured_pa - out.readings[0]) / self.noise_pa[:, None]
         compared = np.isfinite(left) & (part.time_s >= self.span_s[self.of == c, 0].min())
         return np.where(compared, left, 0.0)

@@ -383,18 +383,20 @@ class ControlNode(LifecycleNode):
             if self.takes_nan or math.isfinite(pressure_pa):
                 self._take_reading(tap, pressure_pa, stamp_ns)
 
-    def _take_reading(self, tap: str, pressure_pa: float, stamp: int) -> None:
+    def _take_reading(self, tap: str, pressure_pa: float, stamp_ns: int) -> None:
         now_ns = self._now_ns()
         before = self._readings.get(tap)
         # A sensor that stalls may be repeated on and on; that does not make its reading younger.
-        arrival = before.arrival_ns if before is not None and before.stamp_ns == stamp else now_ns
+        arrival = (
+            before.arrival_ns if before is not None and before.stamp_ns == stamp_ns else now_ns
+        )
         same = before is not None and before.pressure_pa == pressure_pa
         self._readings[tap] = Reading(
-            stamp,
+            stamp_ns,
             pressure_pa,
             arrival,
             before.changed_ns if before is not None and same else now_ns,
-            (int(self.get_clock().now().nanoseconds) - stamp) * 1e-9,
+            (int(self.get_clock().now().nanoseconds) - stamp_ns) * 1e-9,
         )
 
     def _on_target(self, message: PressureTarget) -> None:

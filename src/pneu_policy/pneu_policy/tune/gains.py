@@ -263,16 +263,17 @@ def tune(settings: TuneSettings, progress: Callable[[int, float], None] | None =
     begin = np.array([knob.share() for knob in knobs])
     plain = _plain(s, rig)
     history: list[float] = []
-    best: list[tuple[float, Floats, Floats]] = [(math.inf, begin, np.empty(0))]
+    least, best, square = math.inf, begin, np.empty(0)
 
     def of_generation(points: Floats) -> Floats:
         """(candidates,) mean squares of a (knobs, candidates) generation."""
+        nonlocal least, best, square
         errors = trials.run([make_candidate(s, plain, point) for point in points.T])
         values = errors.mean(axis=1)
         k = int(np.argmin(values))
-        if values[k] < best[0][0]:
-            best[0] = (float(values[k]), points[:, k].copy(), errors[k])
-        history.append(math.sqrt(best[0][0]))
+        if values[k] < least:
+            least, best, square = float(values[k]), points[:, k].copy(), errors[k]
+        history.append(math.sqrt(least))
         if progress is not None:
             progress(len(history), history[-1])
         return np.asarray(values)
@@ -292,13 +293,12 @@ def tune(settings: TuneSettings, progress: Callable[[int, float], None] | None =
         vectorized=True,
         seed=rng,
     )
-    _, point, square = best[0]
     of_kind = {
         str(kind): float(np.sqrt(np.mean(square[[k == kind for k in trials.kinds]])))
         for kind in dict.fromkeys(trials.kinds)
     }
     return Tuned(
-        controller=make_candidate(s, plain, point),
+        controller=make_candidate(s, plain, best),
         rmse_pa=history[-1],
         of_kind_pa=of_kind,
         history_pa=history,

@@ -152,7 +152,7 @@ class Goals(NamedTuple):
     rate: float
 
 
-class Room(NamedTuple):
+class Scratch(NamedTuple):
     """Scratch of a step of one rig.
 
     Attributes:
@@ -248,7 +248,7 @@ def _at_side(
 
 @branching
 def _through_ports(
-    rig: Volumes, shares: Shares, room: Room, sound: float, ahead: float, h: float
+    rig: Volumes, shares: Shares, scratch: Scratch, sound: float, ahead: float, h: float
 ) -> None:
     """What flows through the ports, and what that brings to both sides."""
     gamma, r_gas, exponent, wall = rig.gamma, rig.r_gas, rig.exponent, rig.room[1]
@@ -257,11 +257,11 @@ def _through_ports(
     own = min(float((exponent - 1.0) / (gamma - 1.0)), 1.0)
     for q in range(rig.area.size):
         a, b = 2 * q, 2 * q + 1
-        p_a, t_a = _at_side(a, rig, shares, room.before, ahead, h)
-        p_b, t_b = _at_side(b, rig, shares, room.before, ahead, h)
-        area = rig.area[q] * room.opening[q]
+        p_a, t_a = _at_side(a, rig, shares, scratch.before, ahead, h)
+        p_b, t_b = _at_side(b, rig, shares, scratch.before, ahead, h)
+        area = rig.area[q] * scratch.opening[q]
         m = port_flow(p_a, t_a, p_b, t_b, area, rig.linear[q], gamma, r_gas)
-        room.flow[q] = m
+        scratch.flow[q] = m
         for k in (a, b):
             v = rig.side[k]
             if v < 0:
@@ -277,8 +277,8 @@ def _through_ports(
                 t = t_a if k == a else t_b
             row = rig.volume[v]
             yielding = exponent * p * row[V_COMPLIANCE]
-            room.rate[k] = exponent * r_gas * t * into / (_size(row, p) + yielding)
-            room.rate[masses + v] += into
+            scratch.rate[k] = exponent * r_gas * t * into / (_size(row, p) + yielding)
+            scratch.rate[masses + v] += into
 
 
 @folded
@@ -296,12 +296,18 @@ def _leaked(row: Floats, p: float, t: float, rig: Volumes) -> float:
 
 @branching
 def _rates(
-    rig: Volumes, shares: Shares, room: Room, sound: float, pull: float, ahead: float, h: float
+    rig: Volumes,
+    shares: Shares,
+    scratch: Scratch,
+    sound: float,
+    pull: float,
+    ahead: float,
+    h: float,
 ) -> None:
     """Rates of change of all shares, of the volumes' common shares and of their masses."""
     n_sides, n_volumes = rig.side.size, shares.base.size
-    room.rate[:] = 0.0
-    _through_ports(rig, shares, room, sound, ahead, h)
+    scratch.rate[:] = 0.0
+    _through_ports(rig, shares, scratch, sound, ahead, h)
     for v in range(n_volumes):
         row = rig.volume[v]
         p = _bulk(v, rig, shares)
@@ -316,17 +322,17 @@ def _rates(
             error = 0.0
             count = 0
             for i in range(rig.tap.size):
-                if rig.tap[i] == v and room.goal[i] > 0.0:
+                if rig.tap[i] == v and scratch.goal[i] > 0.0:
                     delay = rig.tap_delay[i]
-                    seen = _felt(v, delay, rig, shares, room.before, ahead, h)
-                    error += room.goal[i] - seen
+                    seen = _felt(v, delay, rig, shares, scratch.before, ahead, h)
+                    error += scratch.goal[i] - seen
                     count += 1
             if count > 0:
                 drawn = pull * error / count
                 rise += drawn
                 mass += drawn * (size + yielding) / (rig.r_gas * t)
-        room.rate[n_sides + v] = rise
-        room.rate[n_sides + n_volumes + v] += mass
+        scratch.rate[n_sides + v] = rise
+        scratch.rate[n_sides + n_volumes + v] += mass
 
 
 @branching
@@ -336,7 +342,7 @@ def _step(
     h: float,
     rig: Volumes,
     shares: Shares,
-    room: Room,
+    scratch: Scratch,
     sound: float,
     opening: Floats,
     lane: int,
@@ -347,7 +353,7 @@ def _step(
 
     Openings are given at the knots of the interval, goals at its ends.
     """
-    now, before, after = shares.now, room.before, room.after
+    now, before, after = shares.now, scratch.before, scratch.after
     for i in range(now.size):
         before[i] = now[i]
         after[i] = now[i]
@@ -356,18 +362,18 @@ def _step(
         part = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
         at = (s + part) / n_sub
         i = min(int(at * knots), knots - 1)
-        for q in range(room.opening.size):
+        for q in range(scratch.opening.size):
             change = opening[i + 1, q, lane] - opening[i, q, lane]
-            room.opening[q] = opening[i, q, lane] + (at * knots - i) * change
+            scratch.opening[q] = opening[i, q, lane] + (at * knots - i) * change
         if pull > 0.0:
             for t in range(rig.tap.size):
-                room.goal[t] = (1.0 - at) * goals[0, t] + at * goals[1, t]
-        _rates(rig, shares, room, sound, pull, part * h, h)
+                scratch.goal[t] = (1.0 - at) * goals[0, t] + at * goals[1, t]
+        _rates(rig, shares, scratch, sound, pull, part * h, h)
         weight = h / 6.0 if stage in (0, 3) else h / 3.0
         ahead = h if stage == 2 else 0.5 * h
         for i in range(now.size):
-            after[i] += weight * room.rate[i]
-            now[i] = before[i] + ahead * room.rate[i]
+            after[i] += weight * scratch.rate[i]
+            now[i] = before[i] + ahead * scratch.rate[i]
     for i in range(now.size):
         now[i] = after[i]
     shares.head[0] = (shares.head[0] + 1) % shares.past.shape[0]
@@ -377,7 +383,7 @@ def _step(
 
 @branching
 def _write_down(
-    k: int, j: int, h: float, rig: Volumes, shares: Shares, room: Room, taps: Floats,
+    k: int, j: int, h: float, rig: Volumes, shares: Shares, scratch: Scratch, taps: Floats,
     flows: Floats, chambers: Floats,
 ) -> None:  # fmt: skip
     """Pressures at taps and in chambers, and flows of ports, as sample k of rig j."""
@@ -388,7 +394,7 @@ def _write_down(
         else:
             taps[k, i, j] = _felt(v, rig.tap_delay[i], rig, shares, shares.now, 0.0, h)
     for q in range(rig.area.size):
-        flows[k, q, j] = room.flow[q]
+        flows[k, q, j] = scratch.flow[q]
     for c in range(rig.chamber.size):
         v = rig.chamber[c]
         chambers[k, c, j] = rig.source[-1 - v, 0] if v < 0 else _bulk(v, rig, shares)
@@ -418,7 +424,7 @@ def begin_volumes(rigs: Volumes, shares: Shares) -> None:
 def advance_volumes(
     rigs: Volumes,
     shares: Shares,
-    room: Room,
+    scratch: Scratch,
     n_sub: int,
     h: float,
     opening: Floats,
@@ -432,7 +438,7 @@ def advance_volumes(
     Args:
         rigs: The rigs.
         shares: What has been brought to their volumes, changed in place.
-        room: Scratch.
+        scratch: Scratch.
         n_sub: Steps in an interval.
         h: Step, s.
         opening: (intervals, knots + 1, n_ports, lanes) openings, linear from knot to knot.
@@ -455,17 +461,17 @@ def advance_volumes(
                 own.opening[q] = opening[0, 0, q, j]
         for k in range(intervals + 1):
             for q in range(own.opening.size):
-                room.opening[q] = 0.0 if math.isnan(own.opening[q]) else own.opening[q]
+                scratch.opening[q] = 0.0 if math.isnan(own.opening[q]) else own.opening[q]
             for i in range(own.now.size):
-                room.before[i] = own.now[i]
-            _rates(rig, own, room, sound, 0.0, 0.0, h)
-            _write_down(k, j, h, rig, own, room, taps, flows, chambers)
+                scratch.before[i] = own.now[i]
+            _rates(rig, own, scratch, sound, 0.0, 0.0, h)
+            _write_down(k, j, h, rig, own, scratch, taps, flows, chambers)
             if k == intervals:
                 break
             aims = k if drawn else 0
             for s in range(n_sub):
                 _step(
-                    s, n_sub, h, rig, own, room, sound, opening[k], j, pull,
+                    s, n_sub, h, rig, own, scratch, sound, opening[k], j, pull,
                     goals.pressure[j, aims : aims + 2],
                 )  # fmt: skip
             for q in range(own.opening.size):

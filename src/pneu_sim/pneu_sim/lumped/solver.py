@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pneu_sim.lumped.filling import (
     Goals,
-    Room,
+    Scratch,
     Shares,
     Volumes,
     advance_volumes,
@@ -62,10 +62,10 @@ class LumpedSolver(Solver):
         )
         self._sources = self._rigs.source.copy()
         self._base = np.zeros((len(models), len(first.volume)))
-        self._shares = self._room_for(1.0)
+        self._shares = self._no_shares(1.0)
         self._past_s = 0.0
         ports, size = first.area.size, self._shares.now.shape[1]
-        self._room = Room(
+        self._scratch = Scratch(
             np.zeros(size),
             np.zeros(size),
             np.zeros(size),
@@ -74,7 +74,7 @@ class LumpedSolver(Solver):
             np.full(first.tap.size, np.nan),
         )
 
-    def _room_for(self, step_s: float) -> Shares:
+    def _no_shares(self, step_s: float) -> Shares:
         """Shares of nothing, with the past that steps of some length need."""
         rigs, n_sides = self._rigs, self._rigs.side.size
         longest = max(float(np.max(d, initial=0.0)) for d in (rigs.tap_delay, rigs.side_delay))
@@ -138,14 +138,14 @@ class LumpedSolver(Solver):
             goals_pa = np.zeros((self.lanes, 0, len(self.plan.taps)))
         out = Series.empty(self.plan, len(opening) + 1, self.lanes)
         advance_volumes(
-            self._rigs, self._shares, self._room, steps, step_s, np.ascontiguousarray(opening),
+            self._rigs, self._shares, self._scratch, steps, step_s, np.ascontiguousarray(opening),
             Goals(goals_pa, self._pull_1_s), out.taps, out.flows, out.chambers,
         )  # fmt: skip
         return out
 
     def _remember_at(self, step_s: float) -> None:
         """What has been brought to the volumes, told at steps of another length."""
-        old, new = self._shares, self._room_for(step_s)
+        old, new = self._shares, self._no_shares(step_s)
         for name in ("now", "opening"):
             getattr(new, name)[:] = getattr(old, name)
         size = old.past.shape[1]
@@ -172,7 +172,7 @@ class LumpedSolver(Solver):
         *shares, step_s = parts
         if step_s[0] != self._past_s:
             self._past_s = float(step_s[0])
-            self._shares = self._room_for(self._past_s or 1.0)
+            self._shares = self._no_shares(self._past_s or 1.0)
         for own, part in zip(self._shares, shares, strict=True):
             own[:] = np.moveaxis(part, -1, 0)
 
