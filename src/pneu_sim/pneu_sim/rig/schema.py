@@ -9,35 +9,16 @@ wall. All quantities are SI, pressures absolute.
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from pneu_sim.channels import Channel, TextFormat
 from pneu_sim.rig.kinds import checked
+from pneu_sim.parts import Finite, NonNegative, Part, Positive, Ratio
 
 SCHEMA_VERSION = 1
 CLOSED = "closed"
 LEAST_STEP_V = 1e-6
 """Between points of an opening curve; closer ones are one."""
-
-
-def _no_truth(value: Any) -> Any:
-    """Refuses true and false where a number is meant; Python would take them for 1 and 0."""
-    if isinstance(value, bool):
-        raise ValueError("a number is needed")
-    return value
-
-
-Number = Annotated[float, BeforeValidator(_no_truth)]
-Positive = Annotated[Number, Field(gt=0.0, allow_inf_nan=False)]
-NonNegative = Annotated[Number, Field(ge=0.0, allow_inf_nan=False)]
-Finite = Annotated[Number, Field(allow_inf_nan=False)]
-Ratio = Annotated[Number, Field(ge=0.0, lt=1.0)]
-
-
-class Part(BaseModel):
-    """Base of every part of a rig: unknown keys are refused."""
-
-    model_config = ConfigDict(extra="forbid", populate_by_name=True)
 
 
 class Grid(Part):

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a body has: joints, numbers, places where cylinders take hold, and itself as MJCF.
+
+The equations of a kind of body are two compiled functions in its file, of one lane ``j`` at a time:
+
+    mechanics(par, b, j, q, v, mass, force)   mass matrix, and the forces but those of cylinders
+    levers(par, b, j, q, extension, lever)    extensions of its cylinders, and their derivatives
+
+``par`` is ``(n_bodies, BODY_PARAMS, lanes)``, of which ``par[b, :, j]`` holds the numbers of
+`Body.numbers` in their order. ``q`` and ``v`` are positions and velocities of the joints; ``mass``
+is to be filled with the whole matrix M, ``force`` with what stands on the right of M dv/dt = ...:
+gravity, and what comes of velocities. Friction, damping and stops of joints and cylinders are added
+by the kernel, alike for all kinds. ``lever[c, i]`` is the growth of the extension of cylinder c per
+motion of joint i.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from pneu_sim.parts import Finite, NonNegative, Part, Positive
+
+Floats = NDArray[np.float64]
+
+MOST_JOINTS = 8
+"""Joints that one body may have."""
+MOST_CYLINDERS = 8
+"""Cylinders that may take hold of one body."""
+
+
+class Joint(Part):
+    """A joint of a body: a rotation in rad, or a translation in m.
+
+    Attributes:
+        name: Its name in `sensor_msgs/JointState`; None is the body's name and its own.
+        start: Where it stands at the beginning, rad or m.
+        held: Whether it is clamped there.
+        damping: Torque per speed, N m s/rad, or N s/m.
+        friction: Dry friction, N m or N, whatever the speed.
+        lower: Where its lower stop begins; None has none.
+        upper: Where its upper stop begins; None has none.
+        stop_stiffness: Of both stops, N m/rad or N/m.
+        stop_damping: Of both stops, N m s/rad or N s/m.
+    """
+
+    name: str | None = None
+    start: Finite = 0.0
+    held: bool = False
+    damping: NonNegative = 0.0
+    friction: NonNegative = 0.0
+    lower: Finite | None = None
+    upper: Finite | None = None
+    stop_stiffness: Positive = 1e4
+    stop_damping: NonNegative = 10.0
+
+    @model_validator(mode="after")
+    def _check(self) -> "Joint":
+        low = -math.inf if self.lower is None else self.lower
+        high = math.inf if self.upper is None else self.upper
+        if not low < high:
+            raise ValueError(f"lower {low:g} must be below upper {high:g}")
+        if not low <= self.start <= high:
+            raise ValueError(f"start {self.start:g} lies beyond its stops, {low:g} and {high:g}")
+        return self
+
+
+class Body(Part, ABC):
+    """A body whose equations of motion are solved with the gas.
+
+    Attributes:
+        gravity_m_s2: Gravity.
+    """
+
+    gravity_m_s2: NonNegative = Field(default=9.80665)
+
+    joint_fields: ClassVar[tuple[str, ...]]
+    """Names of the fields that hold its joints, in the order of its coordinates."""
+    slides: ClassVar[tuple[str, ...]] = ()
+    """Those of them that are translations."""
+
+    @property
+    def joints(self) -> list[Joint]:
+        """Its joints, in the order of its coordinates."""
+        return [getattr(self, name) for name in self.joint_fields]
+
+    @property
+    @abstractmethod
+    def driven_by(self) -> list[str]:
+        """Names of the cylinders that take hold of it, in the order of its levers."""
+
+    @abstractmethod
+    def numbers(self) -> list[float]:
+        """Returns what its equations work with, in SI units."""
+
+    @abstractmethod
+    def potential_j(self, q: Floats) -> float:
+        """Potential energy, J.
+
+        Args:
+            q: (joints,) positions.
+        """
+
+    @abstractmethod
+    def mjcf(self) -> str:
+        """Returns the same body as MJCF, with a joint of the same name for each of `joint_fields`.
+
+        Its cylinders are tendons or joints of the same geometry, named after their places.
+        """
