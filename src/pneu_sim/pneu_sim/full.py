@@ -205,6 +205,39 @@ class FullSolver(Solver):
             one = slice(index, index + 1)
             tiles.fill_chambers(tile, pressure_pa[None, of], temperature_k[None, of], one)
 
+    def place(self, position: Floats, velocity: Floats) -> None:
+        """Sets joints of bodies and their pistons; see `Solver.place`.
+
+        Args:
+            position: (n_joints, lanes).
+            velocity: (n_joints, lanes).
+        """
+        for tile, of in self.tiles:
+            tiles.rearrange(tile, position[:, of], velocity[:, of])
+
+    def joints(self) -> Floats:
+        """Positions and velocities of all joints; see `Solver.joints`."""
+        parts = [tile.joint_state[:, :2] for tile, _ in self.tiles]
+        return np.concatenate(parts, axis=-1)[..., : self.lanes]
+
+    def drive(self, speed: Floats) -> None:
+        """Has pistons that move no body go at some speed; see `Solver.drive`.
+
+        Args:
+            speed: (n_cylinders, lanes).
+        """
+        free = self.plan.moves < 0
+        for tile, of in self.tiles:
+            tile.cylinder_state[free, L.SY_SPEED] = speed[free][:, of]
+
+    def impulse(self) -> Floats:
+        """Impulse on every piston since this was last asked for; see `Solver.impulse`."""
+        parts = []
+        for tile, _ in self.tiles:
+            parts.append(tile.cylinder_state[:, L.SY_IMPULSE].copy())
+            tile.cylinder_state[:, L.SY_IMPULSE] = 0.0
+        return np.concatenate(parts, axis=-1)[:, : self.lanes]
+
     def held(self) -> tuple[Floats, Floats]:
         """Mass and energy of all gas; see `Solver.held`."""
         both = [tiles.held(tile) for tile, _ in self.tiles]

@@ -178,6 +178,92 @@ H_MIDDLE: Final = 2  # pressure at the middle of the step, Pa
 H_WEIGHT: Final = 3  # of its own pressure in that
 CHAMBER_ROWS: Final = 4
 
+# --- cylinders (integer columns): what each side is, head first, then rod ---------------------
+Y_KIND: Final = 0  # of the head side: one of GAS_*; of the rod side the same COLUMNS_PER_SIDE later
+Y_REF: Final = 1  # chamber, or first slot
+Y_CELLS: Final = 2  # slots
+COLUMNS_PER_SIDE: Final = 3
+Y_PORT: Final = 6  # orifice of the head side's port, or -1
+Y_PORT_ROD: Final = 7
+CYLINDER_COLUMNS: Final = 8
+
+GAS_ROOM: Final = 0  # open to the room
+GAS_CHAMBER: Final = 1
+GAS_CELLS: Final = 2
+
+# --- cylinder parameter rows ----------------------------------------------------------------------
+PY_AREA: Final = 0  # of the head side, m^2; of the rod side the next
+PY_AREA_ROD: Final = 1
+PY_DEAD: Final = 2  # dead volume of the head side, m^3; of the rod side the next
+PY_DEAD_ROD: Final = 3
+PY_STROKE: Final = 4
+PY_COULOMB: Final = 5  # sliding friction, N
+PY_PER_PA: Final = 6  # its growth with the mean gauge pressure, N/Pa
+PY_BREAKAWAY: Final = 7  # how much more it holds at rest, N
+PY_STRIBECK: Final = 8  # speed over which that vanishes, m/s
+PY_VISCOUS: Final = 9  # N s/m
+PY_LEAK: Final = 10  # effective area from side to side, m^2
+PY_ROD_LEAK: Final = 11  # effective area from the rod side to the room, m^2
+PY_SPRING: Final = 12  # N/m
+PY_PRELOAD: Final = 13  # N
+PY_STOP: Final = 14  # stiffness of the end stops, N/m
+PY_STOP_DAMPING: Final = 15  # N s/m
+PY_FILM: Final = 16  # heat conductance of the wall per way, W/(m K); of the rod side the next
+PY_FILM_ROD: Final = 17
+PY_HEAT: Final = 18  # heat conductance of the covers, W/K; of the rod side the next
+PY_HEAT_ROD: Final = 19
+PY_CUSHION: Final = 20  # length of the head side's cushion, m, 0 has none; of the rod side the next
+PY_CUSHION_ROD: Final = 21
+PY_LEFT: Final = 22  # share of the port that it leaves; of the rod side the next
+PY_LEFT_ROD: Final = 23
+PY_ROOM_P: Final = 24  # Pa
+PY_ROOM_T: Final = 25  # K
+PY_START: Final = 26  # extension at the start, m
+CYLINDER_PARAMS: Final = 27
+
+# --- cylinder state rows --------------------------------------------------------------------------
+SY_EXTENSION: Final = 0  # m, or rad of a rotary one
+SY_SPEED: Final = 1  # m/s, or rad/s; of one that moves no body, what it is told
+SY_PUSH: Final = 2  # growth of that speed in the last step, m/s^2
+SY_COUNT: Final = 3  # cells of the head side that are in use; of the rod side the next
+SY_COUNT_ROD: Final = 4
+SY_IMPULSE: Final = 5  # of gas and room on the piston since it was last asked for, N s
+SY_FORCE: Final = 6  # of gas and room on the piston, at the last step, N
+CYLINDER_STATE: Final = 7
+
+# --- cylinder work rows ---------------------------------------------------------------------------
+WY_SPEED: Final = 0  # foreseen at the middle of the step, m/s
+WY_FACE: Final = 1  # pressure on the piston, head side, Pa; rod side the next
+WY_FACE_ROD: Final = 2
+WY_MOVE: Final = 3  # way in this step, m
+CYLINDER_WORK: Final = 4
+
+# --- bodies (integer columns) ---------------------------------------------------------------------
+B_KIND: Final = 0  # number in ``pneu_sim.bodies.kinds``
+B_JOINT: Final = 1  # its first joint
+B_JOINTS: Final = 2
+B_PLACE: Final = 3  # its first place in the list of cylinders that bodies are driven by
+B_PLACES: Final = 4
+BODY_COLUMNS: Final = 5
+BODY_PARAMS: Final = 40
+
+# --- joint parameter rows -------------------------------------------------------------------------
+PJ_DAMPING: Final = 0
+PJ_FRICTION: Final = 1
+PJ_LOWER: Final = 2
+PJ_UPPER: Final = 3
+PJ_STOP: Final = 4
+PJ_STOP_DAMPING: Final = 5
+PJ_HELD: Final = 6
+PJ_START: Final = 7
+JOINT_PARAMS: Final = 8
+
+# --- joint state rows -----------------------------------------------------------------------------
+SJ_POSITION: Final = 0
+SJ_VELOCITY: Final = 1
+SJ_PUSH: Final = 2  # acceleration of the last step
+JOINT_STATE: Final = 3
+
 # --- sensor rows ----------------------------------------------------------------------------------
 SENSE_KEEP: Final = 0  # share of its last reading that a lagging sensor keeps over a step
 SENSE_OLD: Final = 1  # weight of the pressure one step ago

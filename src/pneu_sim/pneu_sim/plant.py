@@ -17,6 +17,7 @@ from pneu_common.errors import InputError
 from pneu_sim import layout as L
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.models import kind_of
+from pneu_sim.rig.expand import with_cylinders
 from pneu_sim.rig.network import reservoir_of_pipes
 from pneu_sim.rig.plan import common_plan
 from pneu_sim.rig.schema import Rig
@@ -158,7 +159,8 @@ class Plant:
             InputError: A name is no pipe and no chamber.
         """
         given = dict(pressures_pa or {})
-        first, plan, models = self.rigs[0], self.plan, self.solver.models
+        plan, models = self.plan, self.solver.models
+        first = with_cylinders(self.rigs[0])
         for name in given:
             if name not in first.pipes and name not in first.chambers:
                 known = ", ".join([*first.pipes, *first.chambers])
@@ -303,6 +305,33 @@ class Plant:
                 raise InputError(f"chamber {chamber!r}, {what}: found {value!r}, must be positive")
             values.append(np.broadcast_to(array, (self.lanes,)))
         self.solver.set_chamber(index, *values)
+        self._sense_anew()
+
+    def place(
+        self,
+        positions: Mapping[str, ArrayLike],
+        velocities: Mapping[str, ArrayLike] | None = None,
+    ) -> None:
+        """Moves joints of bodies, and pistons with them; gas keeps its pressure and temperature.
+
+        Args:
+            positions: By joint, rad or m; a number, or one per rig. Others stay where they are.
+            velocities: By joint; others rest.
+
+        Raises:
+            InputError: There is no such joint, a value is not finite, a piston would stand beyond
+                its stroke, or the model moves no bodies.
+        """
+        names, velocities = self.plan.joints, velocities or {}
+        place = np.array(self.solver.joints()[:, 0])
+        speed = np.zeros_like(place)
+        for what, given, into in (("position", positions, place), ("velocity", velocities, speed)):
+            for name, value in given.items():
+                array = np.asarray(value, dtype=float)
+                if not np.isfinite(array).all():
+                    raise InputError(f"joint {name!r}, {what}: found {value!r}, must be finite")
+                into[self._index("joint", name, names)] = array
+        self.solver.place(place, speed)
         self._sense_anew()
 
     def set_reservoir(self, reservoir: str, pressure: ArrayLike) -> None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pneu_common.tally import Tally
 from pneu_sim import layout as L
 from pneu_sim.rig.model import S_BIAS, S_GAIN, S_LAG, S_OFFSET, Model
+from pneu_sim.rig.expand import with_cylinders
 from pneu_sim.rig.network import reservoir_of_pipes
 from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import CLOSED, Rig
@@ -77,6 +78,7 @@ def initial_field(rig: Rig, plan: Plan, through_orifices: bool = True) -> Initia
         through_orifices: Whether a neighbour behind an orifice counts: at rest they share one
             pressure, but what corrects the one says nothing of the other.
     """
+    rig = with_cylinders(rig)
     n_taps = len(rig.taps)
     weight = np.zeros((plan.slots, n_taps))
     constant = np.zeros(plan.slots)
@@ -181,6 +183,7 @@ def rest(rig: Rig, plan: Plan) -> Start:
         rig: The rig.
         plan: Its grid.
     """
+    rig = with_cylinders(rig)
     room = rig.ambient.pressure_pa
     pressure = np.full(plan.slots, room)
     for name, k in reservoir_of_pipes(rig, plan.reservoirs).items():

@@ -28,7 +28,13 @@ class Readings:
         pressures: Per tap the pressure of the gas there, Pa.
         flows: Per port (``valve.port``, or an orifice's name) the mass flow from its ``from`` node,
             kg/s.
-        chambers: Per chamber its pressure, Pa.
+        chambers: Per chamber its pressure, Pa; the well-mixed sides of cylinders are chambers named
+            after their nodes, or ``cylinder.head`` and ``cylinder.rod`` where these are closed.
+        temperatures: Per chamber that of its gas, K.
+        extensions: Per cylinder its extension, m, or rad of a rotary one.
+        forces: Per cylinder the force of gas and room on its piston, N, or the torque, N m.
+        joints: Per joint of a body its position, rad or m.
+        speeds: Per joint its velocity.
     """
 
     time_s: Floats
@@ -36,6 +42,11 @@ class Readings:
     pressures: dict[str, Floats]
     flows: dict[str, Floats]
     chambers: dict[str, Floats]
+    temperatures: dict[str, Floats]
+    extensions: dict[str, Floats]
+    forces: dict[str, Floats]
+    joints: dict[str, Floats]
+    speeds: dict[str, Floats]
 
 
 class Simulator:
@@ -181,7 +192,7 @@ class Simulator:
             )
         clock, plan = self.plant.clock.by(sample_s), self.plant.plan
         series, readings = self.plant.advance(self._held(commands or {}, steps), sample_s)
-        if not np.isfinite(readings).all():
+        if not (np.isfinite(readings).all() and np.isfinite(series.joints).all()):
             raise unstable(min(sample_s, self.plant.solver.step_s))
         return Readings(
             clock.origin_s
@@ -190,6 +201,11 @@ class Simulator:
             self._named(plan.taps, series.taps),
             self._named(plan.port_names, series.flows),
             self._named(plan.chambers, series.chambers),
+            self._named(plan.chambers, series.temperatures),
+            self._named(plan.cylinders, series.cylinders[:, :, 0]),
+            self._named(plan.cylinders, series.cylinders[:, :, 2]),
+            self._named(plan.joints, series.joints[:, :, 0]),
+            self._named(plan.joints, series.joints[:, :, 1]),
         )
 
     def mass_kg(self) -> float | Floats:

@@ -4,7 +4,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -26,11 +26,19 @@ class Series:
         taps: (samples, n_taps, lanes) pressures, Pa.
         flows: (samples, n_ports, lanes) flows of ports, kg/s.
         chambers: (samples, n_chambers, lanes) pressures, Pa.
+        temperatures: (samples, n_chambers, lanes) of the gas in chambers, K; not finite where the
+            model knows none.
+        cylinders: (samples, n_cylinders, 3, lanes) extension, m, its speed, m/s, and force of gas
+            and room on the piston, N.
+        joints: (samples, n_joints, 2, lanes) positions and velocities of the joints of bodies.
     """
 
     taps: Floats
     flows: Floats
     chambers: Floats
+    temperatures: Floats
+    cylinders: Floats
+    joints: Floats
 
     @classmethod
     def empty(cls, plan: Plan, samples: int, lanes: int) -> "Series":
@@ -41,8 +49,13 @@ class Series:
             samples: How many.
             lanes: Rigs.
         """
-        rows = len(plan.taps), plan.ports.shape[0], len(plan.chambers)
-        return cls(*(np.zeros((samples, n, lanes)) for n in rows))
+        chambers = len(plan.chambers)
+        rows = len(plan.taps), plan.ports.shape[0], chambers, chambers
+        return cls(
+            *(np.zeros((samples, n, lanes)) for n in rows),
+            np.zeros((samples, len(plan.cylinders), 3, lanes)),
+            np.zeros((samples, len(plan.joints), 2, lanes)),
+        )
 
     def put(self, first: int, part: "Series", lanes: Ints | slice = slice(None)) -> None:
         """Takes over what was recorded of a part of the time, or of some rigs.
@@ -52,12 +65,9 @@ class Series:
             part: What was recorded.
             lanes: Its rigs.
         """
-        for whole, of in (
-            (self.taps, part.taps),
-            (self.flows, part.flows),
-            (self.chambers, part.chambers),
-        ):
-            whole[first : first + len(of), :, lanes] = of
+        for name in fields(self):
+            of = getattr(part, name.name)
+            getattr(self, name.name)[first : first + len(of), ..., lanes] = of
 
 
 class Solver(ABC):
@@ -182,6 +192,44 @@ class Solver(ABC):
             f"chamber {self.plan.chambers[index]!r}: the rig's model knows no gas in it but that of"
             " a whole volume"
         )
+
+    def place(self, position: Floats, velocity: Floats) -> None:
+        """Sets joints of bodies, and the pistons that move them; gas keeps pressure and temperature.
+
+        Args:
+            position: (n_joints, lanes) rad or m.
+            velocity: (n_joints, lanes) per second.
+
+        Raises:
+            InputError: The model has none that move, or a piston would stand beyond its stroke.
+        """
+        raise InputError("joints: the rig's model moves no bodies")
+
+    def joints(self) -> Floats:
+        """Returns (n_joints, 2, lanes) positions and velocities of the joints of bodies."""
+        return np.zeros((0, 2, self.lanes))
+
+    def drive(self, speed: Floats) -> None:
+        """Has pistons that move no body go at some speed from now on.
+
+        Args:
+            speed: (n_cylinders, lanes) m/s, or rad/s; of those that move bodies it is not used.
+
+        Raises:
+            InputError: The model has none that move.
+        """
+        raise InputError("cylinders: the rig's model moves no pistons")
+
+    def impulse(self) -> Floats:
+        """Impulse of gas and room on every piston since this was last asked for, N s.
+
+        Returns:
+            (n_cylinders, lanes).
+
+        Raises:
+            InputError: The model does not keep it.
+        """
+        raise InputError("cylinders: the rig's model moves no pistons")
 
     def held(self) -> tuple[Floats, Floats]:
         """Mass, kg, and energy, J, of all gas (and yielding walls), each (lanes,).

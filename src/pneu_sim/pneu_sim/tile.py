@@ -22,6 +22,8 @@ Ints = NDArray[np.int64]
 
 MORE_STEPS = (2, 4, 8)
 """A run that goes wrong is tried again with this many times as many steps, one after the other."""
+SLIPPED_M = 1e-9
+"""Metres or radians by which a cylinder may stand beyond its stroke at the start: rounding."""
 CHANGING = (
     "state",
     "work",
@@ -29,6 +31,9 @@ CHANGING = (
     "port_flow",
     "reservoir_p",
     "chamber_state",
+    "cylinder_state",
+    "joint_state",
+    "friction_heat",
     "clock",
 )
 """Arrays of a tile that its steps change and that the next ones begin from."""
@@ -58,6 +63,13 @@ class Tile:
         chamber: (n_chambers, CHAMBER_PARAMS, lanes).
         chamber_state: (n_chambers, 2, lanes) mass and energy.
         chamber_work: (n_chambers, CHAMBER_ROWS, lanes) scratch.
+        cylinder: (n_cylinders, CYLINDER_PARAMS, lanes).
+        cylinder_state: (n_cylinders, CYLINDER_STATE, lanes) where pistons stand.
+        cylinder_work: (n_cylinders, CYLINDER_WORK, lanes) scratch.
+        body: (n_bodies, BODY_PARAMS, lanes).
+        body_joint: (n_joints, JOINT_PARAMS, lanes).
+        joint_state: (n_joints, JOINT_STATE, lanes) where bodies are.
+        friction_heat: (n_bodies, lanes) what friction and damping made, J.
         ripple_index: (n_ripples,) reservoirs whose pressure ripples.
         ripple: (n_ripples, RIPPLE_PARAMS, lanes).
         leak_index: (n_leaks, TERM_COLUMNS) what leaks to the room, and how.
@@ -92,6 +104,13 @@ class Tile:
     chamber: Floats
     chamber_state: Floats
     chamber_work: Floats
+    cylinder: Floats
+    cylinder_state: Floats
+    cylinder_work: Floats
+    body: Floats
+    body_joint: Floats
+    joint_state: Floats
+    friction_heat: Floats
     ripple_index: Ints
     ripple: Floats
     leak_index: Ints
@@ -248,6 +267,13 @@ def pack(
         chamber=lanes([m.chamber for m in models]),
         chamber_state=np.zeros((chambers, 2, w)),
         chamber_work=np.zeros((chambers, L.CHAMBER_ROWS, w)),
+        cylinder=lanes([m.cylinder for m in models]),
+        cylinder_state=np.zeros((len(plan.cylinders), L.CYLINDER_STATE, w)),
+        cylinder_work=np.zeros((len(plan.cylinders), L.CYLINDER_WORK, w)),
+        body=lanes([m.body for m in models]),
+        body_joint=lanes([m.joint for m in models]),
+        joint_state=np.zeros((len(plan.joints), L.JOINT_STATE, w)),
+        friction_heat=np.zeros((len(plan.bodies), w)),
         ripple_index=np.array(ripple_of, dtype=np.int64),
         ripple=ripple,
         leak_index=leak_index,
@@ -277,6 +303,77 @@ def forget(tile: Tile) -> None:
     tile.work[L.W_STAY] = 1.0 / np.maximum(tile.cell[L.RELAX], 1e-12)
     tile.reservoir[:] = lanes([m.reservoir for m in tile.models])
     tile.reservoir_p[:] = tile.reservoir[:, L.R_PRESSURE]
+    if tile.plan.cylinders:
+        place_joints(tile, tile.body_joint[:, L.PJ_START], 0.0)
+
+
+def place_joints(tile: Tile, position: Floats, velocity: Floats | float) -> None:
+    """Sets bodies and the pistons that move them; those that move none stand where they start.
+
+    Args:
+        tile: The batch.
+        position: (n_joints, lanes) rad or m.
+        velocity: (n_joints, lanes) per second.
+    """
+    rigs = tile.free
+    tile.joint_state[:, L.SJ_POSITION] = position
+    tile.joint_state[:, L.SJ_VELOCITY] = velocity
+    tile.joint_state[:, L.SJ_PUSH] = 0.0
+    tile.cylinder_state[:] = 0.0
+    tile.cylinder_state[:, L.SY_EXTENSION] = tile.cylinder[:, L.PY_START]
+    kernel.stand(rigs.bodies, rigs.cylinders)
+    kernel.count_cells(tile.lanes, rigs.cylinders)
+    kernel.settle(rigs.cells, rigs.chambers, rigs.cylinders)
+    for j, model in enumerate(tile.models):
+        check_extensions(model, tile.cylinder_state[:, L.SY_EXTENSION, j])
+
+
+def rearrange(tile: Tile, position: Floats, velocity: Floats) -> None:
+    """Moves bodies and their pistons elsewhere; gas keeps its pressure and temperature.
+
+    Args:
+        tile: The batch.
+        position: (n_joints, lanes) rad or m.
+        velocity: (n_joints, lanes) per second.
+    """
+    plan = tile.plan
+    mass, energy = tile.chamber_state[:, 0].copy(), tile.chamber_state[:, 1].copy()
+    before = tile.chamber[:, L.C_VOLUME].copy()
+    place_joints(tile, position, velocity)
+    grown = tile.chamber[:, L.C_VOLUME] / before
+    tile.chamber_state[:, 0] = mass * grown
+    tile.chamber_state[:, 1] = energy * grown
+    for row in plan.cylinder:
+        for side in range(2):
+            kind, first, most = row[L.COLUMNS_PER_SIDE * side : L.COLUMNS_PER_SIDE * (side + 1)]
+            if kind == L.GAS_CELLS:
+                # at rest, all of it as beside its way in
+                slots = slice(first - 1, first + most + 1)
+                density, _, pressure = gas_in(tile, slice(first, first + 1))
+                shape = (most + 2, tile.lanes)
+                hold_gas(
+                    tile,
+                    slots,
+                    np.broadcast_to(density, shape),
+                    np.zeros(shape),
+                    np.broadcast_to(pressure, shape),
+                )
+
+
+def check_extensions(model: Model, extension: Floats) -> None:
+    """Raises InputError where a cylinder stands beyond its stroke.
+
+    Args:
+        model: The rig.
+        extension: (n_cylinders,) where each stands, m.
+    """
+    for k, name in enumerate(model.plan.cylinders):
+        stroke = model.cylinder[k, L.PY_STROKE]
+        if not -SLIPPED_M <= extension[k] <= stroke + SLIPPED_M:
+            raise InputError(
+                f"cylinders.{name}: found an extension of {extension[k]:.6g}, driven past its"
+                f" stroke; allowed is 0 to {stroke:g}"
+            )
 
 
 def fill_pipes(
@@ -431,6 +528,10 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
             tile.ripple,
         ),
         kernel.Chambers(tile.chamber, tile.chamber_state, tile.chamber_work),
+        kernel.Cylinders(
+            plan.cylinder, plan.moves, tile.cylinder, tile.cylinder_state, tile.cylinder_work
+        ),
+        _bodies(tile),
         (
             kernel.Term(tile.leak_index, tile.leak, tile.ambient),
             *(kernel.Term(index, par, tile.ambient) for index, par in tile.own),
@@ -450,6 +551,31 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
             watch.error,
             watch.readings_pa,
         ),
+    )
+
+
+def _bodies(tile: Tile) -> kernel.Bodies:
+    """Bodies of a batch, with scratch for the equations of the largest."""
+    plan = tile.plan
+    n = int(plan.body[:, L.B_JOINTS].max(initial=1))
+    places = int(plan.body[:, L.B_PLACES].max(initial=1))
+    return kernel.Bodies(
+        plan.body,
+        plan.driven_by,
+        tile.body,
+        tile.body_joint,
+        tile.joint_state,
+        tile.friction_heat,
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros((n, n)),
+        np.zeros(places),
+        np.zeros((places, n)),
+        np.zeros((n + places, n)),
+        np.zeros((n + places, n)),
+        np.zeros(n + places),
+        np.zeros(n + places),
     )
 
 
@@ -481,7 +607,13 @@ def advance(
     intervals, knots, ports, w = opening.shape
     out = Series.empty(tile.plan, intervals + 1, tile.lanes)
     record = kernel.Record(
-        out.taps, out.flows, out.chambers, np.zeros((0, w)) if fastest is None else fastest
+        out.taps,
+        out.flows,
+        out.chambers,
+        out.temperatures,
+        out.cylinders,
+        out.joints,
+        np.zeros((0, w)) if fastest is None else fastest,
     )
     rigs, step = (tile.free, 0) if watch is None else (arrays(tile, watch), watch.step)
     clock = kernel.Clock(intervals + 1, n_sub, dt_s, knots - 1, tile.clock, step, closing)
@@ -542,6 +674,7 @@ def advance_safely(tile: Tile, n_sub: int, dt_s: float, opening: Floats) -> Seri
 def _wrong(part: Series, courant: Floats) -> NDArray[np.bool_]:
     """(intervals, lanes) which became too fast for their step, or no numbers, being so before."""
     fine = np.isfinite(part.taps).all(axis=1) & np.isfinite(courant)
+    fine &= np.isfinite(part.joints).all(axis=(1, 2))
     return np.asarray(fine[:-1] & ~(fine & (courant <= 1.0))[1:])
 
 

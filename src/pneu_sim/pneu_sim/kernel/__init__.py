@@ -7,9 +7,11 @@ Read `advance` first: it is the list of passes. `arrays` says what they work on.
 from pneu_sim.kernel.advance import WALL_EVERY as WALL_EVERY
 from pneu_sim.kernel.advance import advance as advance
 from pneu_sim.kernel.advance import advancing as advancing
+from pneu_sim.kernel.arrays import Bodies as Bodies
 from pneu_sim.kernel.arrays import Cells as Cells
 from pneu_sim.kernel.arrays import Chambers as Chambers
 from pneu_sim.kernel.arrays import Clock as Clock
+from pneu_sim.kernel.arrays import Cylinders as Cylinders
 from pneu_sim.kernel.arrays import Ends as Ends
 from pneu_sim.kernel.arrays import Gas as Gas
 from pneu_sim.kernel.arrays import Ports as Ports
@@ -20,9 +22,13 @@ from pneu_sim.kernel.arrays import Scheme as Scheme
 from pneu_sim.kernel.arrays import Steps as Steps
 from pneu_sim.kernel.arrays import Taps as Taps
 from pneu_sim.kernel.arrays import Term as Term
+from pneu_sim.kernel.bodies import stand as stand
 from pneu_sim.kernel.chambers import chamber_pressure as chamber_pressure
 from pneu_sim.kernel.ends import vessel_state as vessel_state
 from pneu_sim.kernel.faces import at_face as at_face
 from pneu_sim.kernel.leaks import leak_flow as leak_flow
 from pneu_sim.kernel.orifices import iso6358_flow as iso6358_flow
 from pneu_sim.kernel.orifices import orifice_flow as orifice_flow
+from pneu_sim.kernel.pistons import count_cells as count_cells
+from pneu_sim.kernel.pistons import settle as settle
+from pneu_sim.kernel.pistons import wall_pressure as wall_pressure

@@ -14,6 +14,7 @@ from typing import Any
 
 from pneu_sim import layout as L
 from pneu_sim.compiling import branching, uncached
+from pneu_sim.kernel.bodies import foresee, move
 from pneu_sim.kernel.chambers import find_chambers, find_middle, heat_chambers
 from pneu_sim.kernel.ends import cross_ends, fill_ghosts, join, mirror_faces
 from pneu_sim.kernel.faces import (
@@ -32,8 +33,25 @@ from pneu_sim.kernel.lines import (
     take_gas,
     widen_faces,
 )
+from pneu_sim.kernel.pistons import (
+    fill_piston_ghosts,
+    leak_past,
+    make_room,
+    open_cushions,
+    press,
+    reshape,
+    settle,
+    squeeze,
+    work_on_gas,
+)
 from pneu_sim.kernel.ports import cross_ports, open_ports
-from pneu_sim.kernel.recording import correct, find_fastest, read, write_down
+from pneu_sim.kernel.recording import (
+    correct,
+    find_fastest,
+    read,
+    write_down,
+    write_down_motion,
+)
 from pneu_sim.kernel.reservoirs import supply
 from pneu_sim.kernel.terms import act as act_terms
 from pneu_sim.kernel.terms import acting
@@ -104,8 +122,24 @@ def advance(rigs, clock, opening, record):
             interval are its own.
         record: What is written down at every sample, a `Record`.
     """
-    gas, scheme, cells, steps, ends, ports, reservoirs, chambers, terms, taps = rigs
+    (
+        gas,
+        scheme,
+        cells,
+        steps,
+        ends,
+        ports,
+        reservoirs,
+        chambers,
+        cylinders,
+        bodies,
+        terms,
+        taps,
+    ) = rigs
     dt, order = clock.dt, scheme.order
+    pistons = cylinders.table.shape[0] > 0
+    if pistons:
+        settle(cells, chambers, cylinders)
     reading = taps.time.shape[1] > 0
     corrected = True  # the state may have been set
     for k in range(clock.samples):
@@ -123,6 +157,8 @@ def advance(rigs, clock, opening, record):
                 corrected = read(clock.watched + step, cells, chambers, taps)
             if s == 0:
                 write_down(k, cells, ports, chambers, taps, record)
+                if pistons:
+                    write_down_motion(k, cylinders, bodies, record)
                 if record.fastest.shape[0] > 0:
                     find_fastest(k, cells, record)
                 if last:
@@ -131,23 +167,37 @@ def advance(rigs, clock, opening, record):
                     break
             at = (s + 0.5) / clock.steps * clock.knots
             open_ports(k * (clock.knots + 1) + int(at), at - int(at), opening, ports)
+            if pistons:
+                open_cushions(ports, cylinders)
+                foresee(dt, bodies, cylinders)
             if reservoirs.ripple_of.size > 0:
                 supply(step, dt, clock.lanes, reservoirs)
             if scheme.joints:
                 join(gas, 1, cells, ends)
             vessels = order == 2 or s == clock.steps - 1 or reading
             fill_ghosts(gas, vessels, cells, ends, reservoirs, chambers)
+            if pistons:
+                fill_piston_ghosts(gas, cells, cylinders)
             _find_faces(gas, scheme, dt, cells, steps, ends)
+            if pistons and order == 2:
+                reshape(gas, scheme.limiter == L.VAN_LEER, dt, cells, cylinders)
             cross(gas, scheme, cells)
             cross_steps(gas, scheme, dt, cells, steps)
             if scheme.joints and order == 2:
                 join(gas, 2, cells, ends)
             cross_ports(gas, order, cells, ends, ports, reservoirs, chambers)
-            find_middle(gas, order, dt, cells, ends, chambers)
+            find_middle(gas, order, dt, cells, ends, ports, chambers, cylinders)
             cross_ends(gas, order, dt, cells, ends, ports, reservoirs, chambers)
+            if pistons:
+                press(gas, order, dt, cells, chambers, cylinders)
+                move(dt, bodies, cylinders)
+                work_on_gas(dt, cells, chambers, cylinders)
+                leak_past(gas, dt, cells, chambers, cylinders)
             heat_chambers(gas, dt, chambers)
             act_terms(gas, dt, cells, chambers, terms)
             _conserve(dt, scheme, cells)
+            if pistons:
+                make_room(cells, chambers, cylinders)
             _act_of_walls(gas, scheme, dt, s, cells)
             if corrected:
                 correct(cells, chambers, taps)

@@ -146,6 +146,64 @@ class Chambers(NamedTuple):
     work: Floats
 
 
+class Cylinders(NamedTuple):
+    """Pistons between two gases.
+
+    Attributes:
+        table: (n_cylinders, CYLINDER_COLUMNS) what holds the gas of each side.
+        moves: (n_cylinders,) body that each moves, or -1.
+        par: (n_cylinders, CYLINDER_PARAMS, lanes).
+        state: (n_cylinders, CYLINDER_STATE, lanes) where they stand.
+        work: (n_cylinders, CYLINDER_WORK, lanes) what passes hand on to one another.
+    """
+
+    table: Ints
+    moves: Ints
+    par: Floats
+    state: Floats
+    work: Floats
+
+
+class Bodies(NamedTuple):
+    """What pistons move, and scratch for the equations of one body.
+
+    Attributes:
+        table: (n_bodies, BODY_COLUMNS).
+        driven_by: (places,) cylinders that take hold of them, body by body.
+        par: (n_bodies, BODY_PARAMS, lanes) numbers of each kind.
+        joint: (n_joints, JOINT_PARAMS, lanes).
+        state: (n_joints, JOINT_STATE, lanes).
+        heat: (n_bodies, lanes) what friction and damping made since the beginning, J.
+        q: (joints,) scratch, positions.
+        v: (joints,) velocities.
+        force: (joints,) forces, then accelerations.
+        mass: (joints, joints) mass matrix, then its factor.
+        x: (cylinders,) extensions.
+        lever: (cylinders, joints) their growth per motion of joints.
+        along: (rows, joints) directions in which dry friction acts.
+        answer: (rows, joints) velocity per impulse along those.
+        most: (rows,) greatest impulses.
+        impulse: (rows,) impulses.
+    """
+
+    table: Ints
+    driven_by: Ints
+    par: Floats
+    joint: Floats
+    state: Floats
+    heat: Floats
+    q: Floats
+    v: Floats
+    force: Floats
+    mass: Floats
+    x: Floats
+    lever: Floats
+    along: Floats
+    answer: Floats
+    most: Floats
+    impulse: Floats
+
+
 class Term(NamedTuple):
     """What a term of the equations acts on.
 
@@ -206,6 +264,8 @@ class Rigs(NamedTuple):
     ports: Ports
     reservoirs: Reservoirs
     chambers: Chambers
+    cylinders: Cylinders
+    bodies: Bodies
     terms: tuple[Term, ...]
     taps: Taps
 
@@ -239,6 +299,9 @@ class Record(NamedTuple):
         taps: (samples, n_taps, lanes) pressures, Pa.
         flows: (samples, n_ports, lanes) kg/s.
         chambers: (samples, n_chambers, lanes) pressures, Pa.
+        temperatures: (samples, n_chambers, lanes) K.
+        cylinders: (samples, n_cylinders, 3, lanes) extension, speed, and force of gas and room.
+        joints: (samples, n_joints, 2, lanes) positions and velocities.
         fastest: (samples, lanes) cells that the fastest wave crosses, 1/s; no samples where nobody
             asks.
     """
@@ -246,4 +309,7 @@ class Record(NamedTuple):
     taps: Floats
     flows: Floats
     chambers: Floats
+    temperatures: Floats
+    cylinders: Floats
+    joints: Floats
     fastest: Floats

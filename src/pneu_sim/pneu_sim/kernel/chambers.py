@@ -6,6 +6,7 @@ import math
 from pneu_sim import layout as L
 from pneu_sim.compiling import branching, folded
 from pneu_sim.kernel.ends import face_state
+from pneu_sim.kernel.pistons import squeeze
 
 
 @folded
@@ -44,7 +45,7 @@ def find_chambers(gas, chambers):
 
 
 @branching
-def find_middle(gas, order, dt, cells, ends, chambers):
+def find_middle(gas, order, dt, cells, ends, ports, chambers, cylinders):
     """Pressure of every chamber at the middle of the step, implicit in what its pipes bring.
 
     With the pressure at the step's beginning instead, a chamber would feed an oscillation.
@@ -55,7 +56,9 @@ def find_middle(gas, order, dt, cells, ends, chambers):
         dt: Step, s.
         cells: All slots.
         ends: Ends of pipes.
+        ports: Ports, with the flows of this step.
         chambers: Chambers.
+        cylinders: Cylinders, with the speeds foreseen.
     """
     w, par, work, gamma = cells.lanes, chambers.par, chambers.work, gas.gamma
     for c in range(work.shape[0]):
@@ -76,6 +79,8 @@ def find_middle(gas, order, dt, cells, ends, chambers):
                 k = 0.5 * dt * gamma * q * a / (z * vol)
                 work[c, L.H_MIDDLE, j] += k * (p + z * v)
                 work[c, L.H_WEIGHT, j] += k
+    if cylinders.table.shape[0] > 0:
+        squeeze(gas, dt, ports, chambers, cylinders)
     for c in range(work.shape[0]):
         for j in range(w):
             work[c, L.H_MIDDLE, j] = max(

@@ -20,7 +20,7 @@ def _at_tap(t, j, cells, chambers, taps):
 
 @branching
 def write_down(k, cells, ports, chambers, taps, record):
-    """Pressures at taps and in chambers, and flows of ports, as sample k.
+    """Pressures at taps, pressures and temperatures in chambers, and flows of ports, as sample k.
 
     Args:
         k: Number of the sample.
@@ -37,6 +37,27 @@ def write_down(k, cells, ports, chambers, taps, record):
             record.flows[k, q, j] = ports.flow[q, 0, j]
         for c in range(record.chambers.shape[1]):
             record.chambers[k, c, j] = chambers.work[c, L.H_PRESSURE, j]
+            record.temperatures[k, c, j] = chambers.work[c, L.H_TEMPERATURE, j]
+
+
+@branching
+def write_down_motion(k, cylinders, bodies, record):
+    """Where pistons and joints are, and how fast they move, as sample k.
+
+    Args:
+        k: Number of the sample.
+        cylinders: Cylinders.
+        bodies: Bodies.
+        record: Where to.
+    """
+    for j in range(cylinders.state.shape[2]):
+        for q in range(record.cylinders.shape[1]):
+            record.cylinders[k, q, 0, j] = cylinders.state[q, L.SY_EXTENSION, j]
+            record.cylinders[k, q, 1, j] = cylinders.state[q, L.SY_SPEED, j]
+            record.cylinders[k, q, 2, j] = cylinders.state[q, L.SY_FORCE, j]
+        for q in range(record.joints.shape[1]):
+            record.joints[k, q, 0, j] = bodies.state[q, L.SJ_POSITION, j]
+            record.joints[k, q, 1, j] = bodies.state[q, L.SJ_VELOCITY, j]
 
 
 @branching

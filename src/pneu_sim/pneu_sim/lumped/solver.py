@@ -137,6 +137,7 @@ class LumpedSolver(Solver):
         if goals_pa is None:
             goals_pa = np.zeros((self.lanes, 0, len(self.plan.taps)))
         out = Series.empty(self.plan, len(opening) + 1, self.lanes)
+        out.temperatures.fill(math.nan)
         advance_volumes(
             self._rigs, self._shares, self._scratch, steps, step_s, np.ascontiguousarray(opening),
             Goals(goals_pa, self._pull_1_s), out.taps, out.flows, out.chambers,

@@ -11,7 +11,9 @@ from pneu_sim import layout as L
 from pneu_sim.effects import apply_to_model, apply_to_rig
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.rig.cells import spread
+from pneu_sim.rig.expand import with_cylinders
 from pneu_sim.rig.lines import cells_of
+from pneu_sim.rig.mechanics import body_rows, cylinder_rows
 from pneu_sim.rig.model import CURVE_POINTS, SENSOR_COLUMNS, VALVE_COLUMNS, Model
 from pneu_sim.rig.opening import opening_at
 from pneu_sim.rig.plan import Plan, plan_grid
@@ -52,6 +54,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
     """
     rig = apply_to_rig(rig)
     plan = plan or plan_grid(rig)
+    rig = with_cylinders(rig)
     cell = cells_of(rig, plan, gas)
     end_area = cell[L.FACE, plan.ends[:, L.E_FACE]]
     for e in range(plan.ends.shape[0]):
@@ -62,6 +65,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
     leaks, porous, reliefs = _vents(rig, plan, gas)
     port, curve, curve_v, spool = _ports(rig, plan)
     tap_slot, tap_weight, sensor = _taps(rig, plan)
+    body, joint = body_rows(rig)
     model = Model(
         plan=plan,
         gas=gas,
@@ -69,6 +73,9 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         port=port,
         reservoir=_reservoirs(rig),
         chamber=_chambers(rig),
+        cylinder=cylinder_rows(rig),
+        body=body,
+        joint=joint,
         leaks=leaks,
         porous=porous,
         reliefs=reliefs,

@@ -54,6 +54,9 @@ class Model:
         port: (n_ports, PORT_PARAMS).
         reservoir: (n_reservoirs, RESERVOIR_PARAMS).
         chamber: (n_chambers, CHAMBER_PARAMS).
+        cylinder: (n_cylinders, CYLINDER_PARAMS).
+        body: (n_bodies, BODY_PARAMS).
+        joint: (n_joints, JOINT_PARAMS).
         leaks: Slot, or -1 - chamber, to effective area, m^2.
         porous: The same to the flow of porous leaks over p^2 - p_room^2, kg/(s Pa^2).
         reliefs: The same to relief valves: effective area m^2, set pressure and range, Pa.
@@ -79,6 +82,9 @@ class Model:
     port: Floats
     reservoir: Floats
     chamber: Floats
+    cylinder: Floats
+    body: Floats
+    joint: Floats
     leaks: dict[int, float]
     porous: dict[int, float]
     reliefs: dict[int, list[tuple[float, float, float]]]

@@ -10,6 +10,13 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim import layout as L
+from pneu_sim.rig.expand import with_cylinders
+from pneu_sim.rig.mechanics import (
+    lay_bodies,
+    lay_cylinders,
+    shortest_of_cylinders,
+    slice_of,
+)
 from pneu_sim.rig.network import port_ends
 from pneu_sim.rig.schema import CLOSED, Rig
 
@@ -35,6 +42,13 @@ class Plan:
         valves: Names.
         commands: Command of each valve.
         taps: Names.
+        cylinders: Names.
+        cylinder: (n_cylinders, CYLINDER_COLUMNS) what holds the gas of each, see ``layout``.
+        moves: (n_cylinders,) body that each moves, or -1.
+        bodies: Names.
+        body: (n_bodies, BODY_COLUMNS), see ``layout``.
+        driven_by: (places,) cylinders that take hold of bodies, body by body.
+        joints: Names.
         dt_s: Largest time step.
     """
 
@@ -49,6 +63,13 @@ class Plan:
     valves: list[str]
     commands: list[str]
     taps: list[str]
+    cylinders: list[str]
+    cylinder: Ints
+    moves: Ints
+    bodies: list[str]
+    body: Ints
+    driven_by: Ints
+    joints: list[str]
     dt_s: float
 
 
@@ -64,6 +85,7 @@ def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
         InputError: The rig asks for a time step above the stable limit, or for more cells or
             steps than any run could be waited for.
     """
+    rig = with_cylinders(rig)
     scale = 1.0 if dx_m is None else dx_m / rig.grid.dx_m
     pipes: dict[str, tuple[int, int]] = {}
     slot = 0
@@ -73,6 +95,10 @@ def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
         pipes[name] = (slot + 1, cells)
         slot += cells + 2
         shortest = min(shortest, pipe.length_m / cells)
+    slot = max(slot, 3)  # passes over slots have some, if only ghosts
+    shortest = min(shortest, shortest_of_cylinders(rig))
+    if not math.isfinite(shortest):
+        shortest = rig.grid.dx_m * scale  # vessels alone
     if slot > MOST_CELLS:
         raise InputError(
             f"grid.dx_m: found {rig.grid.dx_m * scale:g} m, which makes {slot:.2g} cells; allowed"
@@ -152,6 +178,10 @@ def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
                 f" {rig.grid.wave_speed_m_s:g} m/s)"
             )
         dt = rig.grid.dt_s
+    body, driven_by, joints = lay_bodies(rig)
+    moves = np.full(len(rig.cylinders), -1, dtype=np.int64)
+    for b in range(len(body)):
+        moves[driven_by[slice_of(body[b])]] = b
     return Plan(
         pipes=pipes,
         slots=slot,
@@ -164,6 +194,13 @@ def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
         valves=list(rig.valves),
         commands=[valve.command for valve in rig.valves.values()],
         taps=list(rig.taps),
+        cylinders=list(rig.cylinders),
+        cylinder=lay_cylinders(rig, pipes, names),
+        moves=moves,
+        bodies=list(rig.bodies),
+        body=body,
+        driven_by=driven_by,
+        joints=joints,
         dt_s=dt,
     )
 

@@ -11,9 +11,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
+from pneu_sim.bodies.kinds import AnyBody
 from pneu_sim.channels import Channel, TextFormat
-from pneu_sim.rig.kinds import checked
 from pneu_sim.parts import Finite, NonNegative, Part, Positive, Ratio
+from pneu_sim.rig.cylinder import Cylinder
+from pneu_sim.rig.kinds import checked
 
 SCHEMA_VERSION = 1
 CLOSED = "closed"
@@ -592,6 +594,8 @@ class Rig(Part):
         pipes: Lines between nodes.
         reservoirs: Sources and sinks of constant state.
         chambers: Well-mixed volumes.
+        cylinders: Pistons between two gases.
+        bodies: What cylinders move; one that moves nothing is locked.
         valves: Spools and the ports they open.
         orifices: Fixed restrictions.
         commands: What the valves follow.
@@ -611,13 +615,15 @@ class Rig(Part):
     lumped: Lumped = Lumped()
     grid: Grid = Grid()
     ambient: Ambient = Ambient()
-    pipes: dict[str, Pipe] = Field(min_length=1)
+    pipes: dict[str, Pipe] = {}
     reservoirs: dict[str, Reservoir] = {}
     chambers: dict[str, Chamber] = {}
+    cylinders: dict[str, Cylinder] = {}
+    bodies: dict[str, AnyBody] = {}
     valves: dict[str, Valve] = {}
     orifices: dict[str, Orifice] = {}
     commands: dict[str, Command] = {}
-    taps: dict[str, Tap] = Field(min_length=1)
+    taps: dict[str, Tap] = {}
     text: TextFormat | None = None
     rate_hz: Positive | None = None
     effects: list[AttachedEffect] = []
@@ -642,6 +648,11 @@ def check_network(rig: Rig) -> None:
     Args:
         rig: The rig.
     """
+    if not (rig.pipes or rig.chambers or rig.cylinders):
+        raise ValueError("pipes: found none, and no chambers or cylinders; there is no gas")
+    if not (rig.taps or rig.bodies):
+        raise ValueError("taps: found none, and no bodies; there is nothing to see")
+    vessels = _check_cylinders(rig)
     ends: dict[str, int] = {}
     for name, pipe in rig.pipes.items():
         for node in (pipe.from_node, pipe.to_node):
@@ -673,12 +684,14 @@ def check_network(rig: Rig) -> None:
         for node in (path.from_node, path.to_node):
             ports[node] = ports.get(node, 0) + 1
             if node == CLOSED or not (
-                node in ends or node in rig.reservoirs or node in rig.chambers
+                node in ends or node in rig.reservoirs or node in vessels
             ):
-                raise ValueError(f"{where}: node {node!r} is no pipe end, reservoir or chamber")
+                raise ValueError(
+                    f"{where}: node {node!r} is no pipe end, reservoir, chamber or cylinder side"
+                )
     for name, pipe in rig.pipes.items():
         for node in (pipe.from_node, pipe.to_node):
-            fixed = node == CLOSED or node in rig.reservoirs or node in rig.chambers
+            fixed = node == CLOSED or node in rig.reservoirs or node in vessels
             if not fixed and ends[node] == 1 and node not in ports:
                 raise ValueError(
                     f"pipes.{name}: its end at node {node!r} is unconnected; name a reservoir, a"
@@ -713,7 +726,7 @@ def check_network(rig: Rig) -> None:
                 )
             if port.model == "effective_area":
                 for node in (port.from_node, port.to_node):
-                    if node in rig.reservoirs or node in rig.chambers:
+                    if node in rig.reservoirs or node in vessels:
                         raise ValueError(
                             f"valves.{name}.ports.{p}: model effective_area needs a pipe at"
                             f" {node!r}"
@@ -729,8 +742,46 @@ def check_network(rig: Rig) -> None:
                     f"taps.{name}.position_m: {tap.position_m} lies beyond the pipe's length"
                     f" {rig.pipes[tap.pipe].length_m}"
                 )
-        elif tap.chamber not in rig.chambers:
+        elif tap.chamber not in vessels:
             raise ValueError(
-                f"taps.{name}.chamber: {tap.chamber!r} is not among chambers"
-                f" ({', '.join(rig.chambers) or 'none declared'})"
+                f"taps.{name}.chamber: {tap.chamber!r} is not among chambers and nodes of cylinders"
+                f" ({', '.join(vessels) or 'none declared'})"
             )
+
+
+def _check_cylinders(rig: Rig) -> list[str]:
+    """Raises ValueError where cylinders and bodies do not fit; returns all nodes with a vessel."""
+    vessels = list(rig.chambers)
+    for name, cylinder in rig.cylinders.items():
+        for side_name, side in cylinder.sides.items():
+            where = f"cylinders.{name}.{side_name}.node"
+            if side.node in rig.reservoirs or side.node in rig.chambers:
+                raise ValueError(
+                    f"{where}: {side.node!r} is a reservoir or a chamber; a side is a vessel of its"
+                    " own"
+                )
+            if side.node == CLOSED:
+                continue
+            if side.node in vessels:
+                raise ValueError(f"{where}: {side.node!r} is the node of another side already")
+            vessels.append(side.node)
+            meets = [p for p in rig.pipes.values() if side.node in (p.from_node, p.to_node)]
+            if side.port_conductance_m3_s_pa is not None and len(meets) != 1:
+                raise ValueError(
+                    f"{where}: {side.node!r} needs one pipe that ends there, since it has a port"
+                    f" that throttles; found {len(meets)}"
+                )
+    users: dict[str, str] = {}
+    for name, body in rig.bodies.items():
+        for used in body.driven_by:
+            if used not in rig.cylinders:
+                raise ValueError(
+                    f"bodies.{name}: {used!r} is not among cylinders"
+                    f" ({', '.join(rig.cylinders) or 'none declared'})"
+                )
+            if used in users:
+                raise ValueError(
+                    f"bodies.{name}: cylinder {used!r} moves {users[used]!r} already"
+                )
+            users[used] = name
+    return vessels

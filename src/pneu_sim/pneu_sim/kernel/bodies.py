@@ -1,0 +1,338 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bodies that pistons move: equations of motion, dry friction that sticks, and stops.
+
+A step is the midpoint rule, second order: forces are those at the middle of the step, of the gas
+(`pistons.press`) and of positions and velocities foreseen there. Damping and springs are implicit.
+Dry friction is an impulse that takes the velocity of a joint or piston away, as far as it reaches
+(projected Gauss-Seidel; Stewart and Trinkle 1996). What a body gains is force times way.
+"""
+
+import math
+
+from pneu_sim import layout as L
+from pneu_sim.bodies.kinds import levers, mechanics
+from pneu_sim.compiling import branching, folded
+
+SWEEPS = 12
+"""Of Gauss-Seidel, for bodies of several joints; one joint needs two."""
+AT_REST = 1e-7
+"""Speed, m/s or rad/s, below which seals hold as at rest."""
+
+
+@folded
+def _middle(b, j, dt, bodies, share):
+    """Positions and velocities some share of a step on, as the last step's forces have them."""
+    first, n = bodies.table[b, L.B_JOINT], bodies.table[b, L.B_JOINTS]
+    for i in range(n):
+        x = bodies.state[first + i, L.SJ_POSITION, j]
+        v = bodies.state[first + i, L.SJ_VELOCITY, j]
+        a = bodies.state[first + i, L.SJ_PUSH, j]
+        h = share * dt
+        bodies.q[i] = x + h * (v + 0.5 * h * a)
+        bodies.v[i] = v + h * a
+
+
+@branching
+def foresee(dt, bodies, cylinders):
+    """Speed that every piston has at the middle of the step, as far as the last step tells.
+
+    Args:
+        dt: Step, s.
+        bodies: Bodies.
+        cylinders: Cylinders; those that move no body keep the speed that they are told.
+    """
+    for k in range(cylinders.table.shape[0]):
+        for j in range(cylinders.work.shape[2]):
+            cylinders.work[k, L.WY_SPEED, j] = cylinders.state[k, L.SY_SPEED, j]
+    for b in range(bodies.table.shape[0]):
+        kind, n = bodies.table[b, L.B_KIND], bodies.table[b, L.B_JOINTS]
+        place, places = bodies.table[b, L.B_PLACE], bodies.table[b, L.B_PLACES]
+        for j in range(bodies.state.shape[2]):
+            _middle(b, j, dt, bodies, 0.5)
+            levers(kind, bodies.par, b, j, bodies.q, bodies.x, bodies.lever)
+            for c in range(places):
+                speed = 0.0
+                for i in range(n):
+                    speed += bodies.lever[c, i] * bodies.v[i]
+                cylinders.work[bodies.driven_by[place + c], L.WY_SPEED, j] = speed
+
+
+@folded
+def _grip(k, j, speed, cylinders):
+    """How hard the seals of a cylinder hold, N."""
+    par, work = cylinders.par, cylinders.work
+    gauge = 0.5 * (work[k, L.WY_FACE, j] + work[k, L.WY_FACE_ROD, j]) - par[k, L.PY_ROOM_P, j]
+    grip = par[k, L.PY_COULOMB, j] + par[k, L.PY_PER_PA, j] * max(gauge, 0.0)
+    more = par[k, L.PY_BREAKAWAY, j]
+    if more > 0.0:
+        x = speed / par[k, L.PY_STRIBECK, j]
+        grip += more if abs(speed) < AT_REST else more * math.exp(-x * x)
+    return grip
+
+
+@folded
+def _stop(x, v, lower, upper, stiffness, damping):
+    """Force of two stops, away from them only: they do not pull."""
+    if x < lower:
+        return max(stiffness * (lower - x) - damping * v, 0.0)
+    if x > upper:
+        return min(stiffness * (upper - x) - damping * v, 0.0)
+    return 0.0
+
+
+@folded
+def _load_joints(b, j, dt, bodies):
+    """Add stops and damping of joints to the equations; a joint that is held is taken out."""
+    first, n = bodies.table[b, L.B_JOINT], bodies.table[b, L.B_JOINTS]
+    par, mass, force = bodies.joint, bodies.mass, bodies.force
+    for i in range(n):
+        p = first + i
+        v = bodies.state[p, L.SJ_VELOCITY, j]
+        force[i] += _stop(
+            bodies.q[i],
+            bodies.v[i],
+            par[p, L.PJ_LOWER, j],
+            par[p, L.PJ_UPPER, j],
+            par[p, L.PJ_STOP, j],
+            par[p, L.PJ_STOP_DAMPING, j],
+        )
+        damping = par[p, L.PJ_DAMPING, j]
+        force[i] -= damping * v
+        mass[i, i] += 0.5 * dt * damping
+
+
+@folded
+def _load_cylinder(k, c, b, j, dt, bodies, cylinders):
+    """Add gas, spring, stops and viscous friction of a cylinder to the equations of its body."""
+    first, n = bodies.table[b, L.B_JOINT], bodies.table[b, L.B_JOINTS]
+    par, lever = cylinders.par, bodies.lever
+    x = bodies.x[c]
+    speed = now = 0.0
+    for i in range(n):
+        speed += lever[c, i] * bodies.v[i]
+        now += lever[c, i] * bodies.state[first + i, L.SJ_VELOCITY, j]
+    push = cylinders.state[k, L.SY_FORCE, j]
+    push += _stop(
+        x,
+        speed,
+        0.0,
+        par[k, L.PY_STROKE, j],
+        par[k, L.PY_STOP, j],
+        par[k, L.PY_STOP_DAMPING, j],
+    )
+    rate = par[k, L.PY_SPRING, j]
+    # implicit: the mean of the spring's force before and after is that at the mean position
+    at = cylinders.state[k, L.SY_EXTENSION, j] + 0.5 * dt * now
+    push -= par[k, L.PY_PRELOAD, j] + rate * at
+    viscous = par[k, L.PY_VISCOUS, j]
+    push -= viscous * now
+    stiff = 0.5 * dt * viscous + 0.25 * dt * dt * rate
+    for i in range(n):
+        bodies.force[i] += lever[c, i] * push
+        if stiff > 0.0:
+            for m in range(n):
+                bodies.mass[i, m] += stiff * lever[c, i] * lever[c, m]
+
+
+@folded
+def _take_out_held(b, j, bodies):
+    """Leave joints that are held out of the equations."""
+    first, n = bodies.table[b, L.B_JOINT], bodies.table[b, L.B_JOINTS]
+    for i in range(n):
+        if bodies.joint[first + i, L.PJ_HELD, j] > 0.0:
+            for m in range(n):
+                bodies.mass[i, m] = 0.0
+                bodies.mass[m, i] = 0.0
+            bodies.mass[i, i] = 1.0
+            bodies.force[i] = 0.0
+
+
+@folded
+def _factor(n, mass):
+    """Cholesky factor of the mass matrix, in its lower triangle."""
+    for i in range(n):
+        for m in range(i + 1):
+            s = mass[i, m]
+            for k in range(m):
+                s -= mass[i, k] * mass[m, k]
+            mass[i, m] = math.sqrt(s) if i == m else s / mass[m, m]
+
+
+@folded
+def _solve(n, factor, x):
+    """Solve for a vector in place, by a Cholesky factor."""
+    for i in range(n):
+        s = x[i]
+        for k in range(i):
+            s -= factor[i, k] * x[k]
+        x[i] = s / factor[i, i]
+    for back in range(n):
+        i = n - 1 - back
+        s = x[i]
+        for k in range(i + 1, n):
+            s -= factor[k, i] * x[k]
+        x[i] = s / factor[i, i]
+
+
+@folded
+def _grips(b, j, dt, bodies, cylinders):
+    """Directions in which dry friction acts, and its most impulse; returns how many there are."""
+    first, n = bodies.table[b, L.B_JOINT], bodies.table[b, L.B_JOINTS]
+    place, places = bodies.table[b, L.B_PLACE], bodies.table[b, L.B_PLACES]
+    rows = 0
+    for c in range(places):
+        k = bodies.driven_by[place + c]
+        speed = 0.0
+        for i in range(n):
+            speed += bodies.lever[c, i] * bodies.state[first + i, L.SJ_VELOCITY, j]
+        grip = _grip(k, j, speed, cylinders)
+        if grip > 0.0:
+            for i in range(n):
+                held = bodies.joint[first + i, L.PJ_HELD, j] > 0.0
+                bodies.along[rows, i] = 0.0 if held else bodies.lever[c, i]
+            bodies.most[rows] = dt * grip
+            rows += 1
+    for i in range(n):
+        grip = bodies.joint[first + i, L.PJ_FRICTION, j]
+        if grip > 0.0 and bodies.joint[first + i, L.PJ_HELD, j] == 0.0:
+            for m in range(n):
+                bodies.along[rows, m] = 1.0 if m == i else 0.0
+            bodies.most[rows] = dt * grip
+            rows += 1
+    return rows
+
+
+@folded
+def _hold_back(n, rows, bodies):
+    """Impulses of dry friction, that take velocities along their directions away or fall short.
+
+    ``bodies.v`` has the velocities without friction, and gets those with it.
+    """
+    for r in range(rows):
+        for i in range(n):
+            bodies.answer[r, i] = bodies.along[r, i]
+        _solve(n, bodies.mass, bodies.answer[r])
+        bodies.impulse[r] = 0.0
+    for _ in range(2 if rows == 1 else SWEEPS):
+        for r in range(rows):
+            speed = give = 0.0
+            for i in range(n):
+                speed += bodies.along[r, i] * bodies.v[i]
+                give += bodies.along[r, i] * bodies.answer[r, i]
+            if give <= 0.0:
+                continue
+            old = bodies.impulse[r]
+            new = min(max(old - speed / give, -bodies.most[r]), bodies.most[r])
+            bodies.impulse[r] = new
+            for i in range(n):
+                bodies.v[i] += (new - old) * bodies.answer[r, i]
+
+
+@folded
+def _account(b, j, dt, rows, bodies):
+    """Energy that dry friction and damping turn to heat in this step, J; ``bodies.v`` is new."""
+    first, n = bodies.table[b, L.B_JOINT], bodies.table[b, L.B_JOINTS]
+    heat = 0.0
+    for r in range(rows):
+        speed = 0.0
+        for i in range(n):
+            mean = 0.5 * (bodies.v[i] + bodies.state[first + i, L.SJ_VELOCITY, j])
+            speed += bodies.along[r, i] * mean
+        heat -= bodies.impulse[r] * speed
+    for i in range(n):
+        mean = 0.5 * (bodies.v[i] + bodies.state[first + i, L.SJ_VELOCITY, j])
+        heat += dt * bodies.joint[first + i, L.PJ_DAMPING, j] * mean * mean
+    return heat
+
+
+@folded
+def _move_body(b, j, dt, bodies, cylinders):
+    """One step of one body, and the ways of its pistons."""
+    kind, first, n = (
+        bodies.table[b, L.B_KIND],
+        bodies.table[b, L.B_JOINT],
+        bodies.table[b, L.B_JOINTS],
+    )
+    place, places = bodies.table[b, L.B_PLACE], bodies.table[b, L.B_PLACES]
+    _middle(b, j, dt, bodies, 0.5)
+    mechanics(kind, bodies.par, b, j, bodies.q, bodies.v, bodies.mass, bodies.force)
+    levers(kind, bodies.par, b, j, bodies.q, bodies.x, bodies.lever)
+    _load_joints(b, j, dt, bodies)
+    for c in range(places):
+        _load_cylinder(bodies.driven_by[place + c], c, b, j, dt, bodies, cylinders)
+    _take_out_held(b, j, bodies)
+    _factor(n, bodies.mass)
+    _solve(n, bodies.mass, bodies.force)
+    rows = _grips(b, j, dt, bodies, cylinders)
+    for i in range(n):
+        bodies.v[i] = bodies.state[first + i, L.SJ_VELOCITY, j] + dt * bodies.force[i]
+    if rows > 0:
+        _hold_back(n, rows, bodies)
+    heat = _account(b, j, dt, rows, bodies)
+    for i in range(n):
+        old = bodies.state[first + i, L.SJ_VELOCITY, j]
+        new = bodies.v[i]
+        bodies.state[first + i, L.SJ_POSITION, j] += 0.5 * dt * (old + new)
+        bodies.state[first + i, L.SJ_VELOCITY, j] = new
+        bodies.state[first + i, L.SJ_PUSH, j] = (new - old) / dt
+        bodies.q[i] = bodies.state[first + i, L.SJ_POSITION, j]
+    levers(kind, bodies.par, b, j, bodies.q, bodies.x, bodies.lever)
+    for c in range(places):
+        k = bodies.driven_by[place + c]
+        was = cylinders.state[k, L.SY_EXTENSION, j]
+        move = bodies.x[c] - was
+        cylinders.work[k, L.WY_MOVE, j] = move
+        cylinders.state[k, L.SY_EXTENSION, j] = bodies.x[c]
+        speed = 0.0
+        for i in range(n):
+            speed += bodies.lever[c, i] * bodies.v[i]
+        cylinders.state[k, L.SY_PUSH, j] = (speed - cylinders.state[k, L.SY_SPEED, j]) / dt
+        cylinders.state[k, L.SY_SPEED, j] = speed
+        heat += cylinders.par[k, L.PY_VISCOUS, j] * move * move / dt
+    bodies.heat[b, j] += heat
+
+
+@branching
+def move(dt, bodies, cylinders):
+    """Move every body by a step, and pistons that move none by what they are told.
+
+    Args:
+        dt: Step, s.
+        bodies: Bodies.
+        cylinders: Cylinders, with the forces of the gas.
+    """
+    for k in range(cylinders.table.shape[0]):
+        if cylinders.moves[k] >= 0:
+            continue
+        for j in range(cylinders.work.shape[2]):
+            way = dt * cylinders.state[k, L.SY_SPEED, j]
+            cylinders.work[k, L.WY_MOVE, j] = way
+            cylinders.state[k, L.SY_EXTENSION, j] += way
+            cylinders.state[k, L.SY_PUSH, j] = 0.0
+    for b in range(bodies.table.shape[0]):
+        for j in range(bodies.state.shape[2]):
+            _move_body(b, j, dt, bodies, cylinders)
+
+
+@branching
+def stand(bodies, cylinders):
+    """Put pistons where the joints of their bodies have them.
+
+    Args:
+        bodies: Bodies.
+        cylinders: Cylinders.
+    """
+    for b in range(bodies.table.shape[0]):
+        first, n = bodies.table[b, L.B_JOINT], bodies.table[b, L.B_JOINTS]
+        place, places = bodies.table[b, L.B_PLACE], bodies.table[b, L.B_PLACES]
+        for j in range(bodies.state.shape[2]):
+            for i in range(n):
+                bodies.q[i] = bodies.state[first + i, L.SJ_POSITION, j]
+            levers(bodies.table[b, L.B_KIND], bodies.par, b, j, bodies.q, bodies.x, bodies.lever)
+            for c in range(places):
+                k = bodies.driven_by[place + c]
+                speed = 0.0
+                for i in range(n):
+                    speed += bodies.lever[c, i] * bodies.state[first + i, L.SJ_VELOCITY, j]
+                cylinders.state[k, L.SY_EXTENSION, j] = bodies.x[c]
+                cylinders.state[k, L.SY_SPEED, j] = speed

@@ -1,0 +1,501 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gas that pistons move: the cells that appear and vanish, chambers that grow, work done both ways.
+
+A piston stands in a wide pipe whose last cell in use it bounds (thesis 5.6, 5.7), or between
+chambers. In a step it moves at one speed. The face of the gas on it has the pressure that a wall of
+that speed meets; that pressure does the work, and is the force. So what a body gains the gas loses,
+to rounding.
+"""
+
+import math
+
+from pneu_sim import layout as L
+from pneu_sim.compiling import branching, folded
+from pneu_sim.kernel.faces import limited
+from pneu_sim.kernel.orifices import orifice_flow
+
+LONGEST = 2.1
+"""The last cell is cut in two when it is so many times as long as the others, and joined with its
+neighbour when it is shorter than they are: no cell asks for a shorter step, and one that is cut is
+not joined at once."""
+
+
+@folded
+def wall_pressure(d, u, p, wall, gamma):
+    """Pressure on a wall that moves, exact (half a Riemann problem; Toro 2009, section 4.2).
+
+    Args:
+        d: Density of the gas at the wall, kg/m^3.
+        u: Its velocity, m/s.
+        p: Its pressure, Pa.
+        wall: Velocity of the wall, m/s; the gas lies towards lower positions.
+        gamma: Ratio of specific heats.
+    """
+    c = math.sqrt(gamma * p / d)
+    w = u - wall
+    if w >= 0.0:  # a shock that runs into the gas
+        g = 0.25 * (gamma + 1.0) * w
+        return p + d * w * (g + math.sqrt(g * g + c * c))
+    x = 1.0 + 0.5 * (gamma - 1.0) * w / c
+    return p * max(x, 0.01) ** (2.0 * gamma / (gamma - 1.0))
+
+
+@folded
+def _way(k, side, j, cylinders):
+    """How far the piston stands from the end of a side."""
+    x = cylinders.state[k, L.SY_EXTENSION, j]
+    return x if side == 0 else cylinders.par[k, L.PY_STROKE, j] - x
+
+
+@folded
+def _gap(k, side, j, cylinders):
+    """Volume of the gas on a side; where a stop yields it is not used up."""
+    par = cylinders.par
+    dead = par[k, L.PY_DEAD + side, j]
+    return max(dead + par[k, L.PY_AREA + side, j] * _way(k, side, j, cylinders), 0.2 * dead)
+
+
+@folded
+def _set_chamber(k, side, j, cylinders, chambers):
+    """Volume and wall of a side that is a chamber."""
+    par, c = cylinders.par, cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_REF]
+    chambers.par[c, L.C_VOLUME, j] = _gap(k, side, j, cylinders)
+    wetted = max(_way(k, side, j, cylinders), 0.0)
+    heat = par[k, L.PY_HEAT + side, j] + par[k, L.PY_FILM + side, j] * wetted
+    chambers.par[c, L.C_HEAT, j] = heat
+
+
+@folded
+def _lay(k, side, j, cells, cylinders):
+    """Lengths and volumes of the cells of a side, for its piston's place and its count of cells."""
+    w = cells.lanes
+    first = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_REF]
+    most = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_CELLS]
+    count = int(cylinders.state[k, L.SY_COUNT + side, j])
+    area = cylinders.par[k, L.PY_AREA + side, j]
+    longest = (cylinders.par[k, L.PY_DEAD + side, j] / area) + cylinders.par[k, L.PY_STROKE, j]
+    dx = longest / most
+    for n in range(most):
+        i = (first + n) * w + j
+        length = dx
+        if n == count - 1:
+            length = _gap(k, side, j, cylinders) / area - n * dx
+        cells.par[L.LENGTH, i] = length if n < count else -1.0
+        cells.par[L.INV_VOLUME, i] = 1.0 / (area * length) if n < count else 0.0
+
+
+@branching
+def settle(cells, chambers, cylinders):
+    """Volumes and lengths as the pistons stand; what a call begins from.
+
+    Args:
+        cells: All slots.
+        chambers: Chambers.
+        cylinders: Cylinders.
+    """
+    for k in range(cylinders.table.shape[0]):
+        for side in range(2):
+            kind = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_KIND]
+            for j in range(cells.lanes):
+                if kind == L.GAS_CHAMBER:
+                    _set_chamber(k, side, j, cylinders, chambers)
+                elif kind == L.GAS_CELLS:
+                    _lay(k, side, j, cells, cylinders)
+
+
+@branching
+def count_cells(lanes, cylinders):
+    """How many cells of each side are in use, wherever its piston was put.
+
+    Args:
+        lanes: Rigs side by side.
+        cylinders: Cylinders.
+    """
+    for k in range(cylinders.table.shape[0]):
+        for side in range(2):
+            if cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_KIND] != L.GAS_CELLS:
+                continue
+            most = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_CELLS]
+            for j in range(lanes):
+                area = cylinders.par[k, L.PY_AREA + side, j]
+                dead = cylinders.par[k, L.PY_DEAD + side, j] / area
+                dx = (dead + cylinders.par[k, L.PY_STROKE, j]) / most
+                n = int(_gap(k, side, j, cylinders) / area / dx * (1.0 + 1e-12))
+                cylinders.state[k, L.SY_COUNT + side, j] = min(max(n, 1), most)
+
+
+@folded
+def _last(k, side, j, cells, cylinders):
+    """Entry of the cell beside the piston, and how the piston's speed looks from there."""
+    first = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_REF]
+    count = int(cylinders.state[k, L.SY_COUNT + side, j])
+    return (first + count - 1) * cells.lanes + j, (1.0 if side == 0 else -1.0)
+
+
+@branching
+def open_cushions(ports, cylinders):
+    """Throttle the ports of sides whose pistons come to their ends; inflow finds them open.
+
+    Args:
+        ports: Ports; those of cylinders are orifices.
+        cylinders: Cylinders.
+    """
+    for k in range(cylinders.table.shape[0]):
+        for side in range(2):
+            q = cylinders.table[k, L.Y_PORT + side]
+            if q < 0:
+                continue
+            for j in range(ports.opening.shape[1]):
+                length = cylinders.par[k, L.PY_CUSHION + side, j]
+                way = _way(k, side, j, cylinders)
+                if length > 0.0 and way < length and ports.flow[q, 0, j] <= 0.0:
+                    left = cylinders.par[k, L.PY_LEFT + side, j]
+                    ports.opening[q, j] *= left + (1.0 - left) * max(way, 0.0) / length
+
+
+@branching
+def fill_piston_ghosts(gas, cells, cylinders):
+    """What lies beyond the last cell in use: the gas mirrored about the piston, which may speed up.
+
+    The pressure goes on with the slope that an accelerated piston holds up, -rho dv/dt.
+
+    Args:
+        gas: The gas.
+        cells: All slots.
+        cylinders: Cylinders.
+    """
+    w, S, X = cells.lanes, cells.state, cells.work
+    for k in range(cylinders.table.shape[0]):
+        for side in range(2):
+            if cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_KIND] != L.GAS_CELLS:
+                continue
+            for j in range(w):
+                i, sign = _last(k, side, j, cells, cylinders)
+                g = i + w
+                d, p = S[L.RHO, i], X[L.W_P, i]
+                push = sign * cylinders.state[k, L.SY_PUSH, j]
+                more = -d * push * cells.par[L.LENGTH, i]
+                more = min(max(more, -0.5 * p), 0.5 * p)
+                v = 2.0 * sign * cylinders.state[k, L.SY_SPEED, j] - X[L.W_U, i]
+                q = p + more
+                r = d * (1.0 + more / (gas.gamma * p))
+                S[L.RHO, g] = r
+                S[L.MOM, g] = r * v
+                S[L.ENE, g] = q / (gas.gamma - 1.0) + 0.5 * r * v * v
+                X[L.W_U, g] = v
+                X[L.W_P, g] = q
+                X[L.W_C, g] = math.sqrt(gas.gamma * q / r)
+                X[L.W_T, g] = q / (r * gas.r)
+                X[L.W_RI, g] = 1.0 / r
+
+
+@folded
+def _evolve(i, length, d0, d1, d2, gm, half, cells):
+    """States at both faces of a cell half a step on, from half slopes; as `faces.reconstruct`."""
+    S, X = cells.state, cells.work
+    rho, mom, ene, p = S[L.RHO, i], S[L.MOM, i], S[L.ENE, i], X[L.W_P, i]
+    r1, m1, e1 = rho - d0, mom - d1, ene - d2
+    r2, m2, e2 = rho + d0, mom + d1, ene + d2
+    u1, u2 = m1 / r1, m2 / r2
+    p1 = gm * (e1 - 0.5 * m1 * u1)
+    p2 = gm * (e2 - 0.5 * m2 * u2)
+    h = half / length
+    f0 = h * (m1 - m2)
+    f1 = h * (m1 * u1 + p1 - m2 * u2 - p2) + half * X[L.W_DRAG, i]
+    f2 = h * (u1 * (e1 + p1) - u2 * (e2 + p2)) + half * X[L.W_WARM, i]
+    r1 += f0
+    r2 += f0
+    m1 += f1
+    m2 += f1
+    u1, u2 = m1 / r1, m2 / r2
+    p1 = gm * (e1 + f2 - 0.5 * m1 * u1)
+    p2 = gm * (e2 + f2 - 0.5 * m2 * u2)
+    if min(r1, r2) < 0.05 * rho or min(p1, p2) < 0.05 * p:
+        r1 = r2 = rho
+        u1 = u2 = mom / rho
+        p1 = p2 = p
+    X[L.W_RL, i], X[L.W_UL, i], X[L.W_PL, i], X[L.W_IL, i] = r1, u1, p1, 1.0 / r1
+    X[L.W_RR, i], X[L.W_UR, i], X[L.W_PR, i], X[L.W_IR, i] = r2, u2, p2, 1.0 / r2
+
+
+@folded
+def _slope(i, near_left, near_right, van_leer, gm, half, cells):
+    """Face states of a cell whose neighbours lie nearer or farther than its own length."""
+    w, S = cells.lanes, cells.state
+    a, b = near_left, near_right
+    d0 = limited(a * (S[0, i] - S[0, i - w]), b * (S[0, i + w] - S[0, i]), van_leer)
+    d1 = limited(a * (S[1, i] - S[1, i - w]), b * (S[1, i + w] - S[1, i]), van_leer)
+    d2 = limited(a * (S[2, i] - S[2, i - w]), b * (S[2, i + w] - S[2, i]), van_leer)
+    _evolve(i, cells.par[L.LENGTH, i], d0, d1, d2, gm, half, cells)
+
+
+@branching
+def reshape(gas, van_leer, dt, cells, cylinders):
+    """Face states of the two cells beside every piston, whose middles are not evenly spaced.
+
+    Args:
+        gas: The gas.
+        van_leer: Whether by van Leer's limiter, else by minmod.
+        dt: Step, s.
+        cells: All slots.
+        cylinders: Cylinders.
+    """
+    w, gm, half = cells.lanes, gas.gamma - 1.0, 0.5 * dt
+    for k in range(cylinders.table.shape[0]):
+        for side in range(2):
+            if cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_KIND] != L.GAS_CELLS:
+                continue
+            for j in range(w):
+                i, _ = _last(k, side, j, cells, cylinders)
+                if cylinders.state[k, L.SY_COUNT + side, j] < 2.0:
+                    continue
+                long, dx = cells.par[L.LENGTH, i], cells.par[L.LENGTH, i - w]
+                apart = 0.5 * (long + dx)
+                _slope(i, long / apart, 1.0, van_leer, gm, half, cells)
+                _slope(i - w, 1.0, dx / apart, van_leer, gm, half, cells)
+
+
+@branching
+def squeeze(gas, dt, ports, chambers, cylinders):
+    """Half a step of what pistons, ports and walls do to the pressure of the chambers of cylinders.
+
+    Added to the sums of `find_middle`, before these are divided.
+
+    Args:
+        gas: The gas.
+        dt: Step, s.
+        ports: Ports, with the flows of this step.
+        chambers: Chambers.
+        cylinders: Cylinders, with the speeds foreseen.
+    """
+    gm = gas.gamma - 1.0
+    for k in range(cylinders.table.shape[0]):
+        for side in range(2):
+            if cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_KIND] != L.GAS_CHAMBER:
+                continue
+            c = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_REF]
+            for j in range(cylinders.work.shape[2]):
+                sign = 1.0 if side == 0 else -1.0
+                area = cylinders.par[k, L.PY_AREA + side, j]
+                p = chambers.work[c, L.H_PRESSURE, j]
+                volume = chambers.par[c, L.C_VOLUME, j]
+                growth = sign * area * cylinders.work[k, L.WY_SPEED, j]
+                warm = chambers.par[c, L.C_WALL_T, j] - chambers.work[c, L.H_TEMPERATURE, j]
+                gain = chambers.par[c, L.C_HEAT, j] * warm
+                for q in range(ports.table.shape[0]):
+                    if ports.table[q, L.P_A] == L.SIDE_CHAMBER and ports.table[q, L.P_AI] == c:
+                        gain -= ports.flow[q, 1, j]
+                    if ports.table[q, L.P_B] == L.SIDE_CHAMBER and ports.table[q, L.P_BI] == c:
+                        gain += ports.flow[q, 1, j]
+                rate = (gm * gain - gas.gamma * p * growth) / volume
+                chambers.work[c, L.H_MIDDLE, j] += 0.5 * dt * rate
+
+
+@folded
+def _face(k, side, j, gas, order, dt, cells, chambers, cylinders):
+    """Pressure of the gas on the piston at the middle of the step."""
+    kind = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_KIND]
+    if kind == L.GAS_CHAMBER:
+        return chambers.work[cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_REF], L.H_MIDDLE, j]
+    if kind == L.GAS_ROOM:
+        return cylinders.par[k, L.PY_ROOM_P, j]
+    S, X = cells.state, cells.work
+    i, sign = _last(k, side, j, cells, cylinders)
+    wall = sign * cylinders.work[k, L.WY_SPEED, j]
+    if order == 1:
+        return wall_pressure(S[L.RHO, i], X[L.W_U, i], X[L.W_P, i], wall, gas.gamma)
+    # the face of the cell stands where the piston was; half a step later it is elsewhere
+    on = 0.5 * dt * wall / cells.par[L.LENGTH, i]
+    d = X[L.W_RR, i] + on * (X[L.W_RR, i] - X[L.W_RL, i])
+    u = X[L.W_UR, i] + on * (X[L.W_UR, i] - X[L.W_UL, i])
+    p = X[L.W_PR, i] + on * (X[L.W_PR, i] - X[L.W_PL, i])
+    return wall_pressure(max(d, 0.05 * S[L.RHO, i]), u, max(p, 0.05 * X[L.W_P, i]), wall, gas.gamma)
+
+
+@branching
+def press(gas, order, dt, cells, chambers, cylinders):
+    """Pressures of the gas on both sides of every piston, and the force on it.
+
+    Args:
+        gas: The gas.
+        order: 1 Godunov, 2 MUSCL-Hancock.
+        dt: Step, s.
+        cells: All slots.
+        chambers: Chambers, with the pressures at the middle of the step.
+        cylinders: Cylinders, with the speeds foreseen.
+    """
+    par, work = cylinders.par, cylinders.work
+    for k in range(cylinders.table.shape[0]):
+        for j in range(cells.lanes):
+            head = _face(k, 0, j, gas, order, dt, cells, chambers, cylinders)
+            rod = _face(k, 1, j, gas, order, dt, cells, chambers, cylinders)
+            work[k, L.WY_FACE, j] = head
+            work[k, L.WY_FACE_ROD, j] = rod
+            room = par[k, L.PY_ROOM_P, j]
+            a, b = par[k, L.PY_AREA, j], par[k, L.PY_AREA_ROD, j]
+            force = head * a - rod * b - room * (a - b)
+            cylinders.state[k, L.SY_FORCE, j] = force
+            cylinders.state[k, L.SY_IMPULSE, j] += dt * force
+
+
+@folded
+def _side_gas(k, side, j, cells, chambers, cylinders):
+    """Pressure and temperature of the gas beside the piston."""
+    kind = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_KIND]
+    if kind == L.GAS_CHAMBER:
+        c = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_REF]
+        return chambers.work[c, L.H_PRESSURE, j], chambers.work[c, L.H_TEMPERATURE, j]
+    if kind == L.GAS_CELLS:
+        i, _ = _last(k, side, j, cells, cylinders)
+        return cells.work[L.W_P, i], cells.work[L.W_T, i]
+    return cylinders.par[k, L.PY_ROOM_P, j], cylinders.par[k, L.PY_ROOM_T, j]
+
+
+@folded
+def _give(k, side, j, mass, heat, cells, chambers, cylinders):
+    """Add mass and energy to the gas beside the piston."""
+    kind = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_KIND]
+    if kind == L.GAS_CHAMBER:
+        c = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_REF]
+        chambers.state[c, 0, j] += mass
+        chambers.state[c, 1, j] += heat
+    elif kind == L.GAS_CELLS:
+        i, _ = _last(k, side, j, cells, cylinders)
+        cells.state[L.RHO, i] += mass * cells.par[L.INV_VOLUME, i]
+        cells.state[L.ENE, i] += heat * cells.par[L.INV_VOLUME, i]
+
+
+@folded
+def _seep(size, p, t, p_other, t_other, gas):
+    """Mass flow, kg/s, and enthalpy flow, W, through a leak between two gases."""
+    cp = gas.gamma * gas.r / (gas.gamma - 1.0)
+    if p >= p_other:
+        m = orifice_flow(p, t, p_other, size, gas.gamma, gas.r)
+        return m, m * cp * t
+    m = orifice_flow(p_other, t_other, p, size, gas.gamma, gas.r)
+    return -m, -m * cp * t_other
+
+
+@branching
+def leak_past(gas, dt, cells, chambers, cylinders):
+    """Gas that passes the seals of piston and rod.
+
+    Args:
+        gas: The gas.
+        dt: Step, s.
+        cells: All slots.
+        chambers: Chambers.
+        cylinders: Cylinders.
+    """
+    par = cylinders.par
+    for k in range(cylinders.table.shape[0]):
+        for j in range(cells.lanes):
+            past, out = par[k, L.PY_LEAK, j], par[k, L.PY_ROD_LEAK, j]
+            if past <= 0.0 and out <= 0.0:
+                continue
+            p, t = _side_gas(k, 1, j, cells, chambers, cylinders)
+            if past > 0.0:
+                p_head, t_head = _side_gas(k, 0, j, cells, chambers, cylinders)
+                m, h = _seep(past, p_head, t_head, p, t, gas)
+                _give(k, 0, j, -dt * m, -dt * h, cells, chambers, cylinders)
+                _give(k, 1, j, dt * m, dt * h, cells, chambers, cylinders)
+            if out > 0.0:
+                p_room, t_room = par[k, L.PY_ROOM_P, j], par[k, L.PY_ROOM_T, j]
+                m, h = _seep(out, p, t, p_room, t_room, gas)
+                _give(k, 1, j, -dt * m, -dt * h, cells, chambers, cylinders)
+
+
+@branching
+def work_on_gas(dt, cells, chambers, cylinders):
+    """Work of the pistons in this step: on chambers at once, on cells by the flux at their faces.
+
+    Args:
+        dt: Step, s.
+        cells: All slots.
+        chambers: Chambers.
+        cylinders: Cylinders, with their ways in this step.
+    """
+    X = cells.work
+    for k in range(cylinders.table.shape[0]):
+        for side in range(2):
+            kind = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_KIND]
+            c = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_REF]
+            for j in range(cells.lanes):
+                sign = 1.0 if side == 0 else -1.0
+                p = cylinders.work[k, L.WY_FACE + side, j]
+                move = sign * cylinders.work[k, L.WY_MOVE, j]
+                if kind == L.GAS_CHAMBER:
+                    area = cylinders.par[k, L.PY_AREA + side, j]
+                    chambers.state[c, 1, j] -= p * area * move
+                elif kind == L.GAS_CELLS:
+                    i, _ = _last(k, side, j, cells, cylinders)
+                    X[L.W_FM, i] = 0.0
+                    X[L.W_FP, i] = p
+                    X[L.W_FE, i] = p * move / dt
+
+
+@folded
+def _copy_cell(i, g, cells):
+    """Give a cell all that another remembers."""
+    for row in range(L.STATE_ROWS):
+        cells.state[row, g] = cells.state[row, i]
+    for row in range(L.WORK_ROWS):
+        cells.work[row, g] = cells.work[row, i]
+
+
+@folded
+def _stretch(k, side, j, cells, cylinders):
+    """Give the last cell its new length; cut it in two, or join it with its neighbour."""
+    w, S, P = cells.lanes, cells.state, cells.par
+    most = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_CELLS]
+    i, _ = _last(k, side, j, cells, cylinders)
+    count = int(cylinders.state[k, L.SY_COUNT + side, j])
+    area = cylinders.par[k, L.PY_AREA + side, j]
+    dead = cylinders.par[k, L.PY_DEAD + side, j] / area
+    dx = (dead + cylinders.par[k, L.PY_STROKE, j]) / most
+    length = _gap(k, side, j, cylinders) / area - (count - 1) * dx
+    scale = 1.0 / (P[L.INV_VOLUME, i] * area * length)
+    for row in range(3):
+        S[row, i] *= scale
+    if length > LONGEST * dx and count < most:
+        g = i + w
+        _copy_cell(i, g, cells)
+        P[L.LENGTH, i] = dx
+        P[L.INV_VOLUME, i] = 1.0 / (area * dx)
+        i, length = g, length - dx
+        count += 1
+    elif length < dx and count > 1:
+        g = i
+        i -= w
+        share = length / (dx + length)
+        for row in range(L.STATE_ROWS):
+            S[row, i] += share * (S[row, g] - S[row, i])
+        P[L.LENGTH, g] = -1.0
+        P[L.INV_VOLUME, g] = 0.0
+        length += dx
+        count -= 1
+    # by the length itself, as `_lay` has it: a run may be cut here
+    length = _gap(k, side, j, cylinders) / area - (count - 1) * dx
+    P[L.LENGTH, i] = length
+    P[L.INV_VOLUME, i] = 1.0 / (area * length)
+    cells.work[L.W_RI, i] = 1.0 / S[L.RHO, i]
+    cylinders.state[k, L.SY_COUNT + side, j] = count
+
+
+@branching
+def make_room(cells, chambers, cylinders):
+    """Volumes of the gas as the pistons now stand.
+
+    Args:
+        cells: All slots.
+        chambers: Chambers.
+        cylinders: Cylinders, moved.
+    """
+    for k in range(cylinders.table.shape[0]):
+        for side in range(2):
+            kind = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_KIND]
+            for j in range(cells.lanes):
+                if kind == L.GAS_CHAMBER:
+                    _set_chamber(k, side, j, cylinders, chambers)
+                elif kind == L.GAS_CELLS:
+                    _stretch(k, side, j, cells, cylinders)
