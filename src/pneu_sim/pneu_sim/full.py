@@ -238,6 +238,11 @@ class FullSolver(Solver):
             tile.cylinder_state[:, L.SY_IMPULSE] = 0.0
         return np.concatenate(parts, axis=-1)[:, : self.lanes]
 
+    def friction_heat(self) -> Floats:
+        """Heat that friction and damping made; see `Solver.friction_heat`."""
+        parts = [tile.friction_heat for tile, _ in self.tiles]
+        return np.concatenate(parts, axis=-1)[:, : self.lanes]
+
     def held(self) -> tuple[Floats, Floats]:
         """Mass and energy of all gas; see `Solver.held`."""
         both = [tiles.held(tile) for tile, _ in self.tiles]

@@ -236,7 +236,9 @@ WY_SPEED: Final = 0  # foreseen at the middle of the step, m/s
 WY_FACE: Final = 1  # pressure on the piston, head side, Pa; rod side the next
 WY_FACE_ROD: Final = 2
 WY_MOVE: Final = 3  # way in this step, m
-CYLINDER_WORK: Final = 4
+WY_HEAT: Final = 4  # heat conductance of the wall, head side, W/K; rod side the next
+WY_HEAT_ROD: Final = 5
+CYLINDER_WORK: Final = 6
 
 # --- bodies (integer columns) ---------------------------------------------------------------------
 B_KIND: Final = 0  # number in ``pneu_sim.bodies.kinds``
@@ -245,7 +247,7 @@ B_JOINTS: Final = 2
 B_PLACE: Final = 3  # its first place in the list of cylinders that bodies are driven by
 B_PLACES: Final = 4
 BODY_COLUMNS: Final = 5
-BODY_PARAMS: Final = 40
+BODY_PARAMS: Final = 48
 
 # --- joint parameter rows -------------------------------------------------------------------------
 PJ_DAMPING: Final = 0

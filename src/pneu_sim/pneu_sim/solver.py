@@ -231,6 +231,10 @@ class Solver(ABC):
         """
         raise InputError("cylinders: the rig's model moves no pistons")
 
+    def friction_heat(self) -> Floats:
+        """Returns what friction and damping of bodies and their pistons made, (n_bodies, lanes), J."""
+        return np.zeros((0, self.lanes))
+
     def held(self) -> tuple[Floats, Floats]:
         """Mass, kg, and energy, J, of all gas (and yielding walls), each (lanes,).
 

@@ -62,7 +62,24 @@ def _set_chamber(k, side, j, cylinders, chambers):
     chambers.par[c, L.C_VOLUME, j] = _gap(k, side, j, cylinders)
     wetted = max(_way(k, side, j, cylinders), 0.0)
     heat = par[k, L.PY_HEAT + side, j] + par[k, L.PY_FILM + side, j] * wetted
-    chambers.par[c, L.C_HEAT, j] = heat
+    cylinders.work[k, L.WY_HEAT + side, j] = heat
+
+
+@folded
+def _warm(c, j, conductance, rate, gas, dt, chambers):
+    """Heat from the wall of a chamber over a step, J, and by how much it warms the gas in half.
+
+    Exact for gas that relaxes to its wall while work heats it steadily, so that it is of second
+    order and stays calm however strongly the wall holds it.
+    """
+    wall = chambers.par[c, L.C_WALL_T, j]
+    capacity = chambers.state[c, 0, j] * gas.r / (gas.gamma - 1.0)
+    excess = chambers.work[c, L.H_TEMPERATURE, j] - wall
+    x = 0.5 * dt * conductance / capacity
+    steady = 0.5 * dt * rate / x
+    half = (excess - steady) * math.expm1(-x) - 0.5 * dt * rate
+    share = -math.expm1(-2.0 * x) / (2.0 * x)
+    return -dt * conductance * (excess * share + steady * (1.0 - share)), half
 
 
 @folded
@@ -259,7 +276,7 @@ def reshape(gas, van_leer, dt, cells, cylinders):
 def squeeze(gas, dt, ports, chambers, cylinders):
     """Half a step of what pistons, ports and walls do to the pressure of the chambers of cylinders.
 
-    Added to the sums of `find_middle`, before these are divided.
+    The heat of their walls is given to them here, all of the step's. The pressure is added to the sums of `find_middle`, before these are divided.
 
     Args:
         gas: The gas.
@@ -280,8 +297,7 @@ def squeeze(gas, dt, ports, chambers, cylinders):
                 p = chambers.work[c, L.H_PRESSURE, j]
                 volume = chambers.par[c, L.C_VOLUME, j]
                 growth = sign * area * cylinders.work[k, L.WY_SPEED, j]
-                warm = chambers.par[c, L.C_WALL_T, j] - chambers.work[c, L.H_TEMPERATURE, j]
-                gain = chambers.par[c, L.C_HEAT, j] * warm
+                gain = 0.0
                 for q in range(ports.table.shape[0]):
                     if ports.table[q, L.P_A] == L.SIDE_CHAMBER and ports.table[q, L.P_AI] == c:
                         gain -= ports.flow[q, 1, j]
@@ -289,6 +305,14 @@ def squeeze(gas, dt, ports, chambers, cylinders):
                         gain += ports.flow[q, 1, j]
                 rate = (gm * gain - gas.gamma * p * growth) / volume
                 chambers.work[c, L.H_MIDDLE, j] += 0.5 * dt * rate
+                conductance = cylinders.work[k, L.WY_HEAT + side, j]
+                if conductance > 0.0:
+                    t = chambers.work[c, L.H_TEMPERATURE, j]
+                    heat, half = _warm(
+                        c, j, conductance, -gm * t * growth / volume, gas, dt, chambers
+                    )
+                    chambers.work[c, L.H_MIDDLE, j] += p / t * half
+                    chambers.state[c, 1, j] += heat
 
 
 @folded
@@ -457,6 +481,7 @@ def _stretch(k, side, j, cells, cylinders):
     scale = 1.0 / (P[L.INV_VOLUME, i] * area * length)
     for row in range(3):
         S[row, i] *= scale
+    cells.work[L.W_RI, i] = 1.0 / S[L.RHO, i]
     if length > LONGEST * dx and count < most:
         g = i + w
         _copy_cell(i, g, cells)

@@ -100,6 +100,7 @@ class Cylinder(Part):
         gas: How it is held: ``chamber``, well mixed; ``cells``, as a wide pipe whose cells appear
             and vanish as the piston moves (thesis 5.6, 5.7).
         dx_m: Length of those cells, where it differs from the grid's.
+        gas_friction: Factor on the friction of the gas along the bore, where it is held in cells.
         heat_w_m2_k: Heat transfer from all of its wall that the gas wets.
         friction: Friction of its seals.
         piston_leak_m2: Effective area from side to side past the piston.
@@ -119,6 +120,7 @@ class Cylinder(Part):
     rod: Side | None = None
     gas: Literal["chamber", "cells"] = "chamber"
     dx_m: Positive | None = None
+    gas_friction: NonNegative = 1.0
     heat_w_m2_k: NonNegative = 0.0
     friction: Friction = Friction()
     piston_leak_m2: NonNegative = 0.0

@@ -104,7 +104,7 @@ def with_cylinders(rig: Rig) -> Rig:
             if cylinder.gas == "chamber":
                 where = chamber_of(name, side_name, side)
                 chambers[where] = Chamber.model_construct(
-                    volume_m3=_volume(cylinder, side_name), heat_w_per_k=side.heat_w_per_k
+                    volume_m3=_volume(cylinder, side_name)  # its wall is the cylinder's
                 )
                 moved = {"chamber": where}
             else:
@@ -134,6 +134,8 @@ def _pipe(cylinder: Cylinder, side: str, node: str, dead_m: float) -> Pipe:
     area = _area(cylinder, side)
     film = cylinder.heat_w_m2_k * cylinder.perimeter_m(side)
     wall = Wall(
+        laminar=cylinder.gas_friction,
+        turbulent=cylinder.gas_friction,
         unsteady=0.0,
         heat_unsteady=0.0,
         heat_turbulent=0.0,

@@ -19,6 +19,7 @@ Ints = NDArray[np.int64]
 
 SIDES = ("head", "rod")
 
+
 def lay_cylinders(
     rig: Rig, pipes: Mapping[str, tuple[int, int]], port_names: Sequence[str]
 ) -> Ints:

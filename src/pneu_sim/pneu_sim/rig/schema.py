@@ -683,9 +683,7 @@ def check_network(rig: Rig) -> None:
     for where, path in paths:
         for node in (path.from_node, path.to_node):
             ports[node] = ports.get(node, 0) + 1
-            if node == CLOSED or not (
-                node in ends or node in rig.reservoirs or node in vessels
-            ):
+            if node == CLOSED or not (node in ends or node in rig.reservoirs or node in vessels):
                 raise ValueError(
                     f"{where}: node {node!r} is no pipe end, reservoir, chamber or cylinder side"
                 )
@@ -780,8 +778,6 @@ def _check_cylinders(rig: Rig) -> list[str]:
                     f" ({', '.join(rig.cylinders) or 'none declared'})"
                 )
             if used in users:
-                raise ValueError(
-                    f"bodies.{name}: cylinder {used!r} moves {users[used]!r} already"
-                )
+                raise ValueError(f"bodies.{name}: cylinder {used!r} moves {users[used]!r} already")
             users[used] = name
     return vessels
