@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A cart on a level rail, moved by one cylinder, with a rod that turns on it (thesis fig. 7.1 C).
+
+With x of the cart, and the rod's angle theta from upright, growing as it leans to positive x, the
+Lagrangian (e.g. Spong et al., Robot Modeling and Control, 2nd ed., ch. 6) of cart m_c and rod of
+mass m, first moment s and second moment J about its joint gives
+
+    (m_c + m) x'' + s cos(theta) theta'' = s sin(theta) theta'^2
+    s cos(theta) x'' + J theta''         = g s sin(theta)
+"""
+
+import math
+from typing import ClassVar, Literal
+
+from pneu_sim.bodies import mjcf
+from pneu_sim.bodies.base import Body, Floats, Joint
+from pneu_sim.bodies.link import Link
+from pneu_sim.compiling import branching
+from pneu_sim.parts import Finite, Positive
+
+
+class CartPole(Body):
+    """A cart on a level rail with a rod that turns on it freely.
+
+    Attributes:
+        kind: ``cart_pole``.
+        cylinder: The cylinder that moves the cart.
+        cart_kg: Of all that slides, the piston included, without the rod.
+        rod: The rod and the mass at its end.
+        closed_at_m: Where the cart is with the cylinder closed; from there the extension counts.
+        slide: The joint of the cart, in m along the rail.
+        pole: The joint of the rod, in rad: 0 is upright, pi hangs down, positive leans to where
+            the cart goes as the cylinder extends.
+        gravity_m_s2: Gravity.
+    """
+
+    joint_fields: ClassVar[tuple[str, ...]] = ("slide", "pole")
+    slides: ClassVar[tuple[str, ...]] = ("slide",)
+
+    kind: Literal["cart_pole"]
+    cylinder: str
+    cart_kg: Positive
+    rod: Link
+    closed_at_m: Finite = 0.0
+    slide: Joint = Joint()
+    pole: Joint = Joint()
+
+    @property
+    def driven_by(self) -> list[str]:
+        """Its one cylinder."""
+        return [self.cylinder]
+
+    def numbers(self) -> list[float]:
+        """Whole mass, the rod's moments, gravity's, and where the cylinder is closed."""
+        first = self.rod.first_moment_kg_m
+        return [
+            self.cart_kg + self.rod.total_kg,
+            first,
+            self.rod.second_moment_kg_m2,
+            first * self.gravity_m_s2,
+            self.closed_at_m,
+        ]
+
+    def potential_j(self, q: Floats) -> float:
+        """Potential energy; see `Body.potential_j`.
+
+        Args:
+            q: (2,).
+        """
+        return self.rod.first_moment_kg_m * self.gravity_m_s2 * math.cos(float(q[1]))
+
+    def mjcf(self) -> str:
+        """Returns the same body as MJCF; the tendon is as long as the cart's coordinate."""
+        world = f"""
+    <body name="cart">
+      <joint name="slide" type="slide" axis="1 0 0"/>
+      <geom type="box" size="0.05 0.03 0.02" mass="{self.cart_kg!r}" contype="0" conaffinity="0"/>
+      <body name="rod">
+        <joint name="pole" type="hinge" axis="0 1 0"/>
+        {mjcf.link(self.rod, 0.0, 1.0)}
+      </body>
+    </body>"""
+        tendons = [mjcf.along_joint("cylinder", "slide")]
+        return mjcf.document("cart_pole", self.gravity_m_s2, world, tendons)
+
+
+@branching
+def mechanics(par, b, j, q, v, mass, force):
+    """Mass matrix, weight and centrifugal force; see ``pneu_sim.bodies.base``.
+
+    Args:
+        par: Numbers of all bodies.
+        b: Which body.
+        j: Which lane.
+        q: (2,) positions, m and rad.
+        v: (2,) velocities.
+        mass: (2, 2) written.
+        force: (2,) written.
+    """
+    c, s = math.cos(q[1]), math.sin(q[1])
+    first = par[b, 1, j]
+    mass[0, 0] = par[b, 0, j]
+    mass[0, 1] = first * c
+    mass[1, 0] = first * c
+    mass[1, 1] = par[b, 2, j]
+    force[0] = first * s * v[1] * v[1]
+    force[1] = par[b, 3, j] * s
+
+
+@branching
+def levers(par, b, j, q, extension, lever):
+    """The extension is the cart's way; see ``pneu_sim.bodies.base``.
+
+    Args:
+        par: Numbers of all bodies.
+        b: Which body.
+        j: Which lane.
+        q: (2,) positions, m and rad.
+        extension: (1,) written.
+        lever: (1, 2) written.
+    """
+    extension[0] = q[0] - par[b, 4, j]
+    lever[0, 0] = 1.0
+    lever[0, 1] = 0.0

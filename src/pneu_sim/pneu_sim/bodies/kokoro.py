@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A link on two joints at right angles, the second turned by a slider-crank (thesis 9.2).
+
+Equation 9.1, without damping, of the angles alpha and theta, both zero with the link upright:
+
+    (w1 + cos(theta)^2 w2) alpha'' = tau_alpha + 2 alpha' theta' sin(theta) cos(theta) w2
+                                     + cos(theta) sin(alpha) l g m1
+    w2 theta''                     = tau_theta - alpha'^2 cos(theta) sin(theta) w2
+                                     + sin(theta) cos(alpha) l g m1
+
+It is that of the Lagrangian with T = 0.5 (w1 + cos(theta)^2 w2) alpha'^2 + 0.5 w2 theta'^2 and
+V = m1 g l cos(theta) cos(alpha): a thin link, without inertia about its own length.
+"""
+
+import math
+from typing import ClassVar, Literal
+
+from pydantic import model_validator
+
+from pneu_sim.bodies import mjcf
+from pneu_sim.bodies.base import Body, Floats, Joint
+from pneu_sim.bodies.crank import SliderCrank, crank
+from pneu_sim.compiling import branching
+from pneu_sim.parts import NonNegative, Positive
+
+_CRANK = 4  # where its numbers begin
+
+
+class Kokoro(Body):
+    """A link that stands on two joints; with the first held it is a single joint under gravity.
+
+    Only the product of `mass_kg` and `centre_m` is in the equations.
+
+    Attributes:
+        kind: ``kokoro``.
+        theta_cylinder: The cylinder that turns the second joint by the slider-crank.
+        slider: The slider-crank; see `SliderCrank`.
+        theta_inertia_kg_m2: Of the link about the second joint, w2.
+        mass_kg: Of the link, m1.
+        centre_m: From the joint to the link's centre of mass, l.
+        alpha_cylinder: The rotary actuator of the first joint, whose angle is alpha; None has none.
+        alpha_inertia_kg_m2: Of the first stage about the first joint, w1; needed unless that is
+            held.
+        alpha: The first joint, rad; held at zero unless it is given.
+        theta: The second joint, rad; 0 is upright.
+        gravity_m_s2: Gravity.
+    """
+
+    joint_fields: ClassVar[tuple[str, ...]] = ("alpha", "theta")
+
+    kind: Literal["kokoro"]
+    theta_cylinder: str
+    slider: SliderCrank
+    theta_inertia_kg_m2: Positive
+    mass_kg: Positive
+    centre_m: NonNegative
+    alpha_cylinder: str | None = None
+    alpha_inertia_kg_m2: Positive | None = None
+    alpha: Joint = Joint(held=True)
+    theta: Joint = Joint()
+
+    @model_validator(mode="after")
+    def _check(self) -> "Kokoro":
+        if self.alpha_inertia_kg_m2 is None and not self.alpha.held:
+            raise ValueError("alpha_inertia_kg_m2 is needed where alpha is not held")
+        self.slider.check("slider", self.theta)
+        return self
+
+    @property
+    def driven_by(self) -> list[str]:
+        """The cylinder of theta, and the actuator of alpha where there is one."""
+        return [one for one in (self.theta_cylinder, self.alpha_cylinder) if one is not None]
+
+    def numbers(self) -> list[float]:
+        """Inertias, weight, whether alpha is driven, and the slider-crank's."""
+        return [
+            self._alpha_inertia(),
+            self.theta_inertia_kg_m2,
+            self._weight_n_m(),
+            0.0 if self.alpha_cylinder is None else 1.0,
+            *self.slider.numbers(),
+        ]
+
+    def potential_j(self, q: Floats) -> float:
+        """Potential energy, none at the joint's height; see `Body.potential_j`.
+
+        Args:
+            q: (2,).
+        """
+        return self._weight_n_m() * math.cos(float(q[0])) * math.cos(float(q[1]))
+
+    def mjcf(self) -> str:
+        """Returns the same body as MJCF.
+
+        A centre of mass that is farther out than the inertia allows is brought in, with more mass,
+        so that their product stays: MuJoCo wants both physical.
+        """
+        moment, inertia = self.mass_kg * self.centre_m, self.theta_inertia_kg_m2
+        centre = self.centre_m
+        if moment * centre > inertia:
+            centre = 0.5 * inertia / moment
+        mass = moment / centre if centre > 0.0 else self.mass_kg
+        about = inertia - mass * centre * centre
+        # The crank's plane turns about +y: its x is MJCF's z, and its y MJCF's x.
+        (px, py), (nx, ny) = self.slider.ends
+        world = f"""
+    <body name="stage">
+      <joint name="alpha" type="hinge" axis="1 0 0"/>
+      {mjcf.inertial(1.0, "0 0 0", self._alpha_inertia())}
+      {mjcf.site("theta_cylinder_pivot", mjcf.numbers(py, 0.0, px))}
+      <body name="link">
+        <joint name="theta" type="hinge" axis="0 1 0"/>
+        {mjcf.inertial(mass, mjcf.numbers(0.0, 0.0, centre), about, about, 0.0)}
+        {mjcf.site("theta_cylinder_pin", mjcf.numbers(ny, 0.0, nx))}
+      </body>
+    </body>"""
+        tendons = [mjcf.between_sites("theta_cylinder")]
+        if self.alpha_cylinder is not None:
+            tendons.append(mjcf.along_joint("alpha_cylinder", "alpha"))
+        return mjcf.document("kokoro", self.gravity_m_s2, world, tendons)
+
+    def _alpha_inertia(self) -> float:
+        return 1.0 if self.alpha_inertia_kg_m2 is None else self.alpha_inertia_kg_m2
+
+    def _weight_n_m(self) -> float:
+        return self.mass_kg * self.gravity_m_s2 * self.centre_m
+
+
+@branching
+def mechanics(par, b, j, q, v, mass, force):
+    """Mass matrix, weight and Coriolis forces of equation 9.1.
+
+    Args:
+        par: Numbers of all bodies.
+        b: Which body.
+        j: Which lane.
+        q: (2,) angles alpha and theta, rad.
+        v: (2,) velocities, rad/s.
+        mass: (2, 2) written.
+        force: (2,) written.
+    """
+    c, s = math.cos(q[1]), math.sin(q[1])
+    w2, weight = par[b, 1, j], par[b, 2, j]
+    mass[0, 0] = par[b, 0, j] + c * c * w2
+    mass[0, 1] = 0.0
+    mass[1, 0] = 0.0
+    mass[1, 1] = w2
+    force[0] = 2.0 * v[0] * v[1] * s * c * w2 + c * math.sin(q[0]) * weight
+    force[1] = -v[0] * v[0] * c * s * w2 + s * math.cos(q[0]) * weight
+
+
+@branching
+def levers(par, b, j, q, extension, lever):
+    """Extension by the slider-crank, and the rotary actuator's angle, which is alpha.
+
+    Args:
+        par: Numbers of all bodies.
+        b: Which body.
+        j: Which lane.
+        q: (2,) angles alpha and theta, rad.
+        extension: (1,) or, with a rotary actuator, (2,) written.
+        lever: (1, 2) or (2, 2) written.
+    """
+    extension[0], lever[0, 1] = crank(par, b, j, _CRANK, q[1])
+    lever[0, 0] = 0.0
+    if par[b, 3, j] > 0.0:
+        extension[1] = q[0]
+        lever[1, 0] = 1.0
+        lever[1, 1] = 0.0
