@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from pneu_common.tally import Tally
 from pneu_sim import layout as L
-from pneu_sim.rig.model import S_BIAS, S_GAIN, S_LAG, S_OFFSET, Model
 from pneu_sim.rig.expand import with_cylinders
+from pneu_sim.rig.model import S_BIAS, S_GAIN, S_LAG, S_OFFSET, Model
 from pneu_sim.rig.network import reservoir_of_pipes
 from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import CLOSED, Rig

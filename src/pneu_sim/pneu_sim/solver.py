@@ -50,9 +50,11 @@ class Series:
             lanes: Rigs.
         """
         chambers = len(plan.chambers)
-        rows = len(plan.taps), plan.ports.shape[0], chambers, chambers
         return cls(
-            *(np.zeros((samples, n, lanes)) for n in rows),
+            np.zeros((samples, len(plan.taps), lanes)),
+            np.zeros((samples, plan.ports.shape[0], lanes)),
+            np.zeros((samples, chambers, lanes)),
+            np.zeros((samples, chambers, lanes)),
             np.zeros((samples, len(plan.cylinders), 3, lanes)),
             np.zeros((samples, len(plan.joints), 2, lanes)),
         )
@@ -194,7 +196,7 @@ class Solver(ABC):
         )
 
     def place(self, position: Floats, velocity: Floats) -> None:
-        """Sets joints of bodies, and the pistons that move them; gas keeps pressure and temperature.
+        """Sets joints of bodies and their pistons; gas keeps pressure and temperature.
 
         Args:
             position: (n_joints, lanes) rad or m.
@@ -232,7 +234,7 @@ class Solver(ABC):
         raise InputError("cylinders: the rig's model moves no pistons")
 
     def friction_heat(self) -> Floats:
-        """Returns what friction and damping of bodies and their pistons made, (n_bodies, lanes), J."""
+        """Returns what friction and damping made of bodies, (n_bodies, lanes), J."""
         return np.zeros((0, self.lanes))
 
     def held(self) -> tuple[Floats, Floats]:

@@ -41,7 +41,6 @@ from pneu_sim.kernel.pistons import (
     press,
     reshape,
     settle,
-    squeeze,
     work_on_gas,
 )
 from pneu_sim.kernel.ports import cross_ports, open_ports

@@ -276,7 +276,8 @@ def reshape(gas, van_leer, dt, cells, cylinders):
 def squeeze(gas, dt, ports, chambers, cylinders):
     """Half a step of what pistons, ports and walls do to the pressure of the chambers of cylinders.
 
-    The heat of their walls is given to them here, all of the step's. The pressure is added to the sums of `find_middle`, before these are divided.
+    The heat of their walls is given to them here, all of the step's. The pressure is added to the
+    sums of `find_middle`, before these are divided.
 
     Args:
         gas: The gas.

@@ -151,12 +151,12 @@ class Cylinder(Part):
                 f"start_m: found {self.start_m:g}, beyond its stroke of {self.stroke:g}"
             )
         for name, side in (("head", self.head), ("rod", self.rod)):
-            if side is not None and side.cushion is not None:
-                if side.cushion.length_m > self.stroke:
-                    raise ValueError(
-                        f"{name}.cushion.length_m: found {side.cushion.length_m:g}, beyond the"
-                        f" stroke of {self.stroke:g}"
-                    )
+            cushion = None if side is None else side.cushion
+            if cushion is not None and cushion.length_m > self.stroke:
+                raise ValueError(
+                    f"{name}.cushion.length_m: found {cushion.length_m:g}, beyond the stroke of"
+                    f" {self.stroke:g}"
+                )
         return self
 
     @property

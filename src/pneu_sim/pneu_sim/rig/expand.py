@@ -106,7 +106,7 @@ def with_cylinders(rig: Rig) -> Rig:
                 chambers[where] = Chamber.model_construct(
                     volume_m3=_volume(cylinder, side_name)  # its wall is the cylinder's
                 )
-                moved = {"chamber": where}
+                moved: dict[str, object] = {"chamber": where}
             else:
                 _, dead_m = cells_of_side(rig, name, side_name)
                 pipes[own] = _pipe(cylinder, side_name, node, dead_m)

@@ -650,8 +650,8 @@ def check_network(rig: Rig) -> None:
     """
     if not (rig.pipes or rig.chambers or rig.cylinders):
         raise ValueError("pipes: found none, and no chambers or cylinders; there is no gas")
-    if not (rig.taps or rig.bodies):
-        raise ValueError("taps: found none, and no bodies; there is nothing to see")
+    if not (rig.taps or rig.cylinders):
+        raise ValueError("taps: found none, and no cylinders; there is nothing to see")
     vessels = _check_cylinders(rig)
     ends: dict[str, int] = {}
     for name, pipe in rig.pipes.items():
