@@ -42,6 +42,8 @@ DISTRIBUTION_OF = {
 }
 # Wanted by training alone, and brought by extras; nothing that runs on a rig may need them.
 TRAINING = ("learn", "tracking.py")
+# Likewise MuJoCo, which only mechanisms that rigs name as MJCF need.
+MECHANISMS = "mechanism"
 
 
 def repository_files():
@@ -141,7 +143,7 @@ def test_what_the_package_imports_is_declared(package):
     extras = PROJECT["optional-dependencies"]
     of_extras = declared | {
         distribution(one)
-        for name in ("figures", "learn", "study", "cluster")
+        for name in ("figures", "learn", "study", "cluster", "robots")
         for one in extras[name]
     }
     undeclared = {
@@ -152,7 +154,7 @@ def test_what_the_package_imports_is_declared(package):
         and module not in PACKAGES
         and module not in ROS_PACKAGES
         and DISTRIBUTION_OF.get(module, module)
-        not in (of_extras if {*TRAINING, "figures.py"} & set(path.parts) else declared)
+        not in (of_extras if {*TRAINING, MECHANISMS, "figures.py"} & set(path.parts) else declared)
     }
     assert not undeclared, "\n".join(sorted(undeclared))
 
@@ -195,6 +197,18 @@ def test_what_runs_on_a_rig_does_not_import_the_training():
         for module in ("torch", "gymnasium", "stable_baselines3", "ray")
         if module in imported_modules(path)
     }
+    assert not offenders
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_mujoco_is_imported_only_to_build_a_mechanism(package):
+    """Within functions of `pneu_sim.mechanism`: whoever has no MJCF needs no MuJoCo."""
+    root = ROOT / "src" / package / package
+    offenders = [
+        relative(path)
+        for path in root.rglob("*.py")
+        if "mujoco" in (imported_at_the_top if MECHANISMS in path.parts else imported_modules)(path)
+    ]
     assert not offenders
 
 
