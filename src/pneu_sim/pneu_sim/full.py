@@ -72,7 +72,13 @@ class Full(ModelKind):
             plan: Their grid plan.
             gas: The gas.
         """
-        return FullSolver([build(rig, plan, gas) for rig in rigs])
+        models = [build(rig, plan, gas) for rig in rigs]
+        if rigs[0].mechanism is None:
+            return FullSolver(models)
+        # what needs MuJoCo is looked at where there is a mechanism
+        from pneu_sim.coupled import CoupledSolver
+
+        return CoupledSolver(models, rigs)
 
 
 class FullSolver(Solver):

@@ -322,7 +322,7 @@ class Plant:
             InputError: There is no such joint, a value is not finite, a piston would stand beyond
                 its stroke, or the model moves no bodies.
         """
-        names, velocities = self.plan.joints, velocities or {}
+        names, velocities = self.solver.joint_names, velocities or {}
         place = np.array(self.solver.joints()[:, 0])
         speed = np.zeros_like(place)
         for what, given, into in (("position", positions, place), ("velocity", velocities, speed)):

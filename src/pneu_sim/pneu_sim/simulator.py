@@ -204,8 +204,8 @@ class Simulator:
             self._named(plan.chambers, series.temperatures),
             self._named(plan.cylinders, series.cylinders[:, :, 0]),
             self._named(plan.cylinders, series.cylinders[:, :, 2]),
-            self._named(plan.joints, series.joints[:, :, 0]),
-            self._named(plan.joints, series.joints[:, :, 1]),
+            self._named(self.plant.solver.joint_names, series.joints[:, :, 0]),
+            self._named(self.plant.solver.joint_names, series.joints[:, :, 1]),
         )
 
     def mass_kg(self) -> float | Floats:

@@ -207,6 +207,11 @@ class Solver(ABC):
         """
         raise InputError("joints: the rig's model moves no bodies")
 
+    @property
+    def joint_names(self) -> list[str]:
+        """Names of the joints of bodies."""
+        return self.plan.joints
+
     def joints(self) -> Floats:
         """Returns (n_joints, 2, lanes) positions and velocities of the joints of bodies."""
         return np.zeros((0, 2, self.lanes))

@@ -328,6 +328,17 @@ def place_joints(tile: Tile, position: Floats, velocity: Floats | float) -> None
         check_extensions(model, tile.cylinder_state[:, L.SY_EXTENSION, j])
 
 
+def force_at_rest(tile: Tile) -> Floats:
+    """Force of gas and room on every piston by the pressures beside it, (n_cylinders, lanes), N.
+
+    Args:
+        tile: The batch, its pressures computed.
+    """
+    rigs = tile.free
+    kernel.lean(rigs.cells, rigs.chambers, rigs.cylinders)
+    return tile.cylinder_state[:, L.SY_FORCE].copy()
+
+
 def rearrange(tile: Tile, position: Floats, velocity: Floats) -> None:
     """Moves bodies and their pistons elsewhere; gas keeps its pressure and temperature.
 

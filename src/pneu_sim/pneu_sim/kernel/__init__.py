@@ -30,5 +30,6 @@ from pneu_sim.kernel.leaks import leak_flow as leak_flow
 from pneu_sim.kernel.orifices import iso6358_flow as iso6358_flow
 from pneu_sim.kernel.orifices import orifice_flow as orifice_flow
 from pneu_sim.kernel.pistons import count_cells as count_cells
+from pneu_sim.kernel.pistons import lean as lean
 from pneu_sim.kernel.pistons import settle as settle
 from pneu_sim.kernel.pistons import wall_pressure as wall_pressure

@@ -376,6 +376,28 @@ def _side_gas(k, side, j, cells, chambers, cylinders):
     return cylinders.par[k, L.PY_ROOM_P, j], cylinders.par[k, L.PY_ROOM_T, j]
 
 
+@branching
+def lean(cells, chambers, cylinders):
+    """Force of gas and room on every piston by the pressures beside it, no wave being on its way.
+
+    Args:
+        cells: All slots, their pressures computed.
+        chambers: Chambers, likewise.
+        cylinders: Cylinders.
+    """
+    par, work = cylinders.par, cylinders.work
+    for k in range(cylinders.table.shape[0]):
+        for j in range(cells.lanes):
+            for side in range(2):
+                p, _ = _side_gas(k, side, j, cells, chambers, cylinders)
+                work[k, L.WY_FACE + side, j] = p
+            room = par[k, L.PY_ROOM_P, j]
+            a, b = par[k, L.PY_AREA, j], par[k, L.PY_AREA_ROD, j]
+            cylinders.state[k, L.SY_FORCE, j] = (
+                work[k, L.WY_FACE, j] * a - work[k, L.WY_FACE_ROD, j] * b - room * (a - b)
+            )
+
+
 @folded
 def _give(k, side, j, mass, heat, cells, chambers, cylinders):
     """Add mass and energy to the gas beside the piston."""

@@ -2,6 +2,7 @@
 """Reading and writing rig files: one YAML file, one clear sentence where it is wrong."""
 
 import io
+import os
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -40,6 +41,8 @@ def load_rig(path: str | Path) -> Rig:
         rig = Rig.model_validate(data)
     except ValidationError as error:
         raise InputError(f"{path}: {sentence(error, Rig)}") from None
+    if rig.mechanism is not None:
+        rig.mechanism.mjcf = str((path.parent / rig.mechanism.mjcf).resolve())
     objection = implausible(rig)
     if objection:
         raise InputError(f"{path}: {objection}")
@@ -65,5 +68,8 @@ def save_rig(rig: Rig, path: str | Path) -> None:
     yaml.default_flow_style = None
     yaml.width = 100
     text = io.StringIO()
-    yaml.dump(rig.dump(), text)
+    data = rig.dump()
+    if rig.mechanism is not None:
+        data["mechanism"]["mjcf"] = os.path.relpath(rig.mechanism.mjcf, path.parent)
+    yaml.dump(data, text)
     write_whole(path, text.getvalue())

@@ -13,6 +13,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from pneu_sim.bodies.kinds import AnyBody
 from pneu_sim.channels import Channel, TextFormat
+from pneu_sim.mechanism.settings import MechanismSettings
 from pneu_sim.parts import Finite, NonNegative, Part, Positive, Ratio
 from pneu_sim.rig.cylinder import Cylinder
 from pneu_sim.rig.kinds import checked
@@ -596,6 +597,7 @@ class Rig(Part):
         chambers: Well-mixed volumes.
         cylinders: Pistons between two gases.
         bodies: What cylinders move; one that moves nothing is locked.
+        mechanism: Instead of bodies, a mechanism that MuJoCo moves.
         valves: Spools and the ports they open.
         orifices: Fixed restrictions.
         commands: What the valves follow.
@@ -620,6 +622,7 @@ class Rig(Part):
     chambers: dict[str, Chamber] = {}
     cylinders: dict[str, Cylinder] = {}
     bodies: dict[str, AnyBody] = {}
+    mechanism: MechanismSettings | None = None
     valves: dict[str, Valve] = {}
     orifices: dict[str, Orifice] = {}
     commands: dict[str, Command] = {}
@@ -770,14 +773,19 @@ def _check_cylinders(rig: Rig) -> list[str]:
                     f" that throttles; found {len(meets)}"
                 )
     users: dict[str, str] = {}
-    for name, body in rig.bodies.items():
-        for used in body.driven_by:
+    moved = {f"bodies.{name}": body.driven_by for name, body in rig.bodies.items()}
+    if rig.mechanism is not None:
+        if rig.bodies:
+            raise ValueError("mechanism: found bodies besides; a rig has one or the other")
+        moved["mechanism.cylinders"] = list(rig.mechanism.cylinders)
+    for name, driven_by in moved.items():
+        for used in driven_by:
             if used not in rig.cylinders:
                 raise ValueError(
-                    f"bodies.{name}: {used!r} is not among cylinders"
+                    f"{name}: {used!r} is not among cylinders"
                     f" ({', '.join(rig.cylinders) or 'none declared'})"
                 )
             if used in users:
-                raise ValueError(f"bodies.{name}: cylinder {used!r} moves {users[used]!r} already")
+                raise ValueError(f"{name}: cylinder {used!r} moves {users[used]} already")
             users[used] = name
     return vessels
