@@ -6,7 +6,7 @@ import types
 from collections.abc import Mapping
 from typing import Annotated, Any, Self, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Strict, ValidationError
+from pydantic import BaseModel, ConfigDict, Strict, Tag, ValidationError
 
 from pneu_common.errors import InputError
 
@@ -34,10 +34,12 @@ def sentence(error: ValidationError, model: Any) -> str:
 
 
 def _inner(annotation: Any) -> list[Any]:
-    """Classes of models and mappings that a value of an annotation may be made of."""
+    """Classes of models, mappings and tagged alternatives that a value may be made of."""
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        return _inner(arguments[0])
+        tags = [one.tag for one in arguments[1:] if isinstance(one, Tag)]
+        inner = _inner(arguments[0])
+        return [(tags[0], inner)] if tags else inner
     if origin in (Union, types.UnionType):
         return [one for argument in arguments for one in _inner(argument)]
     if isinstance(origin, type) and issubclass(origin, Mapping):
@@ -54,11 +56,13 @@ def _walk(model: Any, loc: tuple[int | str, ...]) -> tuple[list[Any], list[int |
     at, way = _inner(model), []
     for number, part in enumerate(loc):
         following = []
-        known = False
+        known = tagged = False
         for one in at:
             if isinstance(one, tuple):
-                following += one[1]
-                known = True
+                if one[0] in ("each", part):
+                    following += one[1]
+                    known = True
+                    tagged = tagged or one[0] != "each"
                 continue
             for name, field in one.model_fields.items():
                 if part in (name, field.alias):
@@ -69,7 +73,8 @@ def _walk(model: Any, loc: tuple[int | str, ...]) -> tuple[list[Any], list[int |
                 way.append(part)  # a key that is not known
             continue  # pydantic tells which of several alternatives it tried
         at = following
-        way.append(part)
+        if not tagged:
+            way.append(part)
     return at, way
 
 

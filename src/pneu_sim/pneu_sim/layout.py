@@ -133,6 +133,27 @@ Q_HEAD: Final = 5  # share of the velocity head of the line it leaves that drive
 Q_WIDENING: Final = 6  # exponent with which the linear range grows with the opening
 PORT_PARAMS: Final = 7
 
+# --- pressure regulators --------------------------------------------------------------------------
+REG_FILL: Final = 0  # integer columns: the port that fills its outlet, the one that vents it
+REG_VENT: Final = 1
+REG_COLUMNS: Final = 2
+
+REG_LOW: Final = 0  # parameters: set-point where the opening of the fill is told as 0, Pa
+REG_SPAN: Final = 1  # by how much more it is where that is 1, Pa
+REG_DEAD: Final = 2  # within this of the set-point nothing opens, Pa
+REG_BAND: Final = 3  # by how much more a port is fully open, Pa
+REG_LAG: Final = 4  # time constant of its spool, s
+REG_SENSOR: Final = 5  # time constant of its sensor, s; 0 is none
+REG_RATE: Final = 6  # rate of its integral term, 1/s; 0 is none
+REG_FILL_LEAK: Final = 7  # opening that remains of the closed ports
+REG_VENT_LEAK: Final = 8
+REG_PARAMS: Final = 9
+
+REG_SEEN: Final = 0  # state: the pressure that its sensor shows, Pa; 0 before it has seen any
+REG_SPOOL: Final = 1  # where its spool stands: fill fully open at 1, vent at -1
+REG_SUM: Final = 2  # its integral term
+REG_STATE: Final = 3
+
 # --- reservoir parameter rows ---------------------------------------------------------------------
 R_PRESSURE: Final = 0
 R_TEMPERATURE: Final = 1

@@ -23,9 +23,12 @@ from pneu_sim.rig.model import (
     V_INTEGRAL,
     V_LIMIT,
     V_NULL,
+    V_OFF,
+    V_ON,
     V_SPEED,
 )
 from pneu_sim.signals import SAME_S
+from pneu_sim.switching import switched
 
 Floats = NDArray[np.float64]
 
@@ -366,6 +369,10 @@ def spool_positions(
             NaN first has the spool at rest.
         out: (intervals, knots + 1) positions, V; both ends of an interval are its own.
     """
+    begin = origin + first * interval
+    if row[V_ON] != row[V_OFF]:
+        early = begin - row[V_DELAY] - 2.0 * abs(row[V_CLOSING])
+        time, volts = switched(time, volts, early, begin + out.shape[0] * interval, row)
     if row[V_CLOSING] != 0.0:
         room = np.empty(time.size)
         acting = np.empty(time.size)
@@ -374,7 +381,7 @@ def spool_positions(
         volts = acting[:n]
     h = interval / (out.shape[1] - 1)
     half = 0.5 * row[V_HYSTERESIS]
-    i = _in_force(time, origin + first * interval - row[V_DELAY] + SAME_S)
+    i = _in_force(time, begin - row[V_DELAY] + SAME_S)
     if math.isnan(memory[0]):
         memory[:] = 0.0
         memory[:2] = row[V_NULL] if at_null else volts[i]

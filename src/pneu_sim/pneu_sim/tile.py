@@ -34,6 +34,7 @@ CHANGING = (
     "cylinder_state",
     "joint_state",
     "friction_heat",
+    "regulator_state",
     "clock",
 )
 """Arrays of a tile that its steps change and that the next ones begin from."""
@@ -56,6 +57,8 @@ class Tile:
         ported: (n_ends, PORTED_ROWS, lanes) scratch.
         port: (n_ports, PORT_PARAMS, lanes).
         port_flow: (n_ports, 2, lanes) latest mass and enthalpy flows.
+        regulator: (n_regulators, REG_PARAMS, lanes).
+        regulator_state: (n_regulators, REG_STATE, lanes) what they show, where they stand.
         reservoir: (n_reservoirs, RESERVOIR_PARAMS, lanes).
         opening: (n_ports, lanes) scratch.
         reservoir_p: (n_reservoirs, lanes) present pressures.
@@ -98,6 +101,8 @@ class Tile:
     port: Floats
     port_flow: Floats
     opening: Floats
+    regulator: Floats
+    regulator_state: Floats
     reservoir: Floats
     reservoir_p: Floats
     supplied: Floats
@@ -261,6 +266,8 @@ def pack(
         port=lanes([m.port for m in models]),
         port_flow=np.zeros((ports, 2, w)),
         opening=np.zeros((ports, w)),
+        regulator=lanes([m.regulator for m in models]),
+        regulator_state=np.zeros((len(plan.regulators), L.REG_STATE, w)),
         reservoir=np.zeros((*models[0].reservoir.shape, w)),
         reservoir_p=np.zeros((reservoirs, w)),
         supplied=np.zeros((reservoirs, w)),
@@ -529,7 +536,13 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
         ),
         kernel.Steps(tile.step_index, tile.step_area),
         kernel.Ends(plan.ends, tile.end_velocity, tile.joint, tile.ported),
-        kernel.Ports(plan.ports, tile.port, tile.port_flow, tile.opening),
+        kernel.Ports(
+            plan.ports,
+            tile.port,
+            tile.port_flow,
+            tile.opening,
+            kernel.Regulators(plan.regulators, tile.regulator, tile.regulator_state),
+        ),
         kernel.Reservoirs(
             tile.reservoir,
             tile.reservoir_p,

@@ -10,14 +10,17 @@ from numpy.typing import NDArray
 from pneu_sim.compiling import compiled
 from pneu_sim.rig import model as M
 from pneu_sim.rig.model import Model
+from pneu_sim.rig.valve_kinds import SWITCH_STEP_S
 from pneu_sim.signals import Signal
 from pneu_sim.spool import MEMORY, spool_positions
+from pneu_sim.switching import PAST_PERIODS, has_switch
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 KNOTS_PER_SAMPLE = 4
-"""Parts into which a sample interval is cut; openings are given at their ends, linear between."""
+"""Parts into which a sample interval is cut; openings are given at their ends, linear between.
+Where a valve is switched, there are as many more as resolve its pulses."""
 
 
 @compiled
@@ -142,7 +145,7 @@ class Spools:
         origin_s: float,
         first: int,
         interval_s: float,
-        knots: int = KNOTS_PER_SAMPLE,
+        knots: int | None = None,
     ) -> Floats:
         """Openings of the ports under further commands.
 
@@ -151,11 +154,15 @@ class Spools:
             origin_s: Time from which intervals are counted, s.
             first: Number of the first one.
             interval_s: Length of one, s.
-            knots: Into how many parts one is cut.
+            knots: Into how many parts one is cut; None takes what the valves need.
 
         Returns:
             (intervals, knots + 1, ports, lanes) openings, dimensionless; linear between.
         """
+        if knots is None:
+            knots = KNOTS_PER_SAMPLE
+            if has_switch(self.spool):
+                knots = max(knots, math.ceil(interval_s / SWITCH_STEP_S - 1e-9))
         lanes, valves, _ = self.spool.shape
         past, count = self._time.size, volts.shape[2]
         told = origin_s + (first + np.arange(count + 1)) * interval_s
@@ -194,9 +201,12 @@ def longest_delay_s(spool: Floats) -> float:
         spool: (..., VALVE_COLUMNS) valve parameters.
 
     Returns:
-        The longest delay of opening or closing, s.
+        The longest delay of opening or closing, s; of a modulated switch the periods before it.
     """
     late = spool[..., M.V_DELAY] + np.maximum(spool[..., M.V_CLOSING], 0.0)
+    modulated = spool[..., M.V_PERIOD] > 0.0
+    late += np.where(modulated, np.abs(spool[..., M.V_CLOSING]), 0.0)
+    late += PAST_PERIODS * spool[..., M.V_PERIOD]
     return float(np.max(late, initial=0.0))
 
 

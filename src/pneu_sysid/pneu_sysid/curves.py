@@ -40,6 +40,8 @@ def with_own_curves(rig: Rig, never_wide: Collection[str] = ()) -> Rig:
     copy = rig.model_copy(deep=True)
     for v, valve in copy.valves.items():
         curves = {}
+        if valve.switch is not None or valve.regulator is not None:
+            continue  # of what is open or shut, or is a set-point, points between tell nothing
         for name, port in valve.ports.items():
             opening, null = port.opening, valve.spool.null_v
             if opening.mirror is not None:
@@ -61,6 +63,8 @@ def _finer(opening: Opening, spool: Spool, widest: float) -> Opening:
     s = np.array(opening.voltage_v) - spool.null_v
     if np.any(s > 0.0) and np.any(s < 0.0):
         return opening
+    if np.argmin(np.abs(s)) == np.argmax(opening.fraction):
+        return opening  # open at null, and no power law of the distance from there
     side = 1.0 if s[-1] > 0.0 else -1.0
     given = np.sort(np.abs(s[s != 0.0]))
     low = NEAREST * float(given[-1])
@@ -155,7 +159,8 @@ def _smooth(valve: Valve, base: str, port: Port) -> Iterator[Tie]:
         x, y = np.log(np.abs(x - null)), np.log(y)
         change = EXPONENT_CHANGE
     else:
-        change = SLOPE_CHANGE / abs(x[np.argmax(y)] - null)
+        reach = abs(x[np.argmax(y)] - null) or float(np.ptp(x))  # it may be open at null
+        change = SLOPE_CHANGE / reach
     for k in range(1, x.size - 1):
         left, right = 1.0 / (x[k] - x[k - 1]), 1.0 / (x[k + 1] - x[k])
         weights = (left / change, (-left - right) / change, right / change)

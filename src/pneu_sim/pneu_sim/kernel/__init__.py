@@ -16,6 +16,7 @@ from pneu_sim.kernel.arrays import Ends as Ends
 from pneu_sim.kernel.arrays import Gas as Gas
 from pneu_sim.kernel.arrays import Ports as Ports
 from pneu_sim.kernel.arrays import Record as Record
+from pneu_sim.kernel.arrays import Regulators as Regulators
 from pneu_sim.kernel.arrays import Reservoirs as Reservoirs
 from pneu_sim.kernel.arrays import Rigs as Rigs
 from pneu_sim.kernel.arrays import Scheme as Scheme

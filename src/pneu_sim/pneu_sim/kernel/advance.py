@@ -51,6 +51,7 @@ from pneu_sim.kernel.recording import (
     write_down,
     write_down_motion,
 )
+from pneu_sim.kernel.regulators import regulate_ports
 from pneu_sim.kernel.reservoirs import supply
 from pneu_sim.kernel.terms import act as act_terms
 from pneu_sim.kernel.terms import acting
@@ -169,6 +170,8 @@ def advance(rigs, clock, opening, record):
             if pistons:
                 open_cushions(ports, cylinders)
                 foresee(dt, bodies, cylinders)
+            if ports.regulators.table.shape[0] > 0:
+                regulate_ports(dt, cells, ends, ports, chambers)
             if reservoirs.ripple_of.size > 0:
                 supply(step, dt, clock.lanes, reservoirs)
             if scheme.joints:

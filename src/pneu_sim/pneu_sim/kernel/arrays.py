@@ -98,6 +98,20 @@ class Ends(NamedTuple):
     ported: Floats
 
 
+class Regulators(NamedTuple):
+    """Pressure regulators, which open two ports each as the pressure behind them asks.
+
+    Attributes:
+        table: (n_regulators, REG_COLUMNS) their ports.
+        par: (n_regulators, REG_PARAMS, lanes).
+        state: (n_regulators, REG_STATE, lanes) what they show, where they stand.
+    """
+
+    table: Ints
+    par: Floats
+    state: Floats
+
+
 class Ports(NamedTuple):
     """Ports of valves, then orifices.
 
@@ -106,12 +120,14 @@ class Ports(NamedTuple):
         par: (n_ports, PORT_PARAMS, lanes).
         flow: (n_ports, 2, lanes) mass kg/s and enthalpy W of the last step.
         opening: (n_ports, lanes) at this step.
+        regulators: What opens some of them otherwise.
     """
 
     table: Ints
     par: Floats
     flow: Floats
     opening: Floats
+    regulators: Regulators
 
 
 class Reservoirs(NamedTuple):

@@ -12,7 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_sim import layout as L
 from pneu_sim.compiling import branching, folded
+from pneu_sim.kernel.regulators import fill_opening, regulate, vent_opening
 from pneu_sim.lumped.model import (
     RELIEF_COLUMNS,
     V_COMPLIANCE,
@@ -102,6 +104,8 @@ class Volumes(NamedTuple):
         side_delay: (lanes, 2 n_ports, 2 n_ports) travel times, s.
         drag: (lanes, 2 n_ports, 2) laminar and turbulent resistance times length.
         room: (lanes, 2) pressure and temperature of the room and of every wall.
+        regulated: (n_regulators, REG_COLUMNS) ports of regulators, alike for all.
+        regulator: (lanes, n_regulators, REG_PARAMS) their numbers.
     """
 
     gamma: float
@@ -118,6 +122,8 @@ class Volumes(NamedTuple):
     side_delay: Floats
     drag: Floats
     room: Floats
+    regulated: Ints
+    regulator: Floats
 
 
 class Shares(NamedTuple):
@@ -130,6 +136,7 @@ class Shares(NamedTuple):
         past: (lanes, steps, 2 n_ports) what sides had brought, step by step, a ring.
         head: (lanes, 1) newest row of that.
         opening: (lanes, n_ports) of the ports at this moment; NaN before any has been told.
+        regulator: (lanes, n_regulators, REG_STATE) where the regulators stand.
     """
 
     base: Floats
@@ -137,6 +144,7 @@ class Shares(NamedTuple):
     past: Floats
     head: Ints
     opening: Floats
+    regulator: Floats
 
 
 class Goals(NamedTuple):
@@ -178,7 +186,7 @@ def _one(rigs: Volumes, j: int) -> Volumes:
     return Volumes(
         rigs.gamma, rigs.r_gas, rigs.exponent[j], rigs.side, rigs.area[j], rigs.linear[j],
         rigs.source[j], rigs.volume[j], rigs.tap, rigs.chamber, rigs.tap_delay[j],
-        rigs.side_delay[j], rigs.drag[j], rigs.room[j],
+        rigs.side_delay[j], rigs.drag[j], rigs.room[j], rigs.regulated, rigs.regulator[j],
     )  # fmt: skip
 
 
@@ -294,6 +302,30 @@ def _leaked(row: Floats, p: float, t: float, rig: Volumes) -> float:
     return float(leak)
 
 
+@folded
+def _regulate(
+    at: float, h: float, opening: Floats, lane: int, rig: Volumes, shares: Shares, scratch: Scratch
+) -> None:
+    """Moves the regulators on by a step; they see the pressures at its beginning."""
+    knots = opening.shape[0] - 1
+    i = min(int(at * knots), knots - 1)
+    for k in range(rig.regulated.shape[0]):
+        fill = rig.regulated[k, L.REG_FILL]
+        change = opening[i + 1, fill, lane] - opening[i, fill, lane]
+        share = opening[i, fill, lane] + (at * knots - i) * change
+        p, _ = _at_side(2 * fill + 1, rig, shares, scratch.before, 0.0, h)
+        regulate(p, share, h, rig.regulator[k], shares.regulator[k])
+
+
+@folded
+def _open_regulated(rig: Volumes, shares: Shares, scratch: Scratch) -> None:
+    """Openings of the regulators' ports as they stand."""
+    for k in range(rig.regulated.shape[0]):
+        par, state = rig.regulator[k], shares.regulator[k]
+        scratch.opening[rig.regulated[k, L.REG_FILL]] = fill_opening(par, state)
+        scratch.opening[rig.regulated[k, L.REG_VENT]] = vent_opening(par, state)
+
+
 @branching
 def _rates(
     rig: Volumes,
@@ -358,6 +390,7 @@ def _step(
         before[i] = now[i]
         after[i] = now[i]
     knots = opening.shape[0] - 1
+    _regulate((s + 0.5) / n_sub, h, opening, lane, rig, shares, scratch)
     for stage in range(4):
         part = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
         at = (s + part) / n_sub
@@ -365,6 +398,7 @@ def _step(
         for q in range(scratch.opening.size):
             change = opening[i + 1, q, lane] - opening[i, q, lane]
             scratch.opening[q] = opening[i, q, lane] + (at * knots - i) * change
+        _open_regulated(rig, shares, scratch)
         if pull > 0.0:
             for t in range(rig.tap.size):
                 scratch.goal[t] = (1.0 - at) * goals[0, t] + at * goals[1, t]
@@ -412,6 +446,7 @@ def begin_volumes(rigs: Volumes, shares: Shares) -> None:
     shares.past[:] = 0.0
     shares.head[:] = 0
     shares.opening[:] = np.nan
+    shares.regulator[:] = 0.0
     masses = rigs.side.size + shares.base.shape[1]
     for j in range(shares.base.shape[0]):
         for v in range(shares.base.shape[1]):
@@ -453,7 +488,12 @@ def advance_volumes(
     for j in range(rigs.area.shape[0]):
         rig = _one(rigs, j)
         own = Shares(
-            shares.base[j], shares.now[j], shares.past[j], shares.head[j], shares.opening[j]
+            shares.base[j],
+            shares.now[j],
+            shares.past[j],
+            shares.head[j],
+            shares.opening[j],
+            shares.regulator[j],
         )
         sound = math.sqrt(rig.gamma * rig.r_gas * rig.room[1])
         for q in range(own.opening.size):
@@ -462,6 +502,7 @@ def advance_volumes(
         for k in range(intervals + 1):
             for q in range(own.opening.size):
                 scratch.opening[q] = 0.0 if math.isnan(own.opening[q]) else own.opening[q]
+            _open_regulated(rig, own, scratch)
             for i in range(own.now.size):
                 scratch.before[i] = own.now[i]
             _rates(rig, own, scratch, sound, 0.0, 0.0, h)

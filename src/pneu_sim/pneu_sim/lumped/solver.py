@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_sim import layout as L
 from pneu_sim.lumped.filling import (
     Goals,
     Scratch,
@@ -18,7 +19,9 @@ from pneu_sim.lumped.filling import (
     port_flow,
 )
 from pneu_sim.lumped.model import V_VOLUME, LumpedModel
+from pneu_sim.rig.valve_kinds import SWITCH_STEP_S
 from pneu_sim.solver import Series, Solver
+from pneu_sim.switching import has_switch
 
 Floats = NDArray[np.float64]
 
@@ -39,6 +42,8 @@ class LumpedSolver(Solver):
         first = models[0]
         self.models, self.plan = [m.base for m in models], first.plan
         self.step_s = STABLE / max(*(fastest(m) for m in models), pull_1_s, 1e-9)
+        if len(self.plan.regulators) or has_switch(np.stack([m.base.spool for m in models])):
+            self.step_s = min(self.step_s, SWITCH_STEP_S)
         self._cells = first.cells
         self._pull_1_s = pull_1_s
         widest = max(m.volume.shape[1] for m in models)  # one may have more relief valves
@@ -59,6 +64,8 @@ class LumpedSolver(Solver):
             np.stack([m.side_delay_s for m in models]),
             np.stack([m.drag for m in models]),
             np.stack([m.base.ambient for m in models]),
+            self.plan.regulators,
+            np.stack([m.base.regulator for m in models]),
         )
         self._sources = self._rigs.source.copy()
         self._base = np.zeros((len(models), len(first.volume)))
@@ -85,6 +92,7 @@ class LumpedSolver(Solver):
             np.zeros((lanes, int(longest / step_s) + 3, n_sides)),
             np.zeros((lanes, 1), dtype=np.int64),
             np.zeros((lanes, rigs.area.shape[1])),
+            np.zeros((lanes, len(rigs.regulated), L.REG_STATE)),
         )
 
     def steps(self, interval_s: float) -> int:
@@ -147,7 +155,7 @@ class LumpedSolver(Solver):
     def _remember_at(self, step_s: float) -> None:
         """What has been brought to the volumes, told at steps of another length."""
         old, new = self._shares, self._no_shares(step_s)
-        for name in ("now", "opening"):
+        for name in ("now", "opening", "regulator"):
             getattr(new, name)[:] = getattr(old, name)
         size = old.past.shape[1]
         back = np.arange(new.past.shape[1]) * step_s / (self._past_s or math.inf)

@@ -18,6 +18,7 @@ from pneu_sim.rig.model import CURVE_POINTS, SENSOR_COLUMNS, VALVE_COLUMNS, Mode
 from pneu_sim.rig.opening import opening_at
 from pneu_sim.rig.plan import Plan, plan_grid
 from pneu_sim.rig.schema import Port, Rig, Spool, Valve
+from pneu_sim.rig.valve_kinds import Switch
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -36,7 +37,7 @@ def _curve(port: Port, valve: Valve) -> tuple[Floats, Floats]:
     table = opening_at(source, null, table_v)
     if port.opening.mirror is not None:
         table_v, table = 2.0 * null - table_v[::-1], table[::-1]
-    lift = port.leakage
+    lift = 0.0 if valve.regulator is not None else port.leakage
     table = lift + (1.0 - min(lift, 1.0)) * np.maximum(table, 0.0)
     return table, np.array([table_v[0], table_v[-1]])
 
@@ -101,6 +102,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         newton=rig.grid.newton_iterations,
         memory=rig.grid.memory,
         thesis_joints=rig.grid.thesis_joints,
+        regulator=_regulators(rig),
     )
     apply_to_model(rig, model)
     model.compliant = bool(np.any(model.cell[L.COMPLIANCE] > 0.0))
@@ -150,7 +152,7 @@ def _ports(rig: Rig, plan: Plan) -> tuple[Floats, Floats, Floats, Floats]:
     spool = np.zeros((len(rig.valves), VALVE_COLUMNS))
     q = 0
     for v, valve in enumerate(rig.valves.values()):
-        spool[v] = spool_row(valve.spool)
+        spool[v] = spool_row(valve.spool, valve.switch)
         for p in valve.ports.values():
             port[q] = (
                 p.conductance_m3_s_pa,
@@ -222,13 +224,40 @@ def _taps(rig: Rig, plan: Plan) -> tuple[Ints, Floats, Floats]:
     return slot, weight, sensor
 
 
-def spool_row(spool: Spool) -> Floats:
+def _regulators(rig: Rig) -> Floats:
+    """(n_regulators, REG_PARAMS)."""
+    rows = []
+    for valve in rig.valves.values():
+        r = valve.regulator
+        if r is not None:
+            rows.append(
+                (
+                    r.low_pa,
+                    r.high_pa - r.low_pa,
+                    r.dead_zone_pa,
+                    r.full_open_pa,
+                    0.5 / (math.pi * r.bandwidth_hz),
+                    r.sensor_lag_s,
+                    0.0 if r.integral_s is None else 1.0 / r.integral_s,
+                    valve.ports[r.fill].leakage,
+                    valve.ports[r.vent].leakage,
+                )
+            )
+    return np.array(rows).reshape(-1, L.REG_PARAMS)
+
+
+def spool_row(spool: Spool, switch: Switch | None = None) -> Floats:
     """(VALVE_COLUMNS,) a spool in numbers, see `Model.spool`.
 
     Args:
         spool: The spool.
+        switch: What the command becomes before the spool is told.
     """
     s = spool
+    switched = (0.0, 0.0, 0.0, 0.0)
+    if switch is not None:
+        period_s = 0.0 if switch.pwm_hz is None else 1.0 / switch.pwm_hz
+        switched = (switch.off_v, switch.on_v, switch.threshold_v, period_s)
     return np.array(
         [
             0.0 if s.bandwidth_hz is None else 2.0 * math.pi * s.bandwidth_hz,
@@ -242,6 +271,7 @@ def spool_row(spool: Spool) -> Floats:
             s.null_v,
             math.inf if s.max_speed_v_s is None else s.max_speed_v_s,
             0.0 if s.closing_delay_s is None else s.closing_delay_s - s.delay_s,
+            *switched,
         ]
     )
 

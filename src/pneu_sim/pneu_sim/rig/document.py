@@ -60,6 +60,25 @@ Numbers are reached by dotted paths, `pipes.tube.area_m2` or
 `valves.valve.ports.fill.opening.fraction.1`; in `fit`, `*` stands for every part of a kind
 (`pipes.*.wall.unsteady`).
 
+A valve is written as the general one, a spool and its ports, or with a few fields as a `kind` of
+valve that robots have ([5/3](#fivethree), [3/3](#threethree), [3/2](#threetwo), [2/2](#twotwo),
+[pressure regulator](#regulator)):
+
+```yaml
+valves:
+  arm: {kind: 5/3, command: arm_v, supply: tank, outlets: [cap, rod], exhausts: [room],
+        conductance_m3_s_pa: 2.8e-8, critical_ratio: 0.3, overlap_v: 0.1, bandwidth_hz: 100.0}
+  muscle: {kind: 3/2, command: duty, supply: tank, outlet: muscle, exhaust: room,
+           conductance_m3_s_pa: 4.0e-9, opening_delay_s: 0.0012, closing_delay_s: 0.0015,
+           movement_s: 0.0005, pwm_hz: 100.0}
+  preload: {kind: regulator, command: preload_v, supply: tank, outlet: bladder, exhaust: room,
+            conductance_m3_s_pa: 1.0e-8, high_pa: 601325.0}
+```
+
+It becomes the general one as the file is read. Paths, effects, results and files that are written
+know the ports and the spool of that: `valves.arm.ports.supply_a.conductance_m3_s_pa`,
+`valves.preload.regulator.dead_zone_pa`.
+
 This page is made by `python -m pneu_sim.rig.document`.
 """
 
@@ -163,6 +182,8 @@ def _default(field: FieldInfo) -> str:
         return f"{value:g}"
     if isinstance(value, str):
         return f"`{value}`" if value else "empty"
+    if isinstance(value, tuple):
+        return f"[{', '.join(f'{one:g}' for one in value)}]"
     return "its defaults" if isinstance(value, BaseModel) else "empty"
 
 

@@ -22,7 +22,8 @@ CURVE_POINTS = 4097
 V_FREQUENCY, V_DAMPING, V_INTEGRAL, V_LIMIT, V_DELAY = 0, 1, 2, 3, 4
 V_HYSTERESIS, V_OFFSET, V_DEAD, V_NULL = 5, 6, 7, 8
 V_SPEED, V_CLOSING = 9, 10
-VALVE_COLUMNS = 11
+V_OFF, V_ON, V_THRESHOLD, V_PERIOD = 11, 12, 13, 14
+VALVE_COLUMNS = 15
 # Columns of a tap's row (see Model.sensor).
 S_LAG, S_GAIN, S_BIAS, S_OFFSET = 0, 1, 2, 3
 SENSOR_COLUMNS = 4
@@ -64,7 +65,8 @@ class Model:
             rad.
         spool: (n_valves, VALVE_COLUMNS) natural frequency rad/s, damping, integral gain,
             acceleration limit, delay, hysteresis, null offset, dead-band, null voltage, speed
-            limit, how much longer than that the delay of closing is.
+            limit, how much longer than that the delay of closing is, voltages off and on of a
+            switch (alike where there is none), its threshold, period of its modulation (0: none).
         curve: (n_ports, CURVE_POINTS) opening over ``curve_v``; orifices are constant.
         curve_v: (n_ports, 2) voltage range of the table.
         tap_slot: (n_taps,) slot left of the tap, or -1 - chamber.
@@ -74,6 +76,7 @@ class Model:
         end_area: (n_ends,) area of each pipe at its ends.
         thesis_joints: Whether pipes are joined as in the thesis, see the rig's grid.
         terms: Terms that effects add to the equations, by the effect's name.
+        regulator: (n_regulators, REG_PARAMS) how valves hold the pressure behind them.
     """
 
     plan: Plan
@@ -105,6 +108,7 @@ class Model:
     compliant: bool = field(default=False)
     thesis_joints: bool = False
     terms: dict[str, OwnTerm] = field(default_factory=dict)
+    regulator: Floats = field(default_factory=lambda: np.zeros((0, L.REG_PARAMS)))
 
     def add_term(
         self, name: str, act: Callable[..., Any], slot: int, numbers: tuple[float, ...]

@@ -19,6 +19,7 @@ from pneu_sim.rig.mechanics import (
 )
 from pneu_sim.rig.network import port_ends
 from pneu_sim.rig.schema import CLOSED, Rig
+from pneu_sim.rig.valve_kinds import SWITCH_STEP_S
 
 Ints = NDArray[np.int64]
 
@@ -50,6 +51,7 @@ class Plan:
         driven_by: (places,) cylinders that take hold of bodies, body by body.
         joints: Names.
         dt_s: Largest time step.
+        regulators: (n_regulators, REG_COLUMNS) ports of pressure regulators, see ``layout``.
     """
 
     pipes: dict[str, tuple[int, int]]
@@ -71,6 +73,7 @@ class Plan:
     driven_by: Ints
     joints: list[str]
     dt_s: float
+    regulators: Ints
 
 
 def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
@@ -182,6 +185,8 @@ def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
     moves = np.full(len(rig.cylinders), -1, dtype=np.int64)
     for b in range(len(body)):
         moves[driven_by[slice_of(body[b])]] = b
+    if any(valve.switch or valve.regulator for valve in rig.valves.values()):
+        dt = min(dt, SWITCH_STEP_S)
     return Plan(
         pipes=pipes,
         slots=slot,
@@ -202,7 +207,18 @@ def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
         driven_by=driven_by,
         joints=joints,
         dt_s=dt,
+        regulators=_regulators(rig, names),
     )
+
+
+def _regulators(rig: Rig, port_names: Sequence[str]) -> Ints:
+    """Ports of the regulators of a rig, in the order of its valves."""
+    rows = [
+        [port_names.index(f"{name}.{port}") for port in (of.fill, of.vent)]
+        for name, of in ((name, valve.regulator) for name, valve in rig.valves.items())
+        if of is not None
+    ]
+    return np.array(rows, dtype=np.int64).reshape(-1, L.REG_COLUMNS)
 
 
 def common_plan(rigs: Sequence[Rig], dx_m: float | None = None) -> Plan:

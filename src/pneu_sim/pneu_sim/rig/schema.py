@@ -7,16 +7,36 @@ wall. All quantities are SI, pressures absolute.
 """
 
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    model_validator,
+)
 
+from pneu_common.validation import sentence
 from pneu_sim.bodies.kinds import AnyBody
 from pneu_sim.channels import Channel, TextFormat
 from pneu_sim.mechanism.settings import MechanismSettings
 from pneu_sim.parts import Finite, NonNegative, Part, Positive, Ratio
 from pneu_sim.rig.cylinder import Cylinder
 from pneu_sim.rig.kinds import checked
+from pneu_sim.rig.valve_kinds import (
+    FiveThree,
+    Regulation,
+    Regulator,
+    Switch,
+    ThreeThree,
+    ThreeTwo,
+    TwoTwo,
+    kind_of_valve,
+    of_a_kind,
+)
 
 SCHEMA_VERSION = 1
 CLOSED = "closed"
@@ -389,20 +409,59 @@ class Spool(Part):
 
 
 class Valve(Part):
-    """A spool and the ports it opens.
+    """A spool and the ports it opens: the general valve, which every other kind becomes.
 
     Attributes:
+        kind: Says that it is a general one; other kinds follow below.
         command: Name of the command it follows.
         position: Where the spool's measured position is recorded, in volts of command. Recordings
             may lack it; from those that have it the spool is identified without any gas.
         spool: How the spool follows.
+        switch: How the command becomes one of two voltages, of an on-off valve.
         ports: Its flow paths.
+        regulator: How it holds the pressure behind it, of a pressure regulator.
     """
 
+    kind: Literal["general"] = "general"
     command: str
     position: Channel | None = None
     spool: Spool = Spool()
+    switch: Switch | None = None
     ports: dict[str, Port] = Field(min_length=1)
+    regulator: Regulation | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "Valve":
+        if self.position is not None and (self.switch or self.regulator):
+            raise ValueError("position: a valve with a switch or a regulator records none")
+        return self
+
+
+def _as_general(valve: Any) -> Valve:
+    """Any kind of valve as the general one."""
+    if isinstance(valve, Valve):
+        return valve
+    try:
+        return Valve.model_validate(valve.general())
+    except ValidationError as error:
+        raise ValueError(sentence(error, Valve)) from None
+
+
+if TYPE_CHECKING:
+    AnyValve = Valve
+else:
+    AnyValve = Annotated[
+        Annotated[Valve, Tag("general")]
+        | Annotated[FiveThree, Tag("5/3")]
+        | Annotated[ThreeThree, Tag("3/3")]
+        | Annotated[ThreeTwo, Tag("3/2")]
+        | Annotated[TwoTwo, Tag("2/2")]
+        | Annotated[Regulator, Tag("regulator")],
+        Discriminator(kind_of_valve),
+        BeforeValidator(of_a_kind),
+        AfterValidator(_as_general),
+    ]
+    """A valve of any kind in the file, a general one from then on."""
 
 
 class Orifice(Part):
@@ -623,7 +682,7 @@ class Rig(Part):
     cylinders: dict[str, Cylinder] = {}
     bodies: dict[str, AnyBody] = {}
     mechanism: MechanismSettings | None = None
-    valves: dict[str, Valve] = {}
+    valves: dict[str, AnyValve] = {}
     orifices: dict[str, Orifice] = {}
     commands: dict[str, Command] = {}
     taps: dict[str, Tap] = {}
@@ -732,6 +791,7 @@ def check_network(rig: Rig) -> None:
                             f"valves.{name}.ports.{p}: model effective_area needs a pipe at"
                             f" {node!r}"
                         )
+        _check_regulator(rig, name, valve)
     for name, tap in rig.taps.items():
         if tap.pipe is not None:
             if tap.pipe not in rig.pipes:
@@ -789,3 +849,30 @@ def _check_cylinders(rig: Rig) -> list[str]:
                 raise ValueError(f"{name}: cylinder {used!r} moves {users[used]} already")
             users[used] = name
     return vessels
+
+
+def _check_regulator(rig: Rig, name: str, valve: Valve) -> None:
+    """Raises ValueError where a regulator has no outlet whose pressure it could hold."""
+    regulator = valve.regulator
+    if regulator is None:
+        return
+    for field, port in (("fill", regulator.fill), ("vent", regulator.vent)):
+        if port not in valve.ports:
+            raise ValueError(
+                f"valves.{name}.regulator.{field}: {port!r} is not among its ports"
+                f" ({', '.join(valve.ports)})"
+            )
+        if valve.ports[port].model != "iso6358":
+            raise ValueError(f"valves.{name}.ports.{port}.model: a regulator's is iso6358")
+    fill, vent = valve.ports[regulator.fill], valve.ports[regulator.vent]
+    if fill.to_node != vent.from_node:
+        raise ValueError(
+            f"valves.{name}.regulator: its fill {regulator.fill!r} leads to {fill.to_node!r} and"
+            f" its vent {regulator.vent!r} starts from {vent.from_node!r}; both need to meet at its"
+            " outlet"
+        )
+    if fill.to_node in rig.reservoirs:
+        raise ValueError(
+            f"valves.{name}: the regulator's outlet {fill.to_node!r} is a reservoir, whose pressure"
+            " nothing changes; name a chamber or the end of a pipe"
+        )
