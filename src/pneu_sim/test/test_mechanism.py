@@ -337,6 +337,18 @@ def test_a_rig_that_becomes_unstable_is_not_finite_and_the_others_go_on():
     assert np.isfinite(together.extension()).all()
 
 
+def test_a_rig_whose_step_is_too_long_for_its_damping_is_given_up(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo leaves a log there
+    (tmp_path / "rail.xml").write_text(rail().mjcf())
+    base = MechanismSettings(mjcf="rail.xml", cylinders={"c": {"joint": "slide"}}, step_s=1e-3)
+    rigs = [base, base.model_copy(update={"damping": {"slide": 8e3}})]
+    mechanism = Mechanism(rigs, folder=tmp_path)
+    for _ in range(200):
+        mechanism.advance(np.full((1, 2), 10.0), 1e-3)
+    assert mechanism.extension()[0, 0] == pytest.approx(0.5 * 5.0 * 0.2**2)
+    assert np.isnan(mechanism.extension()[0, 1])
+
+
 # The coupling
 
 MASS, STROKE, PUSH = 2.0, 0.2, 0.03

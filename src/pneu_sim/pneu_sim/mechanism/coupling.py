@@ -147,14 +147,10 @@ class Coupling:
         """Half a step of gas, physics step, the other half of gas."""
         mechanism, half = self.mechanism, 0.5 * self.mechanism.step_s
         speed = self._led(mechanism.extension(), mechanism.speed(), half)
-        if not self._begun.all():
-            # Nothing came before: the same line through the force there is and the first half's.
-            now = gas(np.zeros_like(speed), 0.0)
-            first = gas(speed, half)
-            self._before = np.where(self._begun, self._before, 2.0 * now - first)
-            self._begun[:] = True
-        else:
-            first = gas(speed, half)
+        first = gas(speed, half)
+        # Where nothing came before, what is wrong with the middle is owed to the second step.
+        self._before = np.where(self._begun, self._before, first)
+        self._begun[:] = True
         middle = 1.5 * first - 0.5 * self._before
         force = middle + self._owed
         moved = mechanism.advance(force, 2.0 * half, friction_n)

@@ -95,8 +95,12 @@ class Mechanism:
         self._own_friction = model.tendon_frictionloss[self._loaded.tendons].copy()
         self._friction: Floats | None = None
         self._set_parameters()
-        self._length = self._batch.bind("actuator_length")
-        self._velocity = self._batch.bind("actuator_velocity")
+        self._length, self._velocity, self._qpos, self._qvel, self._control = (
+            self._batch.bind(name)
+            for name in ("actuator_length", "actuator_velocity", "qpos", "qvel", "ctrl")
+        )
+        # The stages that lengths and speeds come from.
+        self._current = self._mujoco.mjtStage.mjSTAGE_VEL.value
         self._alive = np.ones(lanes, bool)
         self._start = self._starts()
         self.reset()
@@ -126,24 +130,24 @@ class Mechanism:
         """Goes back to the start, at time zero."""
         self._alive[:] = True
         self._batch.reset(keyframe=self._start[0], stage=self._mujoco.mjtStage.mjSTAGE_NONE.value)
-        self._batch.bind("qpos")[...] = self._start[1]
+        self._qpos[...] = self._start[1]
         self._refresh()
 
     def extension(self) -> Floats:
         """Returns extensions of the cylinders: (n_cyl, lanes), m."""
-        return self._known(self._length[:, self._loaded.cylinders].T - self._offset)
+        return self._extension.copy()
 
     def speed(self) -> Floats:
         """Returns speeds of the pistons, positive where they extend: (n_cyl, lanes), m/s."""
-        return self._known(self._velocity[:, self._loaded.cylinders].T)
+        return self._speed.copy()
 
     def joint_positions(self) -> Floats:
         """Returns positions of the joints of one coordinate: (n_joints, lanes), rad or m."""
-        return self._known(self._batch.bind("qpos")[:, self._loaded.positions].T)
+        return self._known(self._qpos[:, self._loaded.positions].T)
 
     def joint_velocities(self) -> Floats:
         """Returns their velocities: (n_joints, lanes), rad/s or m/s."""
-        return self._known(self._batch.bind("qvel")[:, self._loaded.velocities].T)
+        return self._known(self._qvel[:, self._loaded.velocities].T)
 
     def steps(self, duration_s: float) -> int:
         """Physics steps in a duration.
@@ -181,13 +185,16 @@ class Mechanism:
             InputError: The duration is no whole number of steps.
         """
         n = self.steps(duration_s)
-        before = self.extension()
+        before = self._extension
         self._set_friction(friction_n)
-        self._alive &= np.isfinite(force_n).all(axis=0)
-        self._batch.bind("ctrl")[:, self._loaded.cylinders] = np.where(self._alive, force_n, 0.0).T
-        self._batch.step(self._ids(), n, self._mujoco.mjtStage.mjSTAGE_VEL.value)
-        self._bury()
-        return self.extension() - before
+        fine = np.isfinite(force_n)
+        if not fine.all():
+            self._alive &= fine.all(axis=0)
+            force_n = np.where(self._alive, force_n, 0.0)
+        self._control[:, self._loaded.cylinders] = force_n.T
+        self._batch.step(self._ids(), n, self._current)
+        self._read()
+        return self._extension - before
 
     def state(self) -> list[NDArray[Any]]:
         """Returns copies of all that the future depends on, the rig as the last index."""
@@ -206,7 +213,17 @@ class Mechanism:
 
     def _refresh(self) -> None:
         """Has lengths and speeds follow from the state."""
-        self._batch.forward(self._ids(), self._mujoco.mjtStage.mjSTAGE_VEL.value)
+        self._batch.forward(self._ids(), self._current)
+        self._read()
+
+    def _read(self) -> None:
+        """Takes over where the pistons are; gives up rigs whose motion is past all bounds."""
+        # MuJoCo refuses what is beyond mjMAXVAL; what is not finite does not compare.
+        bound = self._mujoco.mjMAXVAL
+        fine = (np.abs(self._qpos) < bound).all(axis=1) & (np.abs(self._qvel) < bound).all(axis=1)
+        self._alive &= fine
+        self._extension = self._known(self._length[:, self._loaded.cylinders].T - self._offset)
+        self._speed = self._known(self._velocity[:, self._loaded.cylinders].T)
 
     def _ids(self) -> NDArray[np.int64] | None:
         """The rigs that are still to be stepped."""
@@ -214,15 +231,7 @@ class Mechanism:
 
     def _known(self, values: Floats) -> Floats:
         """Values, none of rigs that have become unstable."""
-        return np.where(self._alive, values, np.nan)
-
-    def _bury(self) -> None:
-        """Gives up the rigs whose motion is not finite any more, or past all bounds."""
-        qpos, qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
-        # MuJoCo refuses what is beyond mjMAXVAL; not finite does not compare.
-        bound = self._mujoco.mjMAXVAL
-        fine = (np.abs(qpos) < bound).all(axis=1) & (np.abs(qvel) < bound).all(axis=1)
-        self._alive &= fine
+        return values if self._alive.all() else np.where(self._alive, values, np.nan)
 
     def _set_friction(self, friction_n: Floats | None) -> None:
         """Gives the tendons the friction of the pistons, besides their own."""
