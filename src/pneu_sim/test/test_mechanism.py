@@ -41,6 +41,7 @@ PENDULUM = f"""<mujoco model="pendulum">
   </default>
   <worldbody>
     <site name="above" pos="0 0 {ABOVE_M}"/>
+    <site name="beside" pos="0 1 {ABOVE_M}"/>
     <body name="bob">
       <joint name="swing" axis="0 -1 0"/>
       <inertial pos="0 0 {-CENTRE_M}" mass="{WEIGHT_KG}" diaginertia="{INERTIA} {INERTIA} 1e-3"/>
@@ -483,6 +484,23 @@ def test_the_gas_is_not_led_beyond_the_ends_of_a_cylinder(tmp_path):
     assert most > 0.2 and np.max(went) <= most + 1e-12
 
 
+def test_meshes_lie_beside_the_mjcf(tmp_path):
+    (tmp_path / "models" / "shapes").mkdir(parents=True)
+    (tmp_path / "models" / "shapes" / "corner.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    (tmp_path / "models" / "corner.xml").write_text(
+        """<mujoco><compiler meshdir="shapes"/><asset><mesh file="corner.obj"/></asset>
+        <worldbody><body><joint name="j" type="slide"/><geom type="mesh" mesh="corner"/></body>
+        </worldbody></mujoco>"""
+    )
+    settings = MechanismSettings(mjcf="models/corner.xml", cylinders={"c": {"joint": "j"}})
+    mechanism = Mechanism(settings, folder=tmp_path)
+    mechanism.advance(np.array([[1000.0 / 6.0]]), mechanism.step_s)  # of a sixth of a cubic metre
+    gained = mechanism.speed()[0, 0] / mechanism.step_s
+    assert gained == pytest.approx(1.0 - 9.81)
+
+
 # Errors
 
 
@@ -522,6 +540,7 @@ def held(**grip):
             {"cylinders": held(sites=["above", "below"])},
             "sites: found 'below', the MJCF has 'above'",
         ),
+        ({"cylinders": held(sites=["above", "beside"])}, "which do not move against one another"),
         ({"cylinders": held(joint="round")}, "joint: found 'round', a ball joint"),
         ({"keyframe": "low"}, "keyframe: found 'low', the MJCF has 'raised'"),
         ({"start": {"round": 0.1}}, "start: found 'round', a ball or free joint"),

@@ -16,7 +16,8 @@ The second order's step is symmetric about its middle:
 For a gas spring that is the Störmer-Verlet method. Only means over time enter, so waves in a
 cylinder, faster than the physics, average out; and the impulse that the gas gave to the piston in a
 step but the mechanism did not get is added in the next one, so that momentum is never lost. This
-damps a spring by ``ω (ω h)^3 / 16`` a second, 0.1 % at 10 Hz and 1 ms.
+damps a spring by ``ω (ω h)^3 / 16`` a second, 0.1 % at 10 Hz and 1 ms. It is stable up to
+``ω h = 1.6``, where ω² is the stiffness of the gas over the mass it sees.
 
 A mechanism goes past the end of a cylinder by up to one and a half times what it goes in a step,
 before MuJoCo's stop has taken its speed; what a chamber holds beyond the stroke has to be longer.

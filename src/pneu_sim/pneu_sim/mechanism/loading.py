@@ -20,8 +20,8 @@ from pneu_sim.mechanism.settings import Grip, MechanismSettings
 STUCK = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Impedance of dry friction, the hardest that MuJoCo has.
 
-Its usual one lets what sticks creep: 50 N on 5 kg by 10 mm/s, and with this one by 1 um/s (at a
-step of 1 ms).
+Its usual one, and time of 0.02 s, let what sticks creep: 50 N on 5 kg by 10 mm/s; this one and a time
+of two steps of 1 ms by 1 um/s.
 """
 HARD = (0.99, 0.999, 0.0005, 0.5, 2.0)
 """Impedance of the ends of a cylinder; MuJoCo's usual one gives way by millimetres."""
@@ -84,7 +84,7 @@ def load(settings: MechanismSettings, folder: str | Path) -> Loaded:
         raise InputError(f"{path}: mjcf: there is no such file")
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-        spec.copy().compile()  # before anything is added: its faults are told as its own
+        spec.compile()  # before anything is added: its faults are told as its own
     except ValueError as error:
         raise InputError(f"{path}: MuJoCo cannot compile it: {_one_line(error)}") from None
     _check_flags(mujoco, spec, path)
@@ -102,6 +102,14 @@ def load(settings: MechanismSettings, folder: str | Path) -> Loaded:
         raise InputError(
             f"{path}: MuJoCo cannot compile it with its cylinders: {_one_line(error)}"
         ) from None
+    for name, grip in settings.cylinders.items():
+        if grip.sites:
+            one, two = (int(model.site(site).bodyid[0]) for site in grip.sites)
+            if model.body_weldid[one] == model.body_weldid[two]:
+                raise InputError(
+                    f"{path}: cylinders.{name}.sites: found {' and '.join(map(repr, grip.sites))},"
+                    " which do not move against one another, sites of different bodies are needed"
+                )
     tendons = [model.tendon(name).id for name in names]
     hold = max(2.0 * model.opt.timestep, 1e-6)
     model.tendon_solref_fri[tendons] = hold, 1.0
