@@ -11,12 +11,24 @@ import sys
 
 from rich.console import Console
 
-from benchmarks import accuracy, graph, kernel, peers, report, rig, sysid, timing, training
+from benchmarks import (
+    accuracy,
+    graph,
+    kernel,
+    peers,
+    report,
+    rig,
+    robots,
+    sysid,
+    timing,
+    training,
+)
 
 SUBJECTS = {
     "kernel": kernel,
     "peers": peers,
     "rig": rig,
+    "robots": robots,
     "accuracy": accuracy,
     "sysid": sysid,
     "training": training,
