@@ -20,8 +20,8 @@ from pneu_sim.mechanism.settings import Grip, MechanismSettings
 STUCK = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Impedance of dry friction, the hardest that MuJoCo has.
 
-Its usual one, and time of 0.02 s, let what sticks creep: 50 N on 5 kg by 10 mm/s; this one and a time
-of two steps of 1 ms by 1 um/s.
+Its usual one, and time of 0.02 s, let what sticks creep: 50 N on 5 kg by 10 mm/s; this one and a
+time of two steps of 1 ms by 1 um/s.
 """
 HARD = (0.99, 0.999, 0.0005, 0.5, 2.0)
 """Impedance of the ends of a cylinder; MuJoCo's usual one gives way by millimetres."""
