@@ -50,10 +50,10 @@ def measure() -> list[Table]:
     """Measures the joint, alone and in a batch, and the arm in MuJoCo."""
     table = Table(
         "Robots: simulated seconds per second",
-        "`rigs/kokoro.yaml` (two 2.5 m lines, cylinder, slider-crank, link) as an environment steps"
-        f" it, {1e3 * INTERVAL_S:g} ms at a time, on one core; and `rigs/arm4.yaml`, four cylinders"
-        " on eight lines that move an arm in MuJoCo with a physics step of 1 ms. Of a batch all rigs"
-        " together.",
+        "`rigs/kokoro.yaml` (two 2.5 m lines, cylinder, slider-crank, link) as environments step"
+        f" it, {1e3 * INTERVAL_S:g} ms at a time, on one core; and `rigs/arm4.yaml`: its four"
+        " cylinders on eight lines move an arm in MuJoCo with physics steps of 1 ms. Of a batch all"
+        " rigs together.",
         {
             "robot": "robot",
             "order": "order",

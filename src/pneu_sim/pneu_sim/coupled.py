@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_sim import layout as L
 from pneu_sim import tile as tiles
-from pneu_sim.full import FullSolver
+from pneu_sim.full_solver import FullSolver
 from pneu_sim.mechanism.coupling import Coupling
 from pneu_sim.mechanism.mechanism import Mechanism
 from pneu_sim.rig.model import Model

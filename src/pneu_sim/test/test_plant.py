@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim.effects import registry
-from pneu_sim.full import WIDTH
+from pneu_sim.full_solver import WIDTH
 from pneu_sim.plant import Plant
 from pneu_sim.rig import Rig, load_rig
 from pneu_sim.rig.schema import AttachedEffect, Ripple

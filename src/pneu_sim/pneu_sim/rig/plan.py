@@ -90,6 +90,41 @@ def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
     """
     rig = with_cylinders(rig)
     scale = 1.0 if dx_m is None else dx_m / rig.grid.dx_m
+    pipes, slots, shortest = _lay_pipes(rig, scale, fewest)
+    ends, at_node = _lay_ends(rig, pipes)
+    ports, names, of_valve = _lay_ports(rig, at_node)
+    body, driven_by, joints = lay_bodies(rig)
+    moves = np.full(len(rig.cylinders), -1, dtype=np.int64)
+    for b in range(len(body)):
+        moves[driven_by[slice_of(body[b])]] = b
+    return Plan(
+        pipes=pipes,
+        slots=slots,
+        ends=ends,
+        ports=ports,
+        port_names=names,
+        port_valve=of_valve,
+        reservoirs=list(rig.reservoirs),
+        chambers=list(rig.chambers),
+        valves=list(rig.valves),
+        commands=[valve.command for valve in rig.valves.values()],
+        taps=list(rig.taps),
+        cylinders=list(rig.cylinders),
+        cylinder=lay_cylinders(rig, pipes, names),
+        moves=moves,
+        bodies=list(rig.bodies),
+        body=body,
+        driven_by=driven_by,
+        joints=joints,
+        dt_s=_step_s(rig, shortest, dx_m),
+        regulators=_regulators(rig, names),
+    )
+
+
+def _lay_pipes(
+    rig: Rig, scale: float, fewest: int
+) -> tuple[dict[str, tuple[int, int]], int, float]:
+    """First slot and number of cells of every pipe, number of slots, and shortest cell, m."""
     pipes: dict[str, tuple[int, int]] = {}
     slot = 0
     shortest = math.inf
@@ -107,8 +142,12 @@ def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
             f"grid.dx_m: found {rig.grid.dx_m * scale:g} m, which makes {slot:.2g} cells; allowed"
             f" are {MOST_CELLS}"
         )
-    reservoirs = list(rig.reservoirs)
-    chambers = list(rig.chambers)
+    return pipes, slot, shortest
+
+
+def _lay_ends(rig: Rig, pipes: dict[str, tuple[int, int]]) -> tuple[Ints, dict[str, list[int]]]:
+    """(n_ends, END_COLUMNS) ends of pipes, and those that lie at each node without a vessel."""
+    reservoirs, chambers = list(rig.reservoirs), list(rig.chambers)
     at_node: dict[str, list[int]] = {}
     ends = np.zeros((2 * len(pipes), L.END_COLUMNS), dtype=np.int64)
     ported = {node for ends_of_port in port_ends(rig) for node in ends_of_port}
@@ -149,6 +188,12 @@ def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
         for e in rest:
             ends[e, L.E_KIND] = L.BRANCH
             ends[e, L.E_REF] = a
+    return ends, at_node
+
+
+def _lay_ports(rig: Rig, at_node: dict[str, list[int]]) -> tuple[Ints, list[str], list[int]]:
+    """(n_ports, PORT_COLUMNS) ports of valves, then orifices; their names and their valves."""
+    reservoirs, chambers = list(rig.reservoirs), list(rig.chambers)
     ports: list[list[int]] = []
     names: list[str] = []
     of_valve: list[int] = []
@@ -170,6 +215,11 @@ def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
         ports.append([*side_of(orifice.from_node), *side_of(orifice.to_node), L.ISO6358])
         names.append(orifice_name)
         of_valve.append(-1)
+    return np.array(ports, dtype=np.int64).reshape(-1, L.PORT_COLUMNS), names, of_valve
+
+
+def _step_s(rig: Rig, shortest: float, dx_m: float | None) -> float:
+    """Longest time step of a rig whose shortest cell is so long, s."""
     stable = rig.grid.cfl * shortest / rig.grid.wave_speed_m_s
     dt = stable
     if rig.grid.dt_s is not None and dx_m is None:
@@ -181,34 +231,9 @@ def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
                 f" {rig.grid.wave_speed_m_s:g} m/s)"
             )
         dt = rig.grid.dt_s
-    body, driven_by, joints = lay_bodies(rig)
-    moves = np.full(len(rig.cylinders), -1, dtype=np.int64)
-    for b in range(len(body)):
-        moves[driven_by[slice_of(body[b])]] = b
     if any(valve.switch or valve.regulator for valve in rig.valves.values()):
         dt = min(dt, SWITCH_STEP_S)
-    return Plan(
-        pipes=pipes,
-        slots=slot,
-        ends=ends,
-        ports=np.array(ports, dtype=np.int64).reshape(-1, L.PORT_COLUMNS),
-        port_names=names,
-        port_valve=of_valve,
-        reservoirs=reservoirs,
-        chambers=chambers,
-        valves=list(rig.valves),
-        commands=[valve.command for valve in rig.valves.values()],
-        taps=list(rig.taps),
-        cylinders=list(rig.cylinders),
-        cylinder=lay_cylinders(rig, pipes, names),
-        moves=moves,
-        bodies=list(rig.bodies),
-        body=body,
-        driven_by=driven_by,
-        joints=joints,
-        dt_s=dt,
-        regulators=_regulators(rig, names),
-    )
+    return dt
 
 
 def _regulators(rig: Rig, port_names: Sequence[str]) -> Ints:
