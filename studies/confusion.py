@@ -54,7 +54,8 @@ CLASSES = (
     | {"chamber_leak", "chamber_porous_leak", "chamber_relief_valve"},
     {"dead_volume", "wall_compliance", "chamber_volume", "chamber_compliance"}
     | {"length_error", "area_error"},
-    {"wall_heat", "chamber_heat", "ambient_temperature", "supply_temperature"},
+    {"wall_heat", "chamber_heat", "chamber_convection"}
+    | {"ambient_temperature", "supply_temperature"},
     {"regulator_droop", "supply_level", "supply_ripple", "supply_temperature"},
     {"ambient_pressure", "ambient_temperature"},
 )

@@ -186,6 +186,25 @@ class FullSolver(Solver):
         parts = [tile.friction_heat for tile, _ in self.tiles]
         return np.concatenate(parts, axis=-1)[:, : self.lanes]
 
+    def chamber_gas(self, index: int) -> tuple[Floats, Floats]:
+        """Pressure and temperature of the gas in a chamber; see `Solver.chamber_gas`.
+
+        Args:
+            index: Its number.
+        """
+        both = np.empty((2, self.lanes))
+        for tile, of in self.tiles:
+            (mass, energy), rows = tile.chamber_state[index], tile.chamber[index]
+            com, rest = rows[L.C_COMPLIANCE], rows[L.C_REST_P]
+            gas = self.models[0].gas
+            # As `kernel.chambers.find_chambers`, which is for the arrays of a step.
+            e = (gas.gamma - 1.0) * (energy + 0.5 * com * rest**2)
+            b = rows[L.C_VOLUME] - com * rest
+            p = 2.0 * e / (b + np.sqrt(b * b + 2.0 * com * (gas.gamma + 1.0) * e))
+            volume = rows[L.C_VOLUME] + com * (p - rest)
+            both[:, of] = p, p * volume / (mass * gas.r_specific)
+        return both[0], both[1]
+
     def held(self) -> tuple[Floats, Floats]:
         """Mass and energy of all gas; see `Solver.held`."""
         both = [tiles.held(tile) for tile, _ in self.tiles]

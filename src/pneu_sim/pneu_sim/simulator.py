@@ -165,6 +165,21 @@ class Simulator:
         n = rho.shape[0]
         return {"x_m": (np.arange(n) + 0.5) * length / n, **table}
 
+    def chamber_gas(self, chamber: str) -> dict[str, float | Floats]:
+        """Gas in one chamber.
+
+        Args:
+            chamber: Name of the chamber.
+
+        Returns:
+            Its ``pressure``, Pa, and ``temperature``, K; a number each, or one per rig for a batch.
+
+        Raises:
+            InputError: As `Plant.chamber_gas`.
+        """
+        pressure, temperature = self.plant.chamber_gas(chamber)
+        return {"pressure": self._one(pressure), "temperature": self._one(temperature)}
+
     def run(
         self,
         duration_s: float,

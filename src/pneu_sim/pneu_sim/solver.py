@@ -190,7 +190,21 @@ class Solver(ABC):
         Raises:
             InputError: In the model a chamber has no gas of its own.
         """
-        raise InputError(
+        raise self._no_gas(index)
+
+    def chamber_gas(self, index: int) -> tuple[Floats, Floats]:
+        """Pressure, Pa, and temperature, K, of the gas in a chamber, each (lanes,).
+
+        Args:
+            index: Its number.
+
+        Raises:
+            InputError: In the model a chamber has no gas of its own.
+        """
+        raise self._no_gas(index)
+
+    def _no_gas(self, index: int) -> InputError:
+        return InputError(
             f"chamber {self.plan.chambers[index]!r}: the rig's model knows no gas in it but that of"
             " a whole volume"
         )

@@ -721,6 +721,25 @@ def test_chamber_heat_settles_an_emptied_bottle_back_to_the_room(bottle: Rig) ->
     assert rise > 3.0 * abs(adiabatic[-1, END] - adiabatic[80, END])
 
 
+def test_chamber_convection_is_mcadams_law_at_any_density(bottle: Rig) -> None:
+    warm = attach(bottle, "chamber_convection", "bottle", area_m2=0.02)
+    warm.pipes["tube"].area_m2 = 1e-7  # next to no gas in the tube
+    for pressure, temperature in ((1e5, 260.0), (8e5, 260.0), (8e5, 340.0)):
+        simulator = Simulator(warm)
+        simulator.set_chamber("bottle", pressure, temperature)
+        simulator.set_state("tube", pressure / (AIR.r_specific * ROOM_K), 0.0, pressure)
+        simulator.run(5e-3, {"voltage": 5.0})
+        gas = simulator.chamber_gas("bottle")
+        film = 0.5 * (temperature + ROOM_K)
+        nu = float(AIR.viscosity(film)) * AIR.r_specific * film / pressure
+        rayleigh_m3 = 9.81 * abs(temperature - ROOM_K) / film * AIR.prandtl / nu**2
+        watts = 0.02 * 0.13 * float(AIR.conductivity(film)) * rayleigh_m3 ** (1.0 / 3.0)
+        watts *= ROOM_K - temperature
+        mass = pressure * 1e-4 / (AIR.r_specific * temperature)
+        expected = 5e-3 * watts / (mass * AIR.cv)
+        assert gas["temperature"] - temperature == pytest.approx(expected, rel=0.02)
+
+
 # --- supply and room ------------------------------------------------------------------------------
 
 

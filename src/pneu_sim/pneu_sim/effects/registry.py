@@ -16,6 +16,7 @@ from pneu_sim.effects.area_error import AreaError
 from pneu_sim.effects.base import POSITION, Effect, EffectParameter
 from pneu_sim.effects.blockage import Blockage
 from pneu_sim.effects.chamber_compliance import ChamberCompliance
+from pneu_sim.effects.chamber_convection import ChamberConvection
 from pneu_sim.effects.chamber_heat import ChamberHeat
 from pneu_sim.effects.chamber_leak import ChamberLeak
 from pneu_sim.effects.chamber_porous_leak import ChamberPorousLeak
@@ -97,6 +98,7 @@ BUILT_IN: tuple[type[Effect], ...] = (
     ChamberVolume,
     ChamberCompliance,
     ChamberHeat,
+    ChamberConvection,
     RegulatorDroop,
     SupplyLevel,
     SupplyTemperature,
