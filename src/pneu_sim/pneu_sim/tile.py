@@ -169,6 +169,11 @@ class Tile:
         """The batch as the kernel takes it, with taps that are not read."""
         return arrays(self, unwatched(self))
 
+    @functools.cached_property
+    def moving(self) -> kernel.Moving | None:
+        """What of it moves, as the kernel takes it; None if nothing does."""
+        return moving(self) if self.plan.cylinders else None
+
 
 def lanes(arrays: Sequence[Floats]) -> Floats:
     """Stacks per-rig arrays with the rig as the innermost index.
@@ -322,15 +327,15 @@ def place_joints(tile: Tile, position: Floats, velocity: Floats | float) -> None
         position: (n_joints, lanes) rad or m.
         velocity: (n_joints, lanes) per second.
     """
-    rigs = tile.free
+    rigs, moves = tile.free, moving(tile)
     tile.joint_state[:, L.SJ_POSITION] = position
     tile.joint_state[:, L.SJ_VELOCITY] = velocity
     tile.joint_state[:, L.SJ_PUSH] = 0.0
     tile.cylinder_state[:] = 0.0
     tile.cylinder_state[:, L.SY_EXTENSION] = tile.cylinder[:, L.PY_START]
-    kernel.stand(rigs.bodies, rigs.cylinders)
-    kernel.count_cells(tile.lanes, rigs.cylinders)
-    kernel.settle(rigs.cells, rigs.chambers, rigs.cylinders)
+    kernel.stand(moves.bodies, moves.cylinders)
+    kernel.count_cells(tile.lanes, moves.cylinders)
+    kernel.settle(rigs.cells, rigs.chambers, moves.cylinders)
     for j, model in enumerate(tile.models):
         check_extensions(model, tile.cylinder_state[:, L.SY_EXTENSION, j])
 
@@ -341,8 +346,7 @@ def force_at_rest(tile: Tile) -> Floats:
     Args:
         tile: The batch, its pressures computed.
     """
-    rigs = tile.free
-    kernel.lean(rigs.cells, rigs.chambers, rigs.cylinders)
+    kernel.lean(tile.free.cells, tile.free.chambers, moving(tile).cylinders)
     return tile.cylinder_state[:, L.SY_FORCE].copy()
 
 
@@ -552,10 +556,6 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
             tile.ripple,
         ),
         kernel.Chambers(tile.chamber, tile.chamber_state, tile.chamber_work),
-        kernel.Cylinders(
-            plan.cylinder, plan.moves, tile.cylinder, tile.cylinder_state, tile.cylinder_work
-        ),
-        _bodies(tile),
         (
             kernel.Term(tile.leak_index, tile.leak, tile.ambient),
             *(kernel.Term(index, par, tile.ambient) for index, par in tile.own),
@@ -576,6 +576,19 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
             watch.readings_pa,
         ),
     )
+
+
+def moving(tile: Tile) -> kernel.Moving:
+    """What of a batch moves, as the kernel takes it.
+
+    Args:
+        tile: The batch.
+    """
+    plan = tile.plan
+    cylinders = kernel.Cylinders(
+        plan.cylinder, plan.moves, tile.cylinder, tile.cylinder_state, tile.cylinder_work
+    )
+    return kernel.Moving(cylinders, _bodies(tile))
 
 
 def _bodies(tile: Tile) -> kernel.Bodies:
@@ -642,7 +655,7 @@ def advance(
     rigs, step = (tile.free, 0) if watch is None else (arrays(tile, watch), watch.step)
     clock = kernel.Clock(intervals + 1, n_sub, dt_s, knots - 1, tile.clock, step, closing)
     flat = np.ascontiguousarray(opening).reshape(intervals * knots, ports, w)
-    kernel.advancing(tile.acts)(rigs, clock, flat, record)
+    kernel.advancing(tile.acts)(rigs, tile.moving, clock, flat, record)
     if watch is not None:
         watch.step += intervals * n_sub
     tile.clock[1] += intervals * n_sub

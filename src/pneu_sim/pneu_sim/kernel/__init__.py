@@ -14,6 +14,7 @@ from pneu_sim.kernel.arrays import Clock as Clock
 from pneu_sim.kernel.arrays import Cylinders as Cylinders
 from pneu_sim.kernel.arrays import Ends as Ends
 from pneu_sim.kernel.arrays import Gas as Gas
+from pneu_sim.kernel.arrays import Moving as Moving
 from pneu_sim.kernel.arrays import Ports as Ports
 from pneu_sim.kernel.arrays import Record as Record
 from pneu_sim.kernel.arrays import Regulators as Regulators

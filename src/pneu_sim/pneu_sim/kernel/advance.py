@@ -112,11 +112,13 @@ def _act_of_walls(gas, scheme, dt, s, cells):
 
 
 @branching
-def advance(rigs, clock, opening, record):
+def advance(rigs, moving, clock, opening, record):
     """Advance a batch of rigs in place and record its taps.
 
     Args:
         rigs: The batch, a `Rigs`.
+        moving: Its cylinders and bodies, a `Moving`; None has none, and the passes on them are then
+            not compiled.
         clock: How many steps of what length, a `Clock`.
         opening: ((samples - 1) * (knots + 1), n_ports, lanes) opening fractions; both ends of an
             interval are its own.
@@ -131,15 +133,12 @@ def advance(rigs, clock, opening, record):
         ports,
         reservoirs,
         chambers,
-        cylinders,
-        bodies,
         terms,
         taps,
     ) = rigs
     dt, order = clock.dt, scheme.order
-    pistons = cylinders.table.shape[0] > 0
-    if pistons:
-        settle(cells, chambers, cylinders)
+    if moving is not None:
+        settle(cells, chambers, moving.cylinders)
     reading = taps.time.shape[1] > 0
     corrected = True  # the state may have been set
     for k in range(clock.samples):
@@ -157,8 +156,8 @@ def advance(rigs, clock, opening, record):
                 corrected = read(clock.watched + step, cells, chambers, taps)
             if s == 0:
                 write_down(k, cells, ports, chambers, taps, record)
-                if pistons:
-                    write_down_motion(k, cylinders, bodies, record)
+                if moving is not None:
+                    write_down_motion(k, moving.cylinders, moving.bodies, record)
                 if record.fastest.shape[0] > 0:
                     find_fastest(k, cells, record)
                 if last:
@@ -167,9 +166,9 @@ def advance(rigs, clock, opening, record):
                     break
             at = (s + 0.5) / clock.steps * clock.knots
             open_ports(k * (clock.knots + 1) + int(at), at - int(at), opening, ports)
-            if pistons:
-                open_cushions(ports, cylinders)
-                foresee(dt, bodies, cylinders)
+            if moving is not None:
+                open_cushions(ports, moving.cylinders)
+                foresee(dt, moving.bodies, moving.cylinders)
             if ports.regulators.table.shape[0] > 0:
                 regulate_ports(dt, cells, ends, ports, chambers)
             if reservoirs.ripple_of.size > 0:
@@ -178,28 +177,28 @@ def advance(rigs, clock, opening, record):
                 join(gas, 1, cells, ends)
             vessels = order == 2 or s == clock.steps - 1 or reading
             fill_ghosts(gas, vessels, cells, ends, reservoirs, chambers)
-            if pistons:
-                fill_piston_ghosts(gas, cells, cylinders)
+            if moving is not None:
+                fill_piston_ghosts(gas, cells, moving.cylinders)
             _find_faces(gas, scheme, dt, cells, steps, ends)
-            if pistons and order == 2:
-                reshape(gas, scheme.limiter == L.VAN_LEER, dt, cells, cylinders)
+            if moving is not None:
+                reshape(gas, scheme, dt, cells, moving.cylinders)
             cross(gas, scheme, cells)
             cross_steps(gas, scheme, dt, cells, steps)
             if scheme.joints and order == 2:
                 join(gas, 2, cells, ends)
             cross_ports(gas, order, cells, ends, ports, reservoirs, chambers)
-            find_middle(gas, order, dt, cells, ends, ports, chambers, cylinders)
+            find_middle(gas, order, dt, cells, ends, ports, chambers, moving)
             cross_ends(gas, order, dt, cells, ends, ports, reservoirs, chambers)
-            if pistons:
-                press(gas, order, dt, cells, chambers, cylinders)
-                move(dt, bodies, cylinders)
-                work_on_gas(dt, cells, chambers, cylinders)
-                leak_past(gas, dt, cells, chambers, cylinders)
+            if moving is not None:
+                press(gas, order, dt, cells, chambers, moving.cylinders)
+                move(dt, moving.bodies, moving.cylinders)
+                work_on_gas(dt, cells, chambers, moving.cylinders)
+                leak_past(gas, dt, cells, chambers, moving.cylinders)
             heat_chambers(gas, dt, chambers)
             act_terms(gas, dt, cells, chambers, terms)
             _conserve(dt, scheme, cells)
-            if pistons:
-                make_room(cells, chambers, cylinders)
+            if moving is not None:
+                make_room(cells, chambers, moving.cylinders)
             _act_of_walls(gas, scheme, dt, s, cells)
             if corrected:
                 correct(cells, chambers, taps)

@@ -280,10 +280,15 @@ class Rigs(NamedTuple):
     ports: Ports
     reservoirs: Reservoirs
     chambers: Chambers
-    cylinders: Cylinders
-    bodies: Bodies
     terms: tuple[Term, ...]
     taps: Taps
+
+
+class Moving(NamedTuple):
+    """What of a batch of rigs moves."""
+
+    cylinders: Cylinders
+    bodies: Bodies
 
 
 class Clock(NamedTuple):

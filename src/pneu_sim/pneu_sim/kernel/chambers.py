@@ -45,7 +45,7 @@ def find_chambers(gas, chambers):
 
 
 @branching
-def find_middle(gas, order, dt, cells, ends, ports, chambers, cylinders):
+def find_middle(gas, order, dt, cells, ends, ports, chambers, moving):
     """Pressure of every chamber at the middle of the step, implicit in what its pipes bring.
 
     With the pressure at the step's beginning instead, a chamber would feed an oscillation.
@@ -58,7 +58,7 @@ def find_middle(gas, order, dt, cells, ends, ports, chambers, cylinders):
         ends: Ends of pipes.
         ports: Ports, with the flows of this step.
         chambers: Chambers.
-        cylinders: Cylinders, with the speeds foreseen.
+        moving: Cylinders, with the speeds foreseen, and bodies; None has none.
     """
     w, par, work, gamma = cells.lanes, chambers.par, chambers.work, gas.gamma
     for c in range(work.shape[0]):
@@ -79,8 +79,8 @@ def find_middle(gas, order, dt, cells, ends, ports, chambers, cylinders):
                 k = 0.5 * dt * gamma * q * a / (z * vol)
                 work[c, L.H_MIDDLE, j] += k * (p + z * v)
                 work[c, L.H_WEIGHT, j] += k
-    if cylinders.table.shape[0] > 0:
-        squeeze(gas, dt, ports, chambers, cylinders)
+    if moving is not None:
+        squeeze(gas, dt, ports, chambers, moving.cylinders)
     for c in range(work.shape[0]):
         for j in range(w):
             work[c, L.H_MIDDLE, j] = max(

@@ -247,17 +247,20 @@ def _slope(i, near_left, near_right, van_leer, gm, half, cells):
 
 
 @branching
-def reshape(gas, van_leer, dt, cells, cylinders):
+def reshape(gas, scheme, dt, cells, cylinders):
     """Face states of the two cells beside every piston, whose middles are not evenly spaced.
 
     Args:
         gas: The gas.
-        van_leer: Whether by van Leer's limiter, else by minmod.
+        scheme: How the equations are solved.
         dt: Step, s.
         cells: All slots.
         cylinders: Cylinders.
     """
+    if scheme.order == 1:
+        return
     w, gm, half = cells.lanes, gas.gamma - 1.0, 0.5 * dt
+    van_leer = scheme.limiter == L.VAN_LEER
     for k in range(cylinders.table.shape[0]):
         for side in range(2):
             if cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_KIND] != L.GAS_CELLS:
