@@ -14,6 +14,7 @@ EXAMPLES = (
     "LICENSE",
     "rigs/README.md",
     "rigs/*.yaml",
+    "rigs/mjcf/*.xml",
     "data/bags/README.md",
     "data/bags/a_healthy_2/*",
     "data/bags/a_leak/*",
