@@ -27,10 +27,24 @@ def sentence(error: ValidationError, model: Any) -> str:
         near = difflib.get_close_matches(key, known, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"
         return f"unknown key {where!r}{hint}"
+    if first["type"].startswith("union_tag"):
+        return f"{where + ': ' if where else ''}{_untagged(first['ctx'])}"
     message = first["msg"].removeprefix("Value error, ")
     found = first.get("input")
     said = f", found {found!r}" if isinstance(found, int | float | str | bool) else ""
     return f"{where + ': ' if where else ''}{message}{said}"
+
+
+def _untagged(context: Mapping[str, Any]) -> str:
+    """What is wrong with the key that tells which of several kinds a part is.
+
+    Args:
+        context: What pydantic tells of it.
+    """
+    key = str(context["discriminator"]).strip("'")
+    if "tag" not in context:
+        return f"{key} is needed, which says what kind it is"
+    return f"{key}: found {context['tag']!r}, allowed are {context['expected_tags']}"
 
 
 def _inner(annotation: Any) -> list[Any]:

@@ -14,12 +14,14 @@ from pneu_common.errors import InputError
 from pneu_common.files import scratch_beside
 from pneu_sim.channels import Channel
 from pneu_sim.rig.schema import Rig
-from pneu_sim.signals import Signal
+from pneu_sim.signals import Motion, Signal
+from pneu_sim.topics import FLOAT64, FLUID_PRESSURE, JOINT_STATE, JOINTS_TOPIC, same_topic
 
-FLUID_PRESSURE = "sensor_msgs/msg/FluidPressure"
-FLOAT64 = "std_msgs/msg/Float64"
 FIELD_OF = {FLUID_PRESSURE: "fluid_pressure", FLOAT64: "data"}
 """Message types that are written, and the field that holds the number."""
+
+JOINTS_IN_BAG = f"/{JOINTS_TOPIC}"
+"""Topic of the joints; topics in a bag are absolute."""
 
 FIRST_STAMP_S = 1.0
 """Where recordings without a clock time begin: a stamp of zero would count as absent."""
@@ -32,11 +34,13 @@ def write_bag(
     pressures: Mapping[str, Signal],
     start_time_s: float = 0.0,
     replace: bool = False,
+    motion: Motion | None = None,
 ) -> None:
     """Writes a recording, every signal at its own times, whole or not at all.
 
     Pressures go out as stamped ``FluidPressure`` and commands as ``Float64``, unless the channel
     names the other type; scale and offset of the channel are undone. NaN samples are left out.
+    Joints go out together as ``JointState`` on ``/joint_states``.
 
     Args:
         path: Folder of the bag, or a file that ends in ``.mcap``; must not exist yet.
@@ -46,6 +50,7 @@ def write_bag(
         start_time_s: Clock time of time 0, Unix time; where it is 0, the first sample is at
             ``FIRST_STAMP_S`` or later.
         replace: Whether an ``.mcap`` file that exists is replaced.
+        motion: Where the joints of bodies were; None, or of no joint, writes nothing.
 
     Raises:
         InputError: The path exists or cannot be written, or a signal has no topic or a message type
@@ -61,7 +66,9 @@ def write_bag(
         _signal(path, f"taps.{name}", rig.taps.get(name), FLUID_PRESSURE, name, signal)
         for name, signal in pressures.items()
     ]
-    if not signals:
+    if motion is not None and not motion.positions:
+        motion = None
+    if not signals and motion is None:
         raise InputError(f"{path}: found no signal to write, at least one is needed")
     topics = [signal.topic for signal in signals]
     for signal in signals:
@@ -70,15 +77,21 @@ def write_bag(
                 f"{path}: {signal.name}: topic {signal.topic!r} is that of another signal of the"
                 " rig too; a bag needs one for each"
             )
-    everything = (*commands.values(), *pressures.values())
-    earliest_s = min((float(signal.time_s[0]) for signal in everything if len(signal)), default=0.0)
+        if motion is not None and same_topic(JOINTS_IN_BAG, signal.topic):
+            raise InputError(
+                f"{path}: {signal.name}: topic {signal.topic!r} is that of the rig's joints; a bag"
+                " needs one for each"
+            )
+    times = [s.time_s for s in (*commands.values(), *pressures.values())]
+    times += [] if motion is None else [motion.time_s]
+    earliest_s = min((float(time_s[0]) for time_s in times if len(time_s)), default=0.0)
     begin_s = start_time_s
     if begin_s + min(earliest_s, 0.0) <= 0.0:
         begin_s = FIRST_STAMP_S - min(earliest_s, 0.0)
     begin_ns = round(begin_s * 1e9)
     with scratch_beside(path) as aside:
         name = path.name.removesuffix(".mcap")
-        _write(aside / name, signals, begin_ns)
+        _write(aside / name, signals, begin_ns, motion, rig.name)
         written = aside / name
         if path.suffix == ".mcap":
             written = next(written.glob("*.mcap"))
@@ -127,29 +140,49 @@ def _signal(path: Path, where: str, part: Any, usual: str, name: str, signal: Si
     return _Channel(channel.topic, kind, name, np.rint(time_s[good] * 1e9).astype(np.int64), raw)
 
 
-def _write(folder: Path, channels: list[_Channel], begin_ns: int) -> None:
+def _write(
+    folder: Path, channels: list[_Channel], begin_ns: int, motion: Motion | None, frame: str
+) -> None:
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_JAZZY)
     header = store.types["std_msgs/msg/Header"]
     time = store.types["builtin_interfaces/msg/Time"]
+    topics = [(channel.topic, channel.kind) for channel in channels]
+    time_ns = [channel.time_ns for channel in channels]
+    rows = [channel.raw for channel in channels]
+    if motion is not None:
+        topics.append((JOINTS_IN_BAG, JOINT_STATE))
+        time_ns.append(np.rint(motion.time_s * 1e9).astype(np.int64))
+        rows.append(np.arange(motion.time_s.size, dtype=float))
+        names = list(motion.positions)
+        position = np.stack([motion.positions[name] for name in names], axis=-1)
+        velocity = np.stack([motion.speeds[name] for name in names], axis=-1)
+
+    def message(k: int, value: float, stamp: int) -> Any:
+        """A message of the k-th topic, of a value or of the row of that number."""
+        kind = topics[k][1]
+        if kind == FLOAT64:
+            return store.types[kind](value)
+        at = time(stamp // 10**9, stamp % 10**9)
+        if kind == FLUID_PRESSURE:
+            return store.types[kind](header(at, channels[k].name), value, 0.0)
+        row, stamped = int(value), header(at, frame)
+        return store.types[kind](stamped, names, position[row], velocity[row], np.zeros(0))
+
     # In the order of time, as a recorder writes; at one instant commands come before readings.
-    time_ns = np.concatenate([channel.time_ns for channel in channels])
-    which = np.repeat(np.arange(len(channels)), [channel.raw.size for channel in channels])
-    raw = np.concatenate([channel.raw for channel in channels])
-    order = np.argsort(time_ns, kind="stable")
-    rows = zip(time_ns[order].tolist(), which[order].tolist(), raw[order].tolist(), strict=True)
+    which = np.repeat(np.arange(len(rows)), [of.size for of in rows])
+    after_ns = np.concatenate(time_ns)
+    order = np.argsort(after_ns, kind="stable")
+    values = np.concatenate(rows)
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connections = [
-            writer.add_connection(channel.topic, channel.kind, typestore=store)
-            for channel in channels
+            writer.add_connection(topic, kind, typestore=store) for topic, kind in topics
         ]
-        for after_ns, k, value in rows:
-            stamp, kind = begin_ns + after_ns, channels[k].kind
-            if kind == FLUID_PRESSURE:
-                stamped = header(time(stamp // 10**9, stamp % 10**9), channels[k].name)
-                message = store.types[kind](stamped, value, 0.0)
-            else:
-                message = store.types[kind](value)
-            writer.write(connections[k], stamp, store.serialize_cdr(message, kind))
+        for after, k, value in zip(
+            after_ns[order].tolist(), which[order].tolist(), values[order].tolist(), strict=True
+        ):
+            stamp = begin_ns + after
+            data = store.serialize_cdr(message(k, value, stamp), topics[k][1])
+            writer.write(connections[k], stamp, data)

@@ -22,6 +22,7 @@ from pneu_common.tables import Column, NamedTable
 from pneu_sim.init import init
 
 if TYPE_CHECKING:
+    from pneu_sim.models import FromRest
     from pneu_sim.rig.schema import Rig
     from pneu_sim.signals import Floats
 
@@ -77,6 +78,7 @@ def check(
 ) -> None:
     """Check a rig file and show what would be simulated."""
     from pneu_sim.effects import load_effect_file
+    from pneu_sim.rig import moving
     from pneu_sim.rig.build import build
     from pneu_sim.rig.load import load_rig
     from pneu_sim.rig.parameters import misfit
@@ -93,13 +95,14 @@ def check(
         raise InputError(f"{rig_file}: {objection}")
     plan = plan_grid(rig)
     build(rig, plan)
-    cells = sum(n for _, n in plan.pipes.values())
+    cells = sum(plan.pipes[name][1] for name in rig.pipes)
     print(f"{rig.name}: {rig.description.strip()}" if rig.description else rig.name)
     print(
         f"model {rig.model}, {cells} cells in {len(rig.pipes)} pipes, time step"
         f" {1e6 * plan.dt_s:.3g} us (order {rig.grid.order}, {rig.grid.flux})"
     )
-    print(f"closed volumes of the lumped models: {_volumes(rig)}")
+    if not rig.cylinders:
+        print(f"closed volumes of the lumped models: {_volumes(rig)}")
     _print_table(
         "pipes",
         ("name", "from", "to", "length [m]", "area [mm2]", "cells", "cell [mm]"),
@@ -122,6 +125,8 @@ def check(
         [(n, "reservoir", f"{r.pressure_pa / 1e3:g} kPa") for n, r in rig.reservoirs.items()]
         + [(n, "chamber", f"{1e6 * c.volume_m3:g} cm3") for n, c in rig.chambers.items()],
     )
+    _print_table("cylinders", moving.CYLINDER_COLUMNS, moving.cylinder_rows(rig, plan))
+    _print_table("bodies", moving.BODY_COLUMNS, moving.body_rows(rig))
     _print_table(
         "ports",
         ("name", "from", "to", "C [dm3/(s bar)]", "b", "area [mm2]", "command"),
@@ -207,14 +212,17 @@ def simulate(
     effects_file: EffectsPath = None,
     force: Force = False,
 ) -> None:
-    """Run a rig from rest along valve commands and write what its sensors read."""
+    """Run a rig from rest along valve commands; write what its sensors read and where joints are.
+
+    A joint is two columns, its position and JOINT_velocity, m or rad and per second; in a bag all
+    joints are the sensor_msgs/JointState of the topic /joint_states.
+    """
     import numpy as np
 
-    from pneu_sim.bag import write_bag
     from pneu_sim.effects import load_effect_file
+    from pneu_sim.models import FromRest
     from pneu_sim.rig.load import load_rig
-    from pneu_sim.run import add_noise, check_commands, run_rig
-    from pneu_sim.signals import Signal
+    from pneu_sim.run import add_noise, check_commands, run_from_rest
 
     if effects_file is not None:
         load_effect_file(effects_file)
@@ -230,9 +238,14 @@ def simulate(
             raise InputError(f"--steps: command {name!r} is already given by --command")
         curves[name] = _from_steps(name, text)
     check_commands(loaded, curves)
-    span = max((end for _, _, end in curves.values()), default=0.0)
-    if duration is not None:
-        span = duration
+    if output.suffix == ".csv":
+        _check_columns(output, loaded)
+    if not curves and duration is None:
+        raise InputError(
+            f"--duration: found none, needed is one, since rig {loaded.name!r} has no commands that"
+            " end"
+        )
+    span = duration if duration is not None else max(end for _, _, end in curves.values())
     if span * rate > MOST_SAMPLES:
         raise InputError(
             f"--duration: found {span:g} s at {rate:g} samples per second, allowed are"
@@ -245,17 +258,14 @@ def simulate(
         )
     time_s = np.arange(samples) / rate
     commands = {name: _held(t, v, time_s) for name, (t, v, _) in curves.items()}
-    taps = run_rig(loaded, commands, 1.0 / rate)
-    if seed is not None:
-        taps = add_noise(loaded, taps, np.random.default_rng(seed), noise)
-    if output.suffix == ".csv":
-        _write_csv(output, time_s, commands, taps)
-    else:
-        volts = {name: Signal(time_s, values) for name, values in commands.items()}
-        readings = {name: Signal(time_s, values) for name, values in taps.items()}
-        write_bag(output, loaded, volts, readings, replace=force)
+    seen = run_from_rest(loaded, commands, 1.0 / rate, samples)
+    if seed is not None and seen.taps:
+        noisy = add_noise(loaded, seen.taps, np.random.default_rng(seed), noise)
+        seen = FromRest(noisy, seen.joints, seen.speeds)
+    _write_simulation(output, loaded, time_s, commands, seen, force)
+    joints = f", {len(seen.joints)} joints" if seen.joints else ""
     print(
-        f"{output}: {len(taps)} taps, {samples} samples at {rate:g} Hz,"
+        f"{output}: {len(seen.taps)} taps{joints}, {samples} samples at {rate:g} Hz,"
         f" model {loaded.model} of rig {loaded.name}"
     )
 
@@ -287,7 +297,8 @@ def _kind_of(column: str) -> Literal["name", "words", "number"]:
     """What a column of these tables holds; names come before words where there is little room."""
     if "[" in column or column in ("b", "cells", "typical"):
         return "number"
-    return "words" if column in ("what", "where", "unit", "kind", "size", "parameters") else "name"
+    words = ("what", "where", "unit", "kind", "size", "parameters", "friction", "leaks", "gas")
+    return "words" if column in words else "name"
 
 
 def _volumes(rig: "Rig") -> str:
@@ -378,13 +389,46 @@ def _held(times_s: "Floats", volts: "Floats", at_s: "Floats") -> "Floats":
     return np.asarray(volts[np.maximum(latest, 0)])
 
 
-def _write_csv(
-    path: Path, time_s: "Floats", commands: "dict[str, Floats]", taps: "dict[str, Floats]"
+def _check_columns(path: Path, rig: "Rig") -> None:
+    """Refuses a table in which a joint's column would have the name of another."""
+    from pneu_sim.rig.plan import plan_grid
+    from pneu_sim.signals import velocity_of
+
+    taken = {"time_s", *rig.commands, *rig.taps}
+    for joint in plan_grid(rig).joints:
+        for column in (joint, velocity_of(joint)):
+            if column in taken:
+                raise InputError(
+                    f"{path}: joint {joint!r} of rig {rig.name!r} would have the column {column!r},"
+                    " which is there already; give the joint another name, or write a bag"
+                )
+            taken.add(column)
+
+
+def _write_simulation(
+    path: Path,
+    rig: "Rig",
+    time_s: "Floats",
+    commands: "dict[str, Floats]",
+    seen: "FromRest",
+    replace: bool,
 ) -> None:
-    """Writes a table of time, commands in volts and pressures in Pa, whole or not at all."""
+    """Writes a table of time, volts, pascals and joints, or a bag, whole or not at all."""
+    from pneu_sim.bag import write_bag
+    from pneu_sim.signals import Motion, Signal, velocity_of
+
+    if path.suffix != ".csv":
+        volts = {name: Signal(time_s, values) for name, values in commands.items()}
+        readings = {name: Signal(time_s, values) for name, values in seen.taps.items()}
+        motion = Motion(time_s, seen.joints, seen.speeds)
+        write_bag(path, rig, volts, readings, replace=replace, motion=motion)
+        return
+    columns = {"time_s": time_s, **commands, **seen.taps}
+    for name in seen.joints:
+        columns |= {name: seen.joints[name], velocity_of(name): seen.speeds[name]}
     text = io.StringIO(newline="")
     writer = csv.writer(text)
-    writer.writerow(["time_s", *commands, *taps])
-    for row in zip(time_s, *commands.values(), *taps.values(), strict=True):
+    writer.writerow(columns)
+    for row in zip(*columns.values(), strict=True):
         writer.writerow([f"{value:.9g}" for value in row])
     write_whole(path, text.getvalue())

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pneu_sim.coupled import CoupledSolver
 from pneu_sim.full_solver import FullSolver
 from pneu_sim.gas import AIR, Gas
-from pneu_sim.models import ModelKind
+from pneu_sim.models import FromRest, ModelKind
 from pneu_sim.rig.build import build
 from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Rig
@@ -48,17 +48,18 @@ class Full(ModelKind):
         return predict(models, courses, field, None, options)
 
     def from_rest(
-        self, rig: Rig, commands: Mapping[str, Floats], sample_s: float
-    ) -> dict[str, Floats]:
-        """Tap readings of a rig that starts from rest; see `ModelKind.from_rest`.
+        self, rig: Rig, commands: Mapping[str, Floats], sample_s: float, samples: int
+    ) -> FromRest:
+        """Runs a rig that starts from rest; see `ModelKind.from_rest`.
 
         Args:
             rig: The rig.
             commands: (T,) volts per command.
             sample_s: Interval of commands and readings, s.
+            samples: How many there are.
         """
-        samples = max(series.size for series in commands.values())
-        return Simulator(rig).run((samples - 1) * sample_s, commands, sample_s).taps
+        seen = Simulator(rig).run((samples - 1) * sample_s, commands, sample_s)
+        return FromRest(seen.taps, seen.joints, seen.speeds)
 
     def solver(self, rigs: Sequence[Rig], plan: Plan, gas: Gas = AIR) -> Solver:
         """What steps rigs side by side; see `ModelKind.solver`.

@@ -8,6 +8,7 @@ entry point of another distribution.
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -23,6 +24,21 @@ from pneu_sim.simulate import Course, InitialField, Prediction, RunOptions, rest
 from pneu_sim.solver import Solver
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FromRest:
+    """What is seen of a rig that starts from rest.
+
+    Attributes:
+        taps: Per tap its (T,) readings, Pa, without noise.
+        joints: Per joint of a body its (T,) positions, rad or m.
+        speeds: Per joint its (T,) velocities, rad/s or m/s.
+    """
+
+    taps: dict[str, Floats]
+    joints: dict[str, Floats] = field(default_factory=dict)
+    speeds: dict[str, Floats] = field(default_factory=dict)
 
 
 class ModelKind(ABC):
@@ -77,23 +93,24 @@ class ModelKind(ABC):
         )
 
     def from_rest(
-        self, rig: Rig, commands: Mapping[str, Floats], sample_s: float
-    ) -> dict[str, Floats]:
-        """Tap readings of a rig that starts from rest, its lines at their reservoirs' pressures.
+        self, rig: Rig, commands: Mapping[str, Floats], sample_s: float, samples: int
+    ) -> "FromRest":
+        """Runs a rig that starts from rest, its lines at their reservoirs' pressures.
 
         Args:
             rig: The rig.
-            commands: (T,) volts per command, each held until the next.
+            commands: (T,) volts per command, each held until the next; T is `samples`.
             sample_s: Interval of commands and readings, s.
-
-        Returns:
-            Per tap its (T,) readings, Pa, without noise.
+            samples: How many there are, the first at the start.
 
         Raises:
             InputError: The rig cannot be computed so.
         """
+        if rig.bodies:  # predictions are of taps alone
+            raise InputError(
+                f"rig {rig.name!r}: model: found {rig.model}, which moves no bodies; use pde"
+            )
         plan = plan_grid(rig)
-        samples = max(series.size for series in commands.values())
         time = sample_s * np.arange(samples, dtype=np.float64)
         nothing = np.full((len(rig.taps), samples), np.nan)
         course = Course(
@@ -112,7 +129,7 @@ class ModelKind(ABC):
             np.zeros(len(plan.chambers)),
         )
         readings = self.predict([[rig]], plan, [course], nowhere)[0].readings
-        return {name: readings[0, t] for t, name in enumerate(rig.taps)}
+        return FromRest({name: readings[0, t] for t, name in enumerate(rig.taps)})
 
 
 def kind_of(rig: Rig) -> ModelKind:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim import sensors
-from pneu_sim.models import kind_of
+from pneu_sim.models import FromRest, kind_of
 from pneu_sim.rig.schema import Rig
 
 Floats = NDArray[np.float64]
@@ -32,9 +32,7 @@ def check_commands(rig: Rig, names: Iterable[str]) -> None:
 
 
 def run_rig(rig: Rig, commands: Mapping[str, Floats], sample_s: float) -> dict[str, Floats]:
-    """Tap readings of a rig that starts from rest.
-
-    Lines open to a reservoir start at its pressure, all else at the room's.
+    """Tap readings of a rig that starts from rest; see `run_from_rest`, which shows joints too.
 
     Args:
         rig: The rig.
@@ -47,11 +45,32 @@ def run_rig(rig: Rig, commands: Mapping[str, Floats], sample_s: float) -> dict[s
     Raises:
         InputError: A command is missing or not the rig's, or the simulation became unstable.
     """
+    return run_from_rest(rig, commands, sample_s).taps
+
+
+def run_from_rest(
+    rig: Rig, commands: Mapping[str, Floats], sample_s: float, samples: int | None = None
+) -> FromRest:
+    """Taps and joints of a rig that starts from rest, bodies where their joints start.
+
+    Lines open to a reservoir start at its pressure, all else at the room's.
+
+    Args:
+        rig: The rig.
+        commands: (T,) volts per command, each held until the next; a rig without valves has none.
+        sample_s: Interval of commands and readings, s.
+        samples: How many there are, T; None is as many as commands have.
+
+    Raises:
+        InputError: A command is missing, not the rig's or of another length, or the simulation
+            became unstable.
+    """
     check_commands(rig, commands)
-    samples = max((series.size for series in commands.values()), default=0)
+    if samples is None:
+        samples = max((series.size for series in commands.values()), default=0)
     if samples < 2:
         raise InputError(f"rig {rig.name!r}: found {samples} samples to run along, needed are 2")
-    return kind_of(rig).from_rest(rig, commands, sample_s)
+    return kind_of(rig).from_rest(rig, commands, sample_s, samples)
 
 
 def add_noise(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A signal: the samples of one channel at the times they were taken."""
+"""Signals: the samples of one channel, or of all joints, at the times they were taken."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,3 +67,27 @@ class Signal:
         """
         keep = (self.time_s >= begin_s - SAME_S) & (self.time_s <= end_s + SAME_S)
         return Signal(self.time_s[keep], self.values[keep])
+
+
+def velocity_of(joint: str) -> str:
+    """What the velocity of a joint is called beside its position, which has the joint's name.
+
+    Args:
+        joint: Name of the joint.
+    """
+    return f"{joint}_velocity"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Positions and velocities of joints at common times.
+
+    Attributes:
+        time_s: (n,) increasing times, s after the start of the recording.
+        positions: Per joint (n,) positions, rad or m.
+        speeds: Per joint of those its (n,) velocities, rad/s or m/s.
+    """
+
+    time_s: Floats
+    positions: Mapping[str, Floats]
+    speeds: Mapping[str, Floats]

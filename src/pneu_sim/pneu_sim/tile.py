@@ -13,6 +13,7 @@ from pneu_common.errors import InputError
 from pneu_sim import kernel
 from pneu_sim import layout as L
 from pneu_sim.rig.build import area_steps
+from pneu_sim.rig.mechanics import SLIPPED_M
 from pneu_sim.rig.model import Model
 from pneu_sim.rig.plan import Plan
 from pneu_sim.solver import Series
@@ -22,8 +23,6 @@ Ints = NDArray[np.int64]
 
 MORE_STEPS = (2, 4, 8)
 """A run that goes wrong is tried again with this many times as many steps, one after the other."""
-SLIPPED_M = 1e-9
-"""Metres or radians by which a cylinder may stand beyond its stroke at the start: rounding."""
 CHANGING = (
     "state",
     "work",

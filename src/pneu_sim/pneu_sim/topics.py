@@ -4,7 +4,8 @@
 Nothing here imports ROS; messages are only touched as objects that a node hands in. The rig file's
 channels say where a signal is. A signal without a channel, or with one for text files only, is
 where the conventions of the live graph have it: commands together on ``valve/command``, each tap on
-``taps/<tap>/pressure``.
+``taps/<tap>/pressure``. The joints of bodies have no channels: they are on ``joint_states``, as
+everywhere in ROS.
 """
 
 import functools
@@ -22,9 +23,11 @@ from pneu_sim.rig.schema import Rig
 COMMAND_TOPIC = "valve/command"
 APPLIED_TOPIC = "valve/applied"
 TAPS_TOPIC = "taps/pressures"
+JOINTS_TOPIC = "joint_states"
 VALVE_COMMAND = "pneu_msgs/msg/ValveCommand"
 TAP_PRESSURES = "pneu_msgs/msg/TapPressures"
 FLUID_PRESSURE = "sensor_msgs/msg/FluidPressure"
+JOINT_STATE = "sensor_msgs/msg/JointState"
 FLOAT64 = "std_msgs/msg/Float64"
 
 NAMED_VALUES = {VALVE_COMMAND: "voltage_v", TAP_PRESSURES: "pressure_pa"}
@@ -212,6 +215,42 @@ def usual_tap_topics(names: Iterable[str]) -> list[Topic]:
     """
     usual = _usual_tap_channels(names)
     return _grouped("topics", "taps", usual, usual, FLUID_PRESSURE)
+
+
+def joint_states(
+    positions: Mapping[str, float], speeds: Mapping[str, float], stamp: Any, frame: str
+) -> Any:
+    """A message of `JOINTS_TOPIC`, with all joints.
+
+    Args:
+        positions: Per joint its position, rad or m.
+        speeds: Per joint its velocity, rad/s or m/s; empty where none is known.
+        stamp: ``builtin_interfaces.msg.Time`` for the header.
+        frame: The header's frame: what is simulated or measured.
+    """
+    message = message_class(JOINT_STATE)(
+        name=list(positions),
+        position=list(positions.values()),
+        velocity=[speeds[name] for name in positions] if speeds else [],
+    )
+    message.header.stamp = stamp
+    message.header.frame_id = frame
+    return message
+
+
+def check_joints_topic(rig: Rig, topics: Iterable[Topic]) -> None:
+    """Raises InputError where a command or tap of a rig with bodies is on the topic of its joints.
+
+    Args:
+        rig: The rig.
+        topics: Those of its commands and taps.
+    """
+    for topic in topics:
+        if rig.bodies and same_topic(f"/{JOINTS_TOPIC}", topic.name):
+            raise InputError(
+                f"rig {rig.name!r}: channel of {topic.signals[0].name!r}: topic {topic.name!r} is"
+                " that of the rig's joints; give it another"
+            )
 
 
 def only(topics: Iterable[Topic], names: Collection[str]) -> list[Topic]:

@@ -18,10 +18,12 @@ from pneu_msgs.msg import LineState, TapPressures, ValveCommand
 from pneu_msgs.srv import ResetSimulator, StepSimulator
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import FluidPressure
+from ruamel.yaml import YAML
+from sensor_msgs.msg import FluidPressure, JointState
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
+from pneu_sim.init import TEMPLATES
 from pneu_sim.nodes.simulator import SimulatorNode
 
 LAB = str(Path(__file__).parents[3] / "rigs/lab.yaml")
@@ -224,3 +226,81 @@ def test_it_says_ready_when_it_answers_and_not_while_kernels_are_compiled(graph,
         finally:
             process.send_signal(signal.SIGINT)
             process.wait(10.0)
+
+
+# ---- what moves ----------------------------------------------------------------------------------
+
+
+def moving(folder, **slide):
+    """The template of `pneu init --kind cylinder`, its slide changed."""
+    yaml = YAML(typ="safe")
+    rig = yaml.load(TEMPLATES / "cylinder.yaml")
+    rig["bodies"]["load"]["slide"].update(slide)
+    rig["commands"]["voltage"] = {}  # then it is commanded on valve/command
+    path = folder / "rig.yaml"
+    yaml.dump(rig, path)
+    Plant([load_rig(path)])  # what moves is compiled here, not while the graph waits
+    return str(path)
+
+
+def test_joints_come_with_every_sample_and_start_over_with_a_reset(graph, tmp_path):
+    rig = moving(tmp_path, start=0.02)
+    node = simulator(graph, rig=rig, pace="lock_step", publish_clock=True, command_timeout_s=0.0,
+                     line_state_rate_hz=50.0)  # fmt: skip
+    joints = graph.listen(JointState, "joint_states", common.READINGS_QOS)
+    taps = graph.listen(TapPressures, "taps/pressures", common.READINGS_QOS)
+    publisher = graph.probe.create_publisher(ValveCommand, "valve/command", common.COMMAND_QOS)
+    wait_for(lambda: publisher.get_subscription_count() == 1)
+    wait_for(lambda: node.count_subscribers("joint_states") == 1)
+    for name in ("head_line", "rod_line"):  # and no gas of a cylinder
+        assert node.count_publishers(f"lines/{name}/state") == 1
+    topics = [name for name, _ in node.get_topic_names_and_types()]
+    assert len([name for name in topics if name.startswith("/lines/")]) == 2
+    publisher.publish(command(10.0))
+    time.sleep(0.2)
+    assert graph.call(StepSimulator, "simulator/step", step(0.02)).success
+    wait_for(lambda: len(joints) == 5 and len(taps) == 5)
+    assert [m.header.stamp for m in joints] == [m.header.stamp for m in taps]
+    assert all(list(m.name) == ["load_slide"] for m in joints)
+    assert all(len(m.position) == len(m.velocity) == 1 for m in joints)
+    assert joints[0].header.frame_id == "cylinder"
+    assert common.from_stamp(joints[-1].header.stamp) == 20_000_000
+    assert graph.call(StepSimulator, "simulator/step", step(0.1)).success
+    wait_for(lambda: len(joints) == 30)
+    assert joints[-1].position[0] > 0.09
+    pairs = list(itertools.pairwise(joints[:9]))  # before it meets its end
+    moved = [b.position[0] - a.position[0] for a, b in pairs]
+    mean = [0.5 * (a.velocity[0] + b.velocity[0]) / RATE_HZ for a, b in pairs]
+    assert moved == pytest.approx(mean, abs=0.1 * max(moved))
+    assert graph.call(ResetSimulator, "simulator/reset", ResetSimulator.Request()).success
+    assert graph.call(StepSimulator, "simulator/step", step(0.004)).success  # valves shut again
+    wait_for(lambda: len(joints) == 31)
+    assert joints[-1].position[0] == pytest.approx(0.02, abs=1e-6)
+    assert joints[-1].velocity[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_rig_without_taps_and_commands_has_joints_alone(graph, tmp_path):
+    side = {"node": "closed", "dead_volume_m3": 1e-6}
+    rig = {
+        "pneu_rig": 1, "name": "spring",
+        "cylinders": {"c": {"bore_m": 0.02, "stroke_m": 0.1, "head": side, "rod": side}},
+        "bodies": {"b": {"kind": "rail", "cylinder": "c", "mass_kg": 0.5, "incline_rad": 1.57,
+                         "slide": {"start": 0.06}}},
+    }  # fmt: skip
+    path = tmp_path / "rig.yaml"
+    YAML(typ="safe").dump(rig, path)
+    node = simulator(graph, rig=str(path))
+    joints = graph.listen(JointState, "joint_states")
+    wait_for(lambda: len(joints) > 20)
+    assert min(m.position[0] for m in joints) < 0.0599
+    for name in ("taps/pressures", "valve/applied"):
+        assert node.count_publishers(name) == 0
+    status = graph.status("commands")
+    assert (status.level, status.message) == (DiagnosticStatus.OK, "there are none")
+
+
+def test_a_channel_on_the_topic_of_joints_is_refused(graph, tmp_path):
+    path = Path(moving(tmp_path))
+    path.write_text(path.read_text().replace("/taps/rod", "joint_states"))
+    with pytest.raises(InputError, match="channel of 'rod': topic 'joint_states' is that of the"):
+        simulator(graph, rig=str(path))

@@ -12,14 +12,16 @@ from tests.live_graph import own_domain, running_graph, wait_for  # isort: skip
 
 from pneu_msgs.msg import TapPressures
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import FluidPressure
+from sensor_msgs.msg import FluidPressure, JointState
 from std_msgs.msg import Float64
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
 from pneu_sim import bag
+from pneu_sim.init import TEMPLATES
 from pneu_sim.rig import load_rig
-from pneu_sim.signals import Signal
+from pneu_sim.run import run_from_rest
+from pneu_sim.signals import Motion, Signal
 from pneu_sysid.nodes.replay import ReplayNode, load_events
 
 RIG = str(Path(__file__).parents[3] / "rigs/rig_a.yaml")
@@ -76,6 +78,34 @@ def test_all_comes_out_as_it_was_recorded(graph, recorded):
     times = [common.from_stamp(m.clock) for m in clock]
     assert times == sorted(times) and set(stamps) <= set(times)
     assert max(b - a for a, b in itertools.pairwise(times)) <= 4_000_000  # clock_rate_hz
+
+
+@pytest.mark.parametrize("mode", ["all", "commands"])
+def test_joints_come_out_as_they_were_recorded(graph, tmp_path, mode):
+    file = TEMPLATES / "cylinder.yaml"
+    rig = load_rig(file)
+    volts = {"voltage": np.repeat([5.0, 10.0], COUNT // 2)}
+    seen = run_from_rest(rig, volts, 1 / RATE_HZ)
+    time_s = np.arange(COUNT) / RATE_HZ
+    motion = Motion(time_s, seen.joints, seen.speeds)
+    commands, taps = ({n: Signal(time_s, v) for n, v in of.items()} for of in (volts, seen.taps))
+    bag.write_bag(tmp_path / "bag", rig, commands, taps, START_S, motion=motion)
+    joints = graph.listen(JointState, "joint_states", 1000)
+    volts = graph.listen(Float64, "/valve/voltage", 1000)
+    node = replay(
+        graph, str(tmp_path / "bag"), rig=str(file), publish_clock=True, mode=mode, rate=4.0
+    )
+    wait_for(node.done.done)
+    wait_for(lambda: len(volts) == COUNT)
+    if mode == "commands":
+        assert node.count_publishers("joint_states") == 0
+        return
+    wait_for(lambda: len(joints) == COUNT)
+    assert all(list(m.name) == ["load_slide"] for m in joints)
+    assert [m.position[0] for m in joints] == seen.joints["load_slide"].tolist()
+    assert [m.velocity[0] for m in joints] == seen.speeds["load_slide"].tolist()
+    stamps = [common.from_stamp(m.header.stamp) for m in joints]
+    assert (stamps[0], stamps[-1] - stamps[0]) == (START_S * 1e9, (COUNT - 1) * 10_000_000)
 
 
 def test_without_a_clock_stamps_are_of_the_present(graph, recorded):

@@ -46,8 +46,14 @@ def reduce_network(rig: Rig) -> Network:
         rig: The rig.
 
     Raises:
-        InputError: Two reservoirs are joined by pipes alone, or no volume is closed.
+        InputError: Two reservoirs are joined by pipes alone, no volume is closed, or there are
+            cylinders.
     """
+    if rig.cylinders:
+        raise InputError(
+            f"rig {rig.name!r}: model: found {rig.model}, lumped models do not move cylinders yet;"
+            " use pde"
+        )
     group = joined(rig)
     source_of: dict[str, int] = {}
     for r, reservoir in enumerate(rig.reservoirs):

@@ -16,7 +16,7 @@ from pneu_msgs.msg import LineState, TapPressures, ValveCommand
 from pneu_msgs.srv import ResetSimulator, StepSimulator
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
-from sensor_msgs.msg import FluidPressure
+from sensor_msgs.msg import FluidPressure, JointState
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
@@ -109,6 +109,7 @@ class SimulatorNode(Node):
         self._inputs = Inputs(rig, params.command_timeout_s, safe_v)
         self._tap_topics = topics.tap_topics(rig)
         self._command_topics = topics.command_topics(rig)
+        topics.check_joints_topic(rig, (*self._command_topics, *self._tap_topics))
         if params.publish_clock:
             if common.other_clocks(self, patience_s=DISCOVERY_S):
                 raise InputError(
@@ -151,12 +152,20 @@ class SimulatorNode(Node):
             )
             for topic in self._tap_topics
         }
-        self._set_publisher = self.create_publisher(
-            TapPressures, topics.TAPS_TOPIC, common.READINGS_QOS
-        )
-        self._applied = self.create_publisher(
-            ValveCommand, topics.APPLIED_TOPIC, common.READINGS_QOS
-        )
+        # What a rig has none of is on no topic.
+        self._set_publisher = self._applied = self._joint_publisher = None
+        if rig.taps:
+            self._set_publisher = self.create_publisher(
+                TapPressures, topics.TAPS_TOPIC, common.READINGS_QOS
+            )
+        if rig.commands:
+            self._applied = self.create_publisher(
+                ValveCommand, topics.APPLIED_TOPIC, common.READINGS_QOS
+            )
+        if rig.bodies:
+            self._joint_publisher = self.create_publisher(
+                JointState, topics.JOINTS_TOPIC, common.READINGS_QOS
+            )
         self._line_publishers = {
             name: self.create_publisher(LineState, f"lines/{name}/state", common.READINGS_QOS)
             for name in (rig.pipes if kind_of(rig).along_lines else ())
@@ -241,7 +250,10 @@ class SimulatorNode(Node):
         }
         lines.append(common.status(level, f"{name}: pace", text, figures, rig))
         report = self._inputs.report(self._stepper.time_s)
-        level, text = DiagnosticStatus.OK, "commands arrive"
+        level, text = (
+            DiagnosticStatus.OK,
+            "commands arrive" if self._rig.commands else "there are none",
+        )
         if report.waiting:
             level, text = DiagnosticStatus.WARN, "no command yet: valves in the safe state"
         elif report.stale:
@@ -284,14 +296,20 @@ class SimulatorNode(Node):
                 noise = self._rig.taps[topic.signals[0].name].noise_pa
                 message.variance = (noise / topic.signals[0].scale) ** 2
             self._publishers_of[topic.name].publish(message)
-        together = TapPressures(name=list(sample.taps), pressure_pa=list(sample.taps.values()))
-        together.header.stamp = stamp
-        together.header.frame_id = self._rig.name
-        self._set_publisher.publish(together)
-        applied = ValveCommand(name=list(sample.volts), voltage_v=list(sample.volts.values()))
-        applied.header.stamp = common.to_stamp(sample.since_ns)
-        applied.header.frame_id = self._rig.name
-        self._applied.publish(applied)
+        if self._set_publisher is not None:
+            together = TapPressures(name=list(sample.taps), pressure_pa=list(sample.taps.values()))
+            together.header.stamp = stamp
+            together.header.frame_id = self._rig.name
+            self._set_publisher.publish(together)
+        if self._joint_publisher is not None:
+            self._joint_publisher.publish(
+                topics.joint_states(sample.joints, sample.speeds, stamp, self._rig.name)
+            )
+        if self._applied is not None:
+            applied = ValveCommand(name=list(sample.volts), voltage_v=list(sample.volts.values()))
+            applied.header.stamp = common.to_stamp(sample.since_ns)
+            applied.header.frame_id = self._rig.name
+            self._applied.publish(applied)
         if self._params.line_state_rate_hz > 0.0 and sample.time_s >= self._next_line_s - 1e-9:
             self._next_line_s = sample.time_s + 1.0 / self._params.line_state_rate_hz
             self._publish_lines(stamp)

@@ -53,6 +53,8 @@ class Sample:
         time_s: Simulated time since the last reset, s.
         stamp_ns: The same on the clock of the stamps, ns.
         taps: Noisy readings per tap, Pa; None right after a reset.
+        joints: Per joint of a body its position, rad or m.
+        speeds: Per joint its velocity, rad/s or m/s.
         volts: Voltages during the period that ends here.
         since_ns: Stamp of the beginning of that period, ns.
     """
@@ -60,6 +62,8 @@ class Sample:
     time_s: float
     stamp_ns: int
     taps: dict[str, float] | None
+    joints: dict[str, float] = field(default_factory=dict)
+    speeds: dict[str, float] = field(default_factory=dict)
     volts: dict[str, float] = field(default_factory=dict)
     since_ns: int = 0
 
@@ -488,4 +492,8 @@ class Stepper:
         self.time_s = time_s
         if self._running() and not self._ended.is_set():
             taps = dict(zip(readings.taps, noisy.tolist(), strict=True))
-            self._publish(Sample(time_s, self.stamp_ns, taps, volts, since_ns))
+            joints, speeds = (
+                {name: float(series[-1]) for name, series in of.items()}
+                for of in (readings.joints, readings.speeds)
+            )
+            self._publish(Sample(time_s, self.stamp_ns, taps, joints, speeds, volts, since_ns))

@@ -2,6 +2,7 @@
 """The reference of rig files, `docs/rig.md`, made from the schema that checks them."""
 
 import inspect
+import json
 import re
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -22,7 +23,9 @@ what to change and where to find it.
 
 A rig is a network of named *nodes*. A pipe runs from one node to another. A reservoir or a chamber
 sits at the node that has its name. Valve ports and orifices connect two nodes. The node `closed` is
-a wall. Nodes need no declaration: a name that only pipes and ports use is a plain junction.
+a wall. Nodes need no declaration: a name that only pipes and ports use is a plain junction. A side
+of a cylinder is a chamber at the node that it names; cylinders move bodies, whose joints have the
+name of the body and their own (`cart_slide`) unless they are given one.
 
 All quantities are SI and pressures absolute; the unit is in the key's name. Positions along a pipe
 count from its `from` node. A key without a default must be given.
@@ -98,15 +101,23 @@ def as_markdown() -> str:
 
 
 def meanings(model: type[BaseModel]) -> dict[str, str]:
-    """What the docstring of a part says about its keys.
+    """What the docstrings of a part, and of what it is a kind of, say about its keys.
 
     Args:
         model: The part.
 
     Returns:
-        Sentences by attribute name.
+        Sentences by attribute name; the part's own come before those of what it is a kind of.
     """
-    _, _, body = inspect.cleandoc(model.__doc__ or "").partition("Attributes:\n")
+    found: dict[str, str] = {}
+    for kind in reversed(model.__mro__):
+        if issubclass(kind, BaseModel):
+            found |= _told_by(kind.__dict__.get("__doc__") or "")
+    return found
+
+
+def _told_by(docstring: str) -> dict[str, str]:
+    _, _, body = inspect.cleandoc(docstring).partition("Attributes:\n")
     found: dict[str, str] = {}
     name = ""
     for line in body.splitlines():
@@ -173,7 +184,7 @@ def _words(annotation: Any) -> str:
 def _default(field: FieldInfo) -> str:
     if field.is_required():
         return ""
-    value = field.default
+    value = field.get_default(call_default_factory=True)
     if value is None:
         return "none"
     if isinstance(value, bool):
@@ -184,7 +195,18 @@ def _default(field: FieldInfo) -> str:
         return f"`{value}`" if value else "empty"
     if isinstance(value, tuple):
         return f"[{', '.join(f'{one:g}' for one in value)}]"
-    return "its defaults" if isinstance(value, BaseModel) else "empty"
+    if isinstance(value, BaseModel):
+        return _differs(value)
+    return "empty"
+
+
+def _differs(value: BaseModel) -> str:
+    """What a part is by default, as it would be written, where that is not the part's own."""
+    changed = value.model_dump(mode="json", by_alias=True, exclude_defaults=True)
+    if not changed:
+        return "its defaults"
+    # JSON without quotes around words is YAML, as a rig file has it
+    return "`" + json.dumps(changed).replace('"', "") + "`"
 
 
 def _nested(model: type[BaseModel]) -> list[type[BaseModel]]:

@@ -7,6 +7,7 @@ port that throttles is an orifice before either. What changes with the piston is
 """
 
 import math
+from typing import Any
 
 from pneu_common.errors import InputError
 from pneu_sim.rig.cylinder import Cylinder, Side
@@ -106,7 +107,7 @@ def with_cylinders(rig: Rig) -> Rig:
                 chambers[where] = Chamber.model_construct(
                     volume_m3=_volume(cylinder, side_name)  # its wall is the cylinder's
                 )
-                moved: dict[str, object] = {"chamber": where}
+                moved: dict[str, Any] = {"chamber": where}
             else:
                 _, dead_m = cells_of_side(rig, name, side_name)
                 pipes[own] = _pipe(cylinder, side_name, node, dead_m)

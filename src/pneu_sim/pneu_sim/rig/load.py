@@ -12,6 +12,7 @@ from pneu_common.documents import read_yaml
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
 from pneu_common.validation import sentence
+from pneu_sim.rig.mechanics import check_starts
 from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.plausible import implausible
 from pneu_sim.rig.schema import SCHEMA_VERSION, Rig
@@ -48,6 +49,7 @@ def load_rig(path: str | Path) -> Rig:
         raise InputError(f"{path}: {objection}")
     try:
         plan_grid(rig)  # knows the limits of the grid; better refused now than after a long run
+        check_starts(rig)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return rig

@@ -9,15 +9,18 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim import layout as L
-from pneu_sim.bodies.kinds import NUMBER
+from pneu_sim.bodies.kinds import NUMBER, levers
 from pneu_sim.rig.cylinder import Cylinder
 from pneu_sim.rig.expand import chamber_of, part_name, port_name
 from pneu_sim.rig.schema import Rig
+from pneu_sim.signals import velocity_of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 SIDES = ("head", "rod")
+SLIPPED_M = 1e-9
+"""Metres or radians by which a cylinder may stand beyond its stroke at the start: rounding."""
 
 
 def lay_cylinders(
@@ -88,10 +91,18 @@ def lay_bodies(rig: Rig) -> tuple[Ints, Ints, list[str]]:
         table[b] = NUMBER[type(body)], len(joints), len(body.joints), len(places), len(driven)
         places += [cylinders.index(cylinder) for cylinder in driven]
         for field, joint in zip(body.joint_fields, body.joints, strict=True):
-            joints.append(joint.name or f"{name}_{field}")
-    for name in joints:
-        if joints.count(name) > 1:
-            raise InputError(f"rig {rig.name!r}: bodies: two joints are named {name!r}")
+            called = joint.name or f"{name}_{field}"
+            if called in joints:
+                raise InputError(
+                    f"rig {rig.name!r}: bodies.{name}.{field}.name: found {called!r}, which another"
+                    " joint is named already"
+                )
+            if called in map(velocity_of, joints) or velocity_of(called) in joints:
+                raise InputError(
+                    f"rig {rig.name!r}: bodies.{name}.{field}.name: found {called!r}, beside which"
+                    " a joint and another's velocity would have one name"
+                )
+            joints.append(called)
     return table, np.array(places, dtype=np.int64), joints
 
 
@@ -102,6 +113,31 @@ def slice_of(row: Ints) -> slice:
         row: (BODY_COLUMNS,) of its table.
     """
     return slice(int(row[L.B_PLACE]), int(row[L.B_PLACE] + row[L.B_PLACES]))
+
+
+def check_starts(rig: Rig) -> None:
+    """Raises InputError where a body's joints put a piston beyond its stroke as they start.
+
+    Args:
+        rig: The rig.
+    """
+    rows, _ = body_rows(rig)
+    for b, (name, body) in enumerate(rig.bodies.items()):
+        start = np.array([joint.start for joint in body.joints])
+        extension = np.zeros(len(body.driven_by))
+        lever = np.zeros((extension.size, start.size))
+        levers(NUMBER[type(body)], rows[:, :, None], b, 0, start, extension, lever)
+        for driven, found in zip(body.driven_by, extension.tolist(), strict=True):
+            stroke = rig.cylinders[driven].stroke
+            if not -SLIPPED_M <= found <= stroke + SLIPPED_M:
+                joints = ", ".join(
+                    f"{field}.start {joint.start:g}"
+                    for field, joint in zip(body.joint_fields, body.joints, strict=True)
+                )
+                raise InputError(
+                    f"rig {rig.name!r}: bodies.{name}: found {joints}, which put cylinder"
+                    f" {driven!r} at an extension of {found:.6g}; its stroke allows 0 to {stroke:g}"
+                )
 
 
 def cylinder_rows(rig: Rig) -> Floats:

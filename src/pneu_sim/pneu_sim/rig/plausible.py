@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of a rig file that no laboratory has: mostly another unit than the SI's.
+"""What of a rig file no laboratory has: mostly numbers in another unit than the SI's.
 
-The schema refuses what has no meaning; this refuses what has one that nobody means. Rigs that
-programs build are not asked.
+The schema refuses what has no meaning; this refuses what has one that nobody means, such as a
+cylinder whose gas nothing meets. Rigs that programs build are not asked.
 """
 
 from collections.abc import Iterator
@@ -11,7 +11,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from pneu_sim.rig.schema import Rig
+from pneu_sim.rig.kinds import STILL
+from pneu_sim.rig.network import port_ends
+from pneu_sim.rig.schema import CLOSED, Rig
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,20 @@ RANGES = {
         0.0, 1e-5, "m3/(s Pa)", (("dm3/(s bar)", 1e-8, 0.0), ("l/min/bar", 1e-8 / 60.0, 0.0)),
         (1e-11, 1e-6),
     ),
+    "bore_m": Range(1e-3, 2.0, "m", _MM, (2e-3, 0.5), zero=False),
+    "rod_m": Range(1e-4, 2.0, "m", _MM, (1e-3, 0.2)),
+    "stroke_m": Range(1e-3, 20.0, "m", _MM, (1e-3, 5.0), zero=False),
+    "start_m": Range(0.0, 20.0, "m", _MM, (1e-3, 5.0)),
+    "closed_length_m": Range(1e-3, 20.0, "m", _MM, (1e-3, 5.0), zero=False),
+    "dead_volume_m3": Range(1e-12, 1.0, "m3", _CM3, (1e-9, 1e-2), zero=False),
+    "piston_leak_m2": Range(1e-15, 1e-2, "m2", _MM2, (1e-11, 1e-4)),
+    "rod_leak_m2": Range(1e-15, 1e-2, "m2", _MM2, (1e-11, 1e-4)),
+    "displacement_m3_rad": Range(1e-9, 1.0, "m3/rad", _CM3, (1e-8, 1e-2), zero=False),
+    "port_conductance_m3_s_pa": Range(
+        0.0, 1e-5, "m3/(s Pa)", (("dm3/(s bar)", 1e-8, 0.0), ("l/min/bar", 1e-8 / 60.0, 0.0)),
+        (1e-11, 1e-6),
+    ),
+    "mass_kg": Range(1e-5, 1e5, "kg", (("g", 1e-3, 0.0),), (1e-3, 1e4)),
     "roughness_m": Range(0.0, 1e-2, "m", (("um", 1e-6, 0.0),), (1e-7, 1e-3)),
     "bandwidth_hz": Range(1e-3, 1e5, "Hz", zero=False),
     "damping": Range(1e-3, 1e3, ""),
@@ -118,6 +134,28 @@ def implausible(rig: Rig) -> str:
         objection = "" if known is None else known.objection(value)
         if objection:
             return f"{path}: {objection}"
+    return _unmoved(rig) or _unmet(rig)
+
+
+def _unmoved(rig: Rig) -> str:
+    """An objection to a model that cannot move what the rig has; else empty."""
+    if rig.cylinders and rig.model in STILL:
+        return f"model: found {rig.model}, which does not move cylinders yet; allowed is pde"
+    return ""
+
+
+def _unmet(rig: Rig) -> str:
+    """An objection to a side of a cylinder whose node is named nowhere else; else empty."""
+    met = {node for ends_of_port in port_ends(rig) for node in ends_of_port}
+    met |= {node for pipe in rig.pipes.values() for node in (pipe.from_node, pipe.to_node)}
+    met |= {tap.chamber for tap in rig.taps.values() if tap.chamber is not None} | {CLOSED}
+    for name, cylinder in rig.cylinders.items():
+        for side_name, side in cylinder.sides.items():
+            if side.node not in met:
+                return (
+                    f"cylinders.{name}.{side_name}.node: found {side.node!r}, which no pipe, valve"
+                    f" port, orifice or tap names; a side without any has the node {CLOSED!r}"
+                )
     return ""
 
 

@@ -842,11 +842,13 @@ def _check_cylinders(rig: Rig) -> list[str]:
         for used in driven_by:
             if used not in rig.cylinders:
                 raise ValueError(
-                    f"{name}: {used!r} is not among cylinders"
+                    f"{name}: found cylinder {used!r}, which is not among cylinders"
                     f" ({', '.join(rig.cylinders) or 'none declared'})"
                 )
             if used in users:
-                raise ValueError(f"{name}: cylinder {used!r} moves {users[used]} already")
+                raise ValueError(
+                    f"{name}: found cylinder {used!r}, which moves {users[used]} already"
+                )
             users[used] = name
     return vessels
 

@@ -2,7 +2,8 @@
 """The replay node: a bag as if its rig were live, or its commands alone into a simulator.
 
 What a rig file names as commands and taps is taken out of the bag and published on the rig's
-topics, at the pace it was recorded times `rate`. Parameters and topics: see ``ros_ws/README.md``.
+topics, at the pace it was recorded times `rate`; and where the rig has bodies, the states of their
+joints. Parameters and topics: see ``ros_ws/README.md``.
 """
 
 import threading
@@ -24,12 +25,16 @@ from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_sim import topics
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.records.bag import read_bag
+from pneu_sim.signals import velocity_of
+from pneu_sysid.records.bag import read_bag, read_joints
 from pneu_sysid.records.clock import choose_clock, mend_clock_jumps
 
 MODES = ("all", "taps", "commands")
 DISCOVERY_S = 1.0
 """How long another publisher of the clock is looked for."""
+
+JOINTS = topics.Topic(topics.JOINTS_TOPIC, topics.JOINT_STATE, ())
+"""Of all joints, whose values are by the names in the messages themselves."""
 
 Events = list[tuple[int, list[tuple[topics.Topic, dict[str, float]]]]]
 """Per stamp, ns, what is published: the topic and SI values by name."""
@@ -44,7 +49,7 @@ def load_events(rig: Rig, bag: Path, mode: str) -> Events:
         mode: ``all``, ``taps`` or ``commands``.
 
     Returns:
-        Per stamp, ns, what is published then.
+        Per stamp, ns, what is published then; joints are `JOINTS`.
 
     Raises:
         InputError: The bag cannot be read, or lacks a channel of the rig.
@@ -53,10 +58,14 @@ def load_events(rig: Rig, bag: Path, mode: str) -> Events:
         {n: c.channel for n, c in rig.commands.items() if c.channel} if mode != "taps" else {}
     )
     taps = {n: t.channel for n, t in rig.taps.items() if t.channel} if mode != "commands" else {}
-    if not commands and not taps:
+    joints, said = read_joints(bag) if rig.bodies and mode != "commands" else (None, [])
+    if not commands and not taps and joints is None:
         raise InputError(f"rig {rig.name!r}: no channel says what to replay in mode {mode!r}")
     streams, _ = read_bag(bag, commands, taps)
     wanted = {name: channel.stamp for name, channel in {**commands, **taps}.items()}
+    if joints is not None:
+        streams.append(joints)
+        wanted[joints.name] = "auto"
     streams, _ = choose_clock(streams, wanted, str(bag))
     streams, _ = mend_clock_jumps(streams)
     topic_of = {
@@ -75,6 +84,9 @@ def load_events(rig: Rig, bag: Path, mode: str) -> Events:
     for stamp, group in groupby(samples, key=lambda sample: sample[0]):
         of_topic: dict[str, tuple[topics.Topic, dict[str, float]]] = {}
         for _, name, value in group:
+            if joints is not None and name == joints.name:
+                of_topic[name] = (JOINTS, said[int(value)])
+                continue
             topic = topic_of[name]
             of_topic.setdefault(topic.name, (topic, {}))[1][name] = value
         events.append((stamp, list(of_topic.values())))
@@ -155,13 +167,14 @@ class ReplayNode(Node):
                 ClockMessage, common.CLOCK_TOPIC, common.COMMAND_QOS
             )
         taps = {t.name for t in topics.tap_topics(rig)}
+        readings = taps | {topics.JOINTS_TOPIC}
         self._taps = {t for t in taps if p.mode != "commands"}
         used = {topic.name: topic for _, group in self._events for topic, _ in group}
         self._publishers_of = {
             name: self.create_publisher(
                 topics.message_class(topic.type),
                 name,
-                common.READINGS_QOS if name in taps else common.COMMAND_QOS,
+                common.READINGS_QOS if name in readings else common.COMMAND_QOS,
             )
             for name, topic in used.items()
         }
@@ -234,7 +247,10 @@ class ReplayNode(Node):
     def _publish(self, group: list[tuple[topics.Topic, dict[str, float]]], stamp: Any) -> None:
         together: dict[str, float] = {}
         for topic, values in group:
-            message = topic.message(values, stamp)
+            if topic is JOINTS:
+                message = self._joint_states(values, stamp)
+            else:
+                message = topic.message(values, stamp)
             if message is not None:
                 self._publishers_of[topic.name].publish(message)
             if topic.name in self._taps:
@@ -245,6 +261,13 @@ class ReplayNode(Node):
             message.header.stamp = stamp
             message.header.frame_id = self._rig.name
             self._set_publisher.publish(message)
+
+    def _joint_states(self, values: dict[str, float], stamp: Any) -> Any:
+        """The message of joints again, with the present stamp."""
+        speeds = {n: values[velocity_of(n)] for n in values if velocity_of(n) in values}
+        of_speeds = {velocity_of(name) for name in speeds}
+        positions = {name: value for name, value in values.items() if name not in of_speeds}
+        return topics.joint_states(positions, speeds, stamp, self._rig.name)
 
 
 def main(args: list[str] | None = None) -> None:

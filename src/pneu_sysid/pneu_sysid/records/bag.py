@@ -32,7 +32,8 @@ from pneu_common.documents import read_yaml
 from pneu_common.errors import InputError
 from pneu_graph.bag.unpacking import Allowance, Bounded, chunk_records, unzstd
 from pneu_sim.channels import Channel
-from pneu_sim.topics import same_topic
+from pneu_sim.signals import velocity_of
+from pneu_sim.topics import JOINT_STATE, JOINTS_TOPIC, same_topic
 from pneu_sysid.records.recording import Finding, absent
 from pneu_sysid.records.stream import STAMP_LIMIT_NS, Role, Stream
 
@@ -150,6 +151,53 @@ def read_bag(
                 )
             )
     return streams, findings
+
+
+def read_joints(path: Path) -> tuple[Stream | None, list[dict[str, float]]]:
+    """Read what a bag tells of the joints of bodies.
+
+    Args:
+        path: rosbag2 folder or bare .mcap file.
+
+    Returns:
+        When messages on ``joint_states`` came, a stream whose values are their numbers, and what
+        each says by its own names: positions by joint and, where there are any, velocities by
+        `velocity_of` that. None and nothing where the bag has no such topic.
+
+    Raises:
+        InputError: The bag is unreadable, or several of its topics may be meant.
+    """
+    topics, findings = _collect(path, {JOINTS_TOPIC})
+    of_joints = {
+        name: kinds
+        for name, kinds in topics.items()
+        if same_topic(name, JOINTS_TOPIC) and kinds.get(JOINT_STATE) and kinds[JOINT_STATE].count
+    }
+    if not of_joints:
+        return None, []
+    channel = Channel(topic=JOINTS_TOPIC, type=JOINT_STATE)
+    topic = _find_topic(path, JOINTS_TOPIC, channel, of_joints)
+    where = f"{path}: topic '{topic.name}' ({topic.msgtype})"
+    store = _typestore(where, topic, JOINTS_TOPIC, findings)
+    messages = _decode(where, store, topic)
+    log_ns = np.array(topic.log_ns, dtype=np.int64)
+    stream = Stream(
+        name=JOINTS_TOPIC,
+        role="position",
+        source=f"topic {topic.name}",
+        arrival=np.array(topic.arrival, dtype=np.int64),
+        log_ns=log_ns,
+        header_ns=_stamps_ns(messages, "header.stamp"),
+        values=np.arange(len(messages), dtype=np.float64),
+        stamp_ns=log_ns,
+    )
+    told = []
+    for message in messages:
+        names = [str(name) for name in message.name]
+        said = dict(zip(names, map(float, message.position), strict=False))
+        speeds = zip(names, map(float, message.velocity), strict=False)
+        told.append(said | {velocity_of(name): speed for name, speed in speeds})
+    return stream, told
 
 
 def _is_in(topics: _Topics, wanted: str | None) -> bool:

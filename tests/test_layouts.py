@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The viewers' layouts: every panel is on the screen, every curve is a field of a topic we have."""
+
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+from pneu_runtime import interfaces
+
+WORKSPACE = Path(__file__).parents[1] / "ros_ws"
+LAYOUTS = WORKSPACE / "src" / "pneu_bringup" / "layouts"
+NAMESPACE = "/lab/"
+
+
+def types() -> dict[str, str]:
+    """Message type by topic, as the README's table has them; taps and lines are patterns there."""
+    text = (WORKSPACE / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `([\w/<>]+)` \| `(\w+)/(\w+)`", text, flags=re.MULTILINE)
+    return {topic: f"{package}/msg/{name}" for topic, package, name in rows}
+
+
+def type_of(topic: str) -> str:
+    found = [
+        kind
+        for name, kind in types().items()
+        if re.fullmatch(re.sub(r"<\w+>", r"\\w+", name), topic)
+    ]
+    assert len(found) == 1, topic
+    return found[0]
+
+
+def fields(kind: str) -> dict[str, str]:
+    return dict(interfaces.message_class(kind)().get_fields_and_field_types())
+
+
+def foxglove_curves() -> list[tuple[str, str]]:
+    """Topic and field of every curve, an index as it stands."""
+    panels = json.loads((LAYOUTS / "foxglove.json").read_text())["configById"]
+    values = [path["value"] for panel in panels.values() for path in panel.get("paths", [])]
+    return [(topic, field) for topic, _, field in (value.partition(".") for value in values)]
+
+
+def test_every_panel_is_in_the_layout() -> None:
+    saved = json.loads((LAYOUTS / "foxglove.json").read_text())
+
+    def shown(part: str | dict) -> list[str]:
+        return [part] if isinstance(part, str) else shown(part["first"]) + shown(part["second"])
+
+    names = shown(saved["layout"])
+    assert sorted(names) == sorted(saved["configById"])
+    assert {"Plot!joints", "Plot!speeds"} <= set(names)
+
+
+@pytest.mark.parametrize(("topic", "field"), foxglove_curves())
+def test_curves_are_numbers_of_topics_that_there_are(topic: str, field: str) -> None:
+    assert topic.startswith(NAMESPACE)
+    name, index = re.fullmatch(r"(\w+)(\[\d+\])?", field).groups()
+    kind = fields(type_of(topic.removeprefix(NAMESPACE)))[name]
+    assert kind == ("double" if index is None else "sequence<double>")
+
+
+def test_plotjuggler_shows_the_same_topics() -> None:
+    root = ElementTree.parse(LAYOUTS / "plotjuggler.xml").getroot()
+    curves = [curve.attrib["name"] for curve in root.iter("curve")]
+    topics = {topic for topic, _ in foxglove_curves()}
+    assert all(any(name.startswith(f"{topic}/") for topic in topics) for name in curves)
+    assert all(any(name.startswith(f"{topic}/") for name in curves) for topic in topics)
+    for splitter in root.iter("DockSplitter"):
+        sizes = [float(size) for size in splitter.attrib["sizes"].split(";")]
+        assert len(sizes) == int(splitter.attrib["count"]) == len(splitter)
+        assert sum(sizes) == pytest.approx(1.0)
