@@ -14,6 +14,7 @@ from pneu_sim.bodies.crank import Crank, SliderCrank
 from pneu_sim.bodies.dog import Dog
 from pneu_sim.bodies.kokoro import Kokoro
 from pneu_sim.bodies.link import Link
+from pneu_sim.kernel.equations import kinds as equations
 
 STATES = 200
 EXACT = 1e-9  # relative to the largest entry
@@ -107,13 +108,13 @@ class Compiled:
 
     def mechanics(self, q, v):
         mass, force = np.full((self.n, self.n), np.nan), np.full(self.n, np.nan)
-        kinds.mechanics(self.kind, self.par, 1, 2, q, v, mass, force)
+        equations.mechanics(self.kind, self.par, 1, 2, q, v, mass, force)
         return mass, force
 
     def levers(self, q):
         extension = np.full(self.cylinders, np.nan)
         lever = np.full((self.cylinders, self.n), np.nan)
-        kinds.levers(self.kind, self.par, 1, 2, q, extension, lever)
+        equations.levers(self.kind, self.par, 1, 2, q, extension, lever)
         return extension, lever
 
 

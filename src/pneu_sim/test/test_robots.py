@@ -12,6 +12,7 @@ from pydantic import TypeAdapter
 from pneu_common.errors import InputError
 from pneu_sim.bodies import kinds
 from pneu_sim.bodies.kinds import AnyBody
+from pneu_sim.kernel.equations import kinds as equations
 from pneu_sim.plant import Plant
 from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import Rig
@@ -50,7 +51,7 @@ def energy_of(rig: Rig, name: str, q: np.ndarray, v: np.ndarray) -> float:
     n = len(body.joints)
     par = np.array(body.numbers())[None, :, None]
     mass, force = np.zeros((n, n)), np.zeros(n)
-    kinds.mechanics(kinds.NUMBER[type(body)], par, 0, 0, q, v, mass, force)
+    equations.mechanics(kinds.NUMBER[type(body)], par, 0, 0, q, v, mass, force)
     return float(0.5 * v @ mass @ v + body.potential_j(q))
 
 

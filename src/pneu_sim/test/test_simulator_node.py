@@ -25,6 +25,8 @@ from pneu_common.errors import InputError
 from pneu_graph.nodes import common
 from pneu_sim.init import TEMPLATES
 from pneu_sim.nodes.simulator import SimulatorNode
+from pneu_sim.plant import Plant
+from pneu_sim.rig import load_rig
 
 LAB = str(Path(__file__).parents[3] / "rigs/lab.yaml")
 RATE_HZ = 250.0

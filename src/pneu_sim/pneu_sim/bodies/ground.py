@@ -16,7 +16,6 @@ slope in proportion to N makes steps of fixed length unstable at every impact; a
 steps dt up to m / grip without overshoot.
 """
 
-from pneu_sim.compiling import folded
 from pneu_sim.parts import NonNegative, Part, Positive
 
 GROUND_NUMBERS = 5
@@ -57,26 +56,3 @@ class Ground(Part):
             height_m: Of the point.
         """
         return 0.5 * self.stiffness_n_m * min(height_m, 0.0) ** 2
-
-
-@folded
-def contact(par, b, j, at, z, u, w):
-    """Force of the ground on a point.
-
-    Args:
-        par: Numbers of all bodies.
-        b: Which body.
-        j: Which lane.
-        at: Where the ground's numbers begin.
-        z: Height of the point, m.
-        u: Its speed along the ground, m/s.
-        w: Its speed upwards, m/s.
-
-    Returns:
-        Force along the ground and upwards, N.
-    """
-    normal = par[b, at, j] * max(-z, 0.0) * max(1.0 - par[b, at + 1, j] * w, 0.0)
-    most = par[b, at + 2, j] * normal
-    slip = 0.5 * u / (par[b, at + 3, j] + most / par[b, at + 4, j])
-    slip = min(max(slip, -1.0), 1.0)
-    return -most * slip * (2.0 - abs(slip)), normal

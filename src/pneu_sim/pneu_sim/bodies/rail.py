@@ -5,7 +5,6 @@ import math
 from typing import ClassVar, Literal
 
 from pneu_sim.bodies.base import Body, Floats, Joint
-from pneu_sim.compiling import branching
 from pneu_sim.parts import Finite, Positive
 
 
@@ -64,36 +63,3 @@ class Rail(Body):
 
     def _weight_n(self) -> float:
         return self.mass_kg * self.gravity_m_s2 * math.sin(self.incline_rad)
-
-
-@branching
-def mechanics(par, b, j, q, v, mass, force):
-    """Mass and weight; see ``pneu_sim.bodies.base``.
-
-    Args:
-        par: Numbers of all bodies.
-        b: Which body.
-        j: Which lane.
-        q: (1,) position, m.
-        v: (1,) velocity, m/s.
-        mass: (1, 1) written.
-        force: (1,) written.
-    """
-    mass[0, 0] = par[b, 0, j]
-    force[0] = -par[b, 1, j]
-
-
-@branching
-def levers(par, b, j, q, extension, lever):
-    """The extension is the coordinate; see ``pneu_sim.bodies.base``.
-
-    Args:
-        par: Numbers of all bodies.
-        b: Which body.
-        j: Which lane.
-        q: (1,) position, m.
-        extension: (1,) written.
-        lever: (1, 1) written.
-    """
-    extension[0] = q[0]
-    lever[0, 0] = 1.0

@@ -10,8 +10,8 @@ Dry friction is an impulse that takes the velocity of a joint or piston away, as
 import math
 
 from pneu_sim import layout as L
-from pneu_sim.bodies.kinds import levers, mechanics
 from pneu_sim.compiling import branching, folded
+from pneu_sim.kernel.equations.kinds import levers, mechanics
 
 SWEEPS = 12
 """Of Gauss-Seidel, for bodies of several joints; one joint needs two."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim import layout as L
-from pneu_sim.bodies.kinds import NUMBER, levers
+from pneu_sim.bodies.kinds import NUMBER
 from pneu_sim.rig.cylinder import Cylinder
 from pneu_sim.rig.expand import chamber_of, part_name, port_name
 from pneu_sim.rig.schema import Rig
@@ -121,6 +121,11 @@ def check_starts(rig: Rig) -> None:
     Args:
         rig: The rig.
     """
+    if not rig.bodies:
+        return
+    # The compiler is loaded where there are bodies.
+    from pneu_sim.kernel.equations.kinds import levers
+
     rows, _ = body_rows(rig)
     for b, (name, body) in enumerate(rig.bodies.items()):
         start = np.array([joint.start for joint in body.joints])
