@@ -127,6 +127,7 @@ def check(
     )
     _print_table("cylinders", moving.CYLINDER_COLUMNS, moving.cylinder_rows(rig, plan))
     _print_table("bodies", moving.BODY_COLUMNS, moving.body_rows(rig))
+    _print_table("mechanism", moving.MECHANISM_COLUMNS, moving.mechanism_rows(rig))
     _print_table(
         "ports",
         ("name", "from", "to", "C [dm3/(s bar)]", "b", "area [mm2]", "command"),

@@ -2,6 +2,7 @@
 """What of a rig moves, in words: the rows of the tables in which `pneu check` shows it."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 from pneu_sim.bodies.base import Body, Joint
 from pneu_sim.rig.cylinder import Cylinder, Side
@@ -16,6 +17,7 @@ CYLINDER_COLUMNS = (
     "name", "size", "stroke", "gas", "head at", "rod at", "dead volumes", "friction", "leaks",
     "moves",
 )  # fmt: skip
+MECHANISM_COLUMNS = ("joint", "start", "physics step", "coupling")
 BODY_COLUMNS = ("name", "kind", "joint", "start", "stops", "cylinders")
 
 
@@ -27,6 +29,8 @@ def cylinder_rows(rig: Rig, plan: Plan) -> Iterator[tuple[str, ...]]:
         plan: Its grid.
     """
     moved = {used: name for name, body in rig.bodies.items() for used in body.driven_by}
+    if rig.mechanism is not None:
+        moved |= dict.fromkeys(rig.mechanism.cylinders, Path(rig.mechanism.mjcf).name)
     for name, cylinder in rig.cylinders.items():
         yield (
             name,
@@ -61,6 +65,27 @@ def body_rows(rig: Rig) -> Iterator[tuple[str, ...]]:
                 about[2],
             )
             about = ["", "", ""]  # once is enough
+
+
+def mechanism_rows(rig: Rig) -> Iterator[tuple[str, ...]]:
+    """Rows of the table of a mechanism's joints, one each; builds it, so that what is wrong shows.
+
+    Args:
+        rig: The rig.
+
+    Raises:
+        InputError: MuJoCo is missing, or the MJCF does not fit the rig.
+    """
+    if rig.mechanism is None:
+        return
+    # MuJoCo and what leads to it are loaded where a rig names an MJCF.
+    from pneu_sim.mechanism.mechanism import Mechanism
+
+    stroke = {name: rig.cylinders[name].stroke for name in rig.mechanism.cylinders}
+    mechanism = Mechanism(rig.mechanism, 1, stroke_m=stroke)
+    positions = mechanism.joint_positions()[:, 0].tolist()
+    for joint, position in zip(mechanism.joints, positions, strict=True):
+        yield joint, f"{position:.4g}", f"{1e3 * mechanism.step_s:g} ms", rig.mechanism.coupling
 
 
 def unit(body: Body, field: str) -> str:
