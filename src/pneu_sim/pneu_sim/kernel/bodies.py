@@ -71,13 +71,29 @@ def _grip(k, j, speed, cylinders):
 
 
 @folded
-def _stop(x, v, lower, upper, stiffness, damping):
-    """Force of two stops, away from them only: they do not pull."""
+def _stop(x, v, now, dt, lower, upper, stiffness, damping):
+    """Force of two stops, away from them only, and by how much they stiffen the equations.
+
+    Implicit in the motion as a spring is, so that a hard stop asks for no short step: the force
+    is that without the step's acceleration, and what that changes stands with the mass.
+
+    Args:
+        x: Position at the middle of the step.
+        v: Velocity there.
+        now: Velocity at its beginning.
+        dt: Step, s.
+        lower: Where the lower stop begins.
+        upper: Where the upper one begins.
+        stiffness: Of both.
+        damping: Of both.
+    """
+    stiff = 0.5 * dt * damping + 0.25 * dt * dt * stiffness
     if x < lower:
-        return max(stiffness * (lower - x) - damping * v, 0.0)
-    if x > upper:
-        return min(stiffness * (upper - x) - damping * v, 0.0)
-    return 0.0
+        if stiffness * (lower - x) - damping * v > 0.0:
+            return stiffness * (lower - x) - damping * now, stiff
+    elif x > upper and stiffness * (upper - x) - damping * v < 0.0:
+        return stiffness * (upper - x) - damping * now, stiff
+    return 0.0, 0.0
 
 
 @folded
@@ -88,17 +104,19 @@ def _load_joints(b, j, dt, bodies):
     for i in range(n):
         p = first + i
         v = bodies.state[p, L.SJ_VELOCITY, j]
-        force[i] += _stop(
-            bodies.q[i],
+        push, stiff = _stop(
+            bodies.state[p, L.SJ_POSITION, j] + 0.5 * dt * v,
             bodies.v[i],
+            v,
+            dt,
             par[p, L.PJ_LOWER, j],
             par[p, L.PJ_UPPER, j],
             par[p, L.PJ_STOP, j],
             par[p, L.PJ_STOP_DAMPING, j],
         )
         damping = par[p, L.PJ_DAMPING, j]
-        force[i] -= damping * v
-        mass[i, i] += 0.5 * dt * damping
+        force[i] += push - damping * v
+        mass[i, i] += stiff + 0.5 * dt * damping
 
 
 @folded
@@ -106,27 +124,26 @@ def _load_cylinder(k, c, b, j, dt, bodies, cylinders):
     """Add gas, spring, stops and viscous friction of a cylinder to the equations of its body."""
     first, n = bodies.table[b, L.B_JOINT], bodies.table[b, L.B_JOINTS]
     par, lever = cylinders.par, bodies.lever
-    x = bodies.x[c]
     speed = now = 0.0
     for i in range(n):
         speed += lever[c, i] * bodies.v[i]
         now += lever[c, i] * bodies.state[first + i, L.SJ_VELOCITY, j]
-    push = cylinders.state[k, L.SY_FORCE, j]
-    push += _stop(
-        x,
+    # implicit: the mean of a spring's force before and after is that at the mean position
+    at = cylinders.state[k, L.SY_EXTENSION, j] + 0.5 * dt * now
+    push, stiff = _stop(
+        at,
         speed,
+        now,
+        dt,
         0.0,
         par[k, L.PY_STROKE, j],
         par[k, L.PY_STOP, j],
         par[k, L.PY_STOP_DAMPING, j],
     )
-    rate = par[k, L.PY_SPRING, j]
-    # implicit: the mean of the spring's force before and after is that at the mean position
-    at = cylinders.state[k, L.SY_EXTENSION, j] + 0.5 * dt * now
-    push -= par[k, L.PY_PRELOAD, j] + rate * at
-    viscous = par[k, L.PY_VISCOUS, j]
-    push -= viscous * now
-    stiff = 0.5 * dt * viscous + 0.25 * dt * dt * rate
+    rate, viscous = par[k, L.PY_SPRING, j], par[k, L.PY_VISCOUS, j]
+    push += cylinders.state[k, L.SY_FORCE, j]
+    push -= par[k, L.PY_PRELOAD, j] + rate * at + viscous * now
+    stiff += 0.5 * dt * viscous + 0.25 * dt * dt * rate
     for i in range(n):
         bodies.force[i] += lever[c, i] * push
         if stiff > 0.0:

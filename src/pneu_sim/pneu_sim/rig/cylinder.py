@@ -127,8 +127,8 @@ class Cylinder(Part):
     rod_leak_m2: NonNegative = 0.0
     spring_n_m: NonNegative = 0.0
     spring_preload_n: Finite = 0.0
-    stop_stiffness_n_m: Positive = 2e6
-    stop_damping_n_s_m: NonNegative = 1000.0
+    stop_stiffness_n_m: Positive = 2e7
+    stop_damping_n_s_m: NonNegative = 5000.0
     start_m: NonNegative = 0.0
 
     @model_validator(mode="after")
