@@ -300,9 +300,11 @@ def ground_force(ground, z, velocity):
     """The law at the top of ``ground``, written once more."""
     normal = max(0.0, -ground.stiffness_n_m * z * (1 - ground.damping_s_m * velocity[2]))
     normal = normal if z < 0 else 0.0
-    x = velocity[0] / (2 * (ground.slip_m_s + ground.friction * normal / ground.grip_n_s_m))
+    x = velocity[0] / (
+        2 * (ground.slip_m_s + ground.friction_coefficient * normal / ground.grip_n_s_m)
+    )
     grip = math.copysign(1.0, x) if abs(x) > 1 else x * (2 - abs(x))
-    return np.array([-ground.friction * normal * grip, 0.0, normal])
+    return np.array([-ground.friction_coefficient * normal * grip, 0.0, normal])
 
 
 @pytest.mark.parametrize("name", ["dog", "uneven dog"])
@@ -374,7 +376,7 @@ def test_standing_feet_carry_the_weight(name):
 
 def test_a_slide_stops_by_friction():
     mu, speed = 0.4, 1.0
-    body = read({**DOG, "ground": {"friction": mu}})
+    body = read({**DOG, "ground": {"friction_coefficient": mu}})
     q, _ = standing(body)
     slowing = mu * body.gravity_m_s2
     track = [v[0] for _, v in walk(body, q, [speed, *[0.0] * 6], 0.5, LEGS)]

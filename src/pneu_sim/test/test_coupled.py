@@ -76,7 +76,7 @@ def test_a_mass_in_mujoco_swings_as_the_one_in_the_kernel(tmp_path: Path) -> Non
 
 def test_friction_and_springs_of_cylinders_reach_the_mechanism(tmp_path: Path) -> None:
     more: dict[str, Any] = {
-        "friction": {"coulomb_n": 4.0, "viscous_n_s_m": 5.0, "per_pa": 1e-5},
+        "friction": {"coulomb_n": 4.0, "viscous_n_s_m": 5.0, "coulomb_n_per_pa": 1e-5},
         "spring_n_m": 300.0,
         "spring_preload_n": 5.0,
     }

@@ -208,7 +208,7 @@ def test_a_warm_wall_damps_most_where_it_should() -> None:
 # ---- books ---------------------------------------------------------------------------------------
 
 RUBBING = {
-    "coulomb_n": 1.0, "viscous_n_s_m": 1.0, "breakaway_n": 2.0, "per_pa": 1e-6,
+    "coulomb_n": 1.0, "viscous_n_s_m": 1.0, "breakaway_n": 2.0, "coulomb_n_per_pa": 1e-6,
 }  # fmt: skip
 
 
@@ -310,7 +310,7 @@ def test_a_piston_sticks_until_it_breaks_away_and_then_slides() -> None:
 
 
 def test_friction_that_grows_with_pressure_holds_by_the_mean_gauge_pressure() -> None:
-    cylinder = closed(0.025, 0.1, 1e-3, friction={"per_pa": 25e-6})
+    cylinder = closed(0.025, 0.1, 1e-3, friction={"coulomb_n_per_pa": 25e-6})
     simulator = Simulator(rig(cylinder, 2.0, slide={"start": 0.05}, grid={"dx_m": 0.05}))
     simulator.reset({"c.head": 501325.0, "c.rod": 501325.0})
     simulator.plant.place({}, {"b_slide": 0.1})

@@ -5,13 +5,33 @@ from pneu_sim.effects.registry import registry
 from pneu_sim.rig.schema import Rig
 
 PURE = frozenset({
-        "cfl", "critical_ratio", "damping", "discharge", "exponent", "fraction", "gain",
-        "heat_kappa", "heat_turbulent", "heat_unsteady", "inlet_head", "inlet_loss", "integral",
-        "jet_loss", "k", "laminar", "laminar_ratio", "laminar_widening", "leakage", "loss_from",
-        "loss_to", "nusselt", "onset_reynolds", "turbulent", "turbulent_fade", "unsteady",
+        "centre_opening", "cfl", "critical_ratio", "damping", "discharge",
+        "exhaust_critical_ratio", "exponent", "fraction", "friction_coefficient", "gain",
+        "gas_friction", "gear", "heat_kappa", "heat_turbulent", "heat_unsteady", "inlet_head",
+        "inlet_loss", "integral", "jet_loss", "k", "laminar", "laminar_ratio", "laminar_widening",
+        "leakage", "loss_from", "loss_to", "nusselt", "onset_reynolds", "opening",
+        "port_critical_ratio", "turbulent", "turbulent_fade", "unsteady",
     })  # fmt: skip
 """Numbers without a unit."""
+JOINT = {
+    "start": ("rad", "m"),
+    "lower": ("rad", "m"),
+    "upper": ("rad", "m"),
+    "viscous": ("N m s/rad", "N s/m"),
+    "dry_friction": ("N m", "N"),
+    "stop_stiffness": ("N m/rad", "N/m"),
+    "stop_damping": ("N m s/rad", "N s/m"),
+}
+"""Numbers of a joint, and their units where it turns and where it slides."""
 SUFFIXES = (
+    ("_m3_rad", "m^3/rad"),
+    ("_n_per_pa", "N/Pa"),
+    ("_n_s_m", "N s/m"),
+    ("_kg_m2", "kg m^2"),
+    ("_w_m2_k", "W/(m^2 K)"),
+    ("_m_s2", "m/s^2"),
+    ("_n_m", "N/m"),
+    ("_n", "N"),
     ("_m3_s_pa", "m^3/(s Pa)"),
     ("_m3_per_pa", "m^3/Pa"),
     ("_pa_s_per_kg", "Pa s/kg"),
@@ -26,6 +46,7 @@ SUFFIXES = (
     ("_rad", "rad"),
     ("_hz", "Hz"),
     ("_pa", "Pa"),
+    ("_kg", "kg"),
     ("_k", "K"),
     ("_m", "m"),
     ("_s", "s"),
@@ -47,6 +68,10 @@ def unit_of_parameter(rig: Rig, path: str) -> str | None:
     parts = path.split(".")
     if len(parts) == 4 and (parts[0], parts[2]) == ("effects", "parameters"):
         return _of_effect(rig, parts[1], parts[3])
+    if len(parts) == 4 and parts[0] == "bodies" and parts[3] in JOINT:
+        body = rig.bodies.get(parts[1])
+        slides = body is not None and parts[2] in body.slides
+        return JOINT[parts[3]][slides]
     named = [part for part in parts if not part.isdigit()]
     return unit_of_name(named[-1]) if named else None
 

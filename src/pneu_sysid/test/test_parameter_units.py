@@ -15,13 +15,15 @@ from pneu_sim.rig import load_rig
 from pneu_sim.rig.plausible import RANGES
 from pneu_sim.rig.schema import AttachedEffect, FitParameter, Rig
 from pneu_sysid.commands import fit_result
-from pneu_sysid.parameter_units import PURE, unit_of_name, unit_of_parameter
+from pneu_sysid.parameter_units import JOINT, PURE, unit_of_name, unit_of_parameter
 from pneu_sysid.parameters import calibrated_parameters
 
 RIGS = sorted((Path(__file__).parents[3] / "rigs").glob("*.yaml"))
 NOT_OF_THE_RIG = {"Fit", "FitParameter", "Calibration", "TextFormat", "Channel"}
 """Parts of a rig file that say how it is recorded and fitted."""
-NO_UNIT_IN_THE_NAME = {"area_profile", "newton_iterations", "order", "pneu_rig"}
+NO_UNIT_IN_THE_NAME = {
+    "area_profile", "newton_iterations", "order", "pneu_rig", "masses_kg", *JOINT,
+}  # fmt: skip
 
 
 def parts_of(kind: type[BaseModel], found: dict[str, type[BaseModel]]) -> None:
@@ -83,6 +85,18 @@ def test_units_of_paths() -> None:
         "effects.0.parameters.area_m2": "m^2, effective",
         "effects.7.parameters.position_m": "m",
         "pipes.tube.area_profile.0.1": None,
+    }.items():
+        assert unit_of_parameter(rig, path) == unit, path
+
+
+def test_units_of_a_joint_are_those_of_its_motion() -> None:
+    rig = load_rig(next(path for path in RIGS if path.stem == "cart_pole"))
+    for path, unit in {
+        "bodies.cart_pole.slide.viscous": "N s/m",
+        "bodies.cart_pole.pole.viscous": "N m s/rad",
+        "bodies.cart_pole.cart_kg": "kg",
+        "cylinders.cart.friction.coulomb_n_per_pa": "N/Pa",
+        "cylinders.cart.head.dead_volume_m3": "m^3",
     }.items():
         assert unit_of_parameter(rig, path) == unit, path
 

@@ -29,8 +29,8 @@ class Joint(Part):
         name: Its name in `sensor_msgs/JointState`; None is the body's name and its own.
         start: Where it stands at the beginning, rad or m.
         held: Whether it is clamped there.
-        damping: Torque per speed, N m s/rad, or N s/m.
-        friction: Dry friction, N m or N, whatever the speed.
+        viscous: Friction per speed, N m s/rad, or N s/m.
+        dry_friction: Dry friction, N m or N, whatever the speed.
         lower: Where its lower stop begins; None has none.
         upper: Where its upper stop begins; None has none.
         stop_stiffness: Of both stops, N m/rad or N/m.
@@ -40,8 +40,8 @@ class Joint(Part):
     name: str | None = None
     start: Finite = 0.0
     held: bool = False
-    damping: NonNegative = 0.0
-    friction: NonNegative = 0.0
+    viscous: NonNegative = 0.0
+    dry_friction: NonNegative = 0.0
     lower: Finite | None = None
     upper: Finite | None = None
     stop_stiffness: Positive = 1e4

@@ -81,11 +81,11 @@ class RearLeg(Leg):
 
 
 def _hip() -> Joint:
-    return Joint(start=0.45, lower=-0.6, upper=1.2, damping=0.05, stop_stiffness=300.0)
+    return Joint(start=0.45, lower=-0.6, upper=1.2, viscous=0.05, stop_stiffness=300.0)
 
 
 def _knee() -> Joint:
-    return Joint(start=-0.9, lower=-1.9, upper=-0.1, damping=0.05, stop_stiffness=300.0)
+    return Joint(start=-0.9, lower=-1.9, upper=-0.1, viscous=0.05, stop_stiffness=300.0)
 
 
 class Dog(Body):
@@ -204,7 +204,7 @@ class Dog(Body):
     def mjcf(self) -> str:
         """Returns the same body as MJCF, with a floor that MuJoCo's own contacts hold it up on."""
         inertia, half = self.numbers()[2], 0.5 * self.torso_length_m
-        sliding = f"{self.ground.friction!r} 0 0"
+        sliding = f"{self.ground.friction_coefficient!r} 0 0"
         world = f"""
     <geom name="ground" type="plane" size="0 0 1" friction="{sliding}"/>
     <body name="torso">

@@ -28,14 +28,14 @@ class Ground(Part):
     Attributes:
         stiffness_n_m: Normal force per depth, k.
         damping_s_m: Growth of the normal force per speed of sinking, relative, c.
-        friction: Coefficient of dry friction, mu.
+        friction_coefficient: Coefficient of dry friction, mu.
         slip_m_s: Sliding speed over which friction of a lightly loaded point builds up.
         grip_n_s_m: Most friction per sliding speed; a point under load F creeps at about F / grip.
     """
 
     stiffness_n_m: Positive = 2e4
     damping_s_m: NonNegative = 2.0
-    friction: NonNegative = 0.8
+    friction_coefficient: NonNegative = 0.8
     slip_m_s: Positive = 0.01
     grip_n_s_m: Positive = 400.0
 
@@ -44,7 +44,7 @@ class Ground(Part):
         return [
             self.stiffness_n_m,
             self.damping_s_m,
-            self.friction,
+            self.friction_coefficient,
             self.slip_m_s,
             self.grip_n_s_m,
         ]

@@ -12,21 +12,21 @@ from pneu_sim.parts import Finite, NonNegative, Part, Positive, Ratio
 class Friction(Part):
     """What the seals of a piston and its rod hold it back with, whatever its speed or with it.
 
-    While it slides, ``coulomb + per_pa * mean gauge pressure + (breakaway) exp(-(v / stribeck)^2) +
-    viscous * v``; at rest it holds against ``coulomb + per_pa * ... + breakaway``. In N, or in N m
-    of a rotary one.
+    While it slides, ``coulomb_n + coulomb_n_per_pa * mean gauge pressure + breakaway_n exp(-(v /
+    stribeck_m_s)^2) + viscous_n_s_m v``; at rest it holds against the sum of the first three. In N,
+    or in N m of a rotary one.
 
     Attributes:
         coulomb_n: Sliding friction.
-        per_pa: Growth of the sliding friction per pascal of the mean gauge pressure of both sides,
-            N/Pa (for seals that the pressure presses on).
+        coulomb_n_per_pa: Growth of the sliding friction per pascal of the mean gauge pressure of
+            both sides (for seals that the pressure presses on).
         breakaway_n: By how much more it holds at rest.
         stribeck_m_s: Speed over which that vanishes (Stribeck).
         viscous_n_s_m: Friction per speed, N s/m.
     """
 
     coulomb_n: NonNegative = 0.0
-    per_pa: NonNegative = 0.0
+    coulomb_n_per_pa: NonNegative = 0.0
     breakaway_n: NonNegative = 0.0
     stribeck_m_s: Positive = 0.01
     viscous_n_s_m: NonNegative = 0.0

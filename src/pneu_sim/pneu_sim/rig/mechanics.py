@@ -167,7 +167,7 @@ def _fill_row(row: Floats, cylinder: Cylinder) -> None:
     friction = cylinder.friction
     row[L.PY_STROKE] = cylinder.stroke
     row[L.PY_COULOMB] = friction.coulomb_n
-    row[L.PY_PER_PA] = friction.per_pa
+    row[L.PY_PER_PA] = friction.coulomb_n_per_pa
     row[L.PY_BREAKAWAY] = friction.breakaway_n
     row[L.PY_STRIBECK] = friction.stribeck_m_s
     row[L.PY_VISCOUS] = friction.viscous_n_s_m
@@ -212,8 +212,8 @@ def body_rows(rig: Rig) -> tuple[Floats, Floats]:
         row[: len(numbers)] = numbers
         joints += [
             (
-                joint.damping,
-                joint.friction,
+                joint.viscous,
+                joint.dry_friction,
                 -math.inf if joint.lower is None else joint.lower,
                 math.inf if joint.upper is None else joint.upper,
                 joint.stop_stiffness,

@@ -131,7 +131,7 @@ def _friction(cylinder: Cylinder) -> str:
     speed = "m/s" if cylinder.rotary is None else "rad/s"
     parts = (
         (f.coulomb_n, f"{f.coulomb_n:g} {force}"),
-        (f.per_pa, f"{1e5 * f.per_pa:g} {force}/bar"),
+        (f.coulomb_n_per_pa, f"{1e5 * f.coulomb_n_per_pa:g} {force}/bar"),
         (f.breakaway_n, f"{f.breakaway_n:g} {force} more at rest"),
         (f.viscous_n_s_m, f"{f.viscous_n_s_m:g} {force}/({speed})"),
     )
