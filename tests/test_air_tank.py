@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from examples import air_tank
-from examples.air_tank import CONSTANT, CONVECTION, WALL_M2, Sized
+from examples.air_tank import AUTHORS_M, CONSTANT, CONVECTION, ORIFICE_M, WALL_M2, Sized, drawn
 
 from pneu_sim.gas import AIR
 
@@ -44,6 +44,13 @@ def test_what_the_points_say_of_themselves() -> None:
     late_s = (7.9e5 - pressure[0]) / fall - time_s[0]
     assert 0.05 < late_s < 0.15
     assert 4e3 < late_s * fall < 9e3
+    # No gas of the filling is hotter than gamma times what enters: a reading that rises so far so
+    # soon limits the lag, as far as the times of the points can be trusted.
+    time_s, read_k = air_tank.points("filling", "temperature")
+    lags = [-time_s[k] / math.log(1.0 - (read_k[k] - 295.0) / (0.4 * 295.0)) for k in (1, 2)]
+    assert lags[0] == pytest.approx(8.3, abs=0.1)
+    assert lags[1] == pytest.approx(3.0, abs=0.1)
+    time_s, pressure = air_tank.points("discharge", "pressure")
     adiabatic_k = 298.0 * (np.interp(3.58, time_s, pressure) / 7.9e5) ** (0.4 / 1.4)
     assert adiabatic_k == pytest.approx(275.0, abs=1.5)
 
@@ -58,9 +65,14 @@ def test_heat_is_named_and_sized_by_the_pressure_of_the_discharge() -> None:
     assert abs(best.strength - sized.size) < 2.0 * best.std_error
 
 
-def test_convection_has_the_area_of_the_drawing() -> None:
+def test_pressure_alone_does_not_tell_the_area_of_the_drawing() -> None:
+    """A third less of it, unless the orifice passes a few percent more than its data say."""
     sized = air_tank.size_of("discharge", CONVECTION)
-    assert sized.size == pytest.approx(WALL_M2, rel=0.25)
+    assert 0.6 < sized.size / WALL_M2 < 0.8
+    as_described = air_tank.judge("discharge", drawn(0.0))
+    wider = air_tank.judge("discharge", drawn(0.0), air_tank.WIDER)
+    assert air_tank.rms(as_described.pressure_error_pa) > 6e3
+    assert air_tank.rms(wider.pressure_error_pa) < 3.5e3
 
 
 @pytest.mark.parametrize(("name", "sign"), [("discharge", -1.0), ("filling", 1.0)])
@@ -89,9 +101,31 @@ def test_size_of_the_discharge_serves_both(name: str) -> None:
 
 
 def test_convection_as_drawn_serves_the_discharge() -> None:
-    drawn = air_tank.judge("discharge", Sized(CONVECTION, WALL_M2, 0.0, "drawing"))
+    """With a lag of its thermometer within 5 K at most points, and within 7 K at all."""
+    still = air_tank.judge("discharge", drawn(0.0))
     constant = air_tank.judge("discharge", air_tank.size_of("discharge", CONSTANT))
-    assert air_tank.rms(drawn.error_k) < 0.65 * air_tank.rms(constant.error_k)
-    lag_s = air_tank.lag_of(drawn)
-    assert 3.0 < lag_s < 10.0
-    assert air_tank.rms(air_tank.as_shown(drawn, lag_s)) < air_tank.WITHIN_K
+    assert air_tank.rms(still.error_k) < 0.6 * air_tank.rms(constant.error_k)
+    lag_s = air_tank.lag_of(still)
+    assert 4.0 < lag_s < 7.0
+    assert 0.3e-3 < air_tank.sheath_m(lag_s, 1.0) < air_tank.sheath_m(lag_s, 2.0) < 0.6e-3
+    lagged = air_tank.as_shown(still, lag_s)
+    assert air_tank.rms(lagged) < 0.7 * air_tank.WITHIN_K
+    assert abs(air_tank.worst(lagged)) < 7.0
+    assert np.sum(np.abs(lagged) > air_tank.WITHIN_K) <= 2
+    # Nothing enters but what the stub holds: the jet is of the filling.
+    jet = air_tank.judge("discharge", drawn(ORIFICE_M))
+    assert np.max(np.abs(jet.error_k - still.error_k)) < 1.0
+
+
+def test_a_jet_stirs_the_filling_and_the_upper_probe_is_warmer() -> None:
+    still, jet, wide = (air_tank.judge("filling", drawn(d)) for d in (0.0, ORIFICE_M, AUTHORS_M))
+    assert air_tank.worst(still.error_k) > 40.0
+    assert air_tank.rms(jet.error_k) < 0.55 * air_tank.rms(still.error_k)
+    assert air_tank.rms(jet.pressure_error_pa) < 0.6 * air_tank.rms(still.pressure_error_pa)
+    assert -17.0 < air_tank.worst(jet.error_k) < -14.0
+    assert np.sum(jet.error_k < 0.0) >= 16
+    assert air_tank.lag_of(jet) == 0.0  # no lag helps there
+    # The wider jet of the data's author, and the lag of the other recording.
+    lagged = air_tank.as_shown(wide, air_tank.lag_of(air_tank.judge("discharge", drawn(0.0))))
+    assert air_tank.rms(lagged) < 5.5
+    assert abs(air_tank.worst(lagged)) < 11.5

@@ -190,14 +190,20 @@ C_COMPLIANCE: Final = 1  # m^3/Pa
 C_HEAT: Final = 2  # h S, W/K
 C_WALL_T: Final = 3
 C_REST_P: Final = 4
-CHAMBER_PARAMS: Final = 5
+C_CONVECTION: Final = 5  # area of the wall along which its gas convects, m^2; 0 is none
+C_HEIGHT: Final = 6  # height of its gas, m
+C_INLET: Final = 7  # diameter of the jet that enters, m; 0 stirs nothing
+C_VISCOUS: Final = 8  # Sutherland's law mu = C_VISCOUS T^1.5 / (T + C_SUTHERLAND), kg/(m s K^0.5)
+C_SUTHERLAND: Final = 9  # K
+CHAMBER_PARAMS: Final = 10
 
 # --- chamber rows ---------------------------------------------------------------------------------
 H_PRESSURE: Final = 0  # Pa
 H_TEMPERATURE: Final = 1  # K
 H_MIDDLE: Final = 2  # pressure at the middle of the step, Pa
 H_WEIGHT: Final = 3  # of its own pressure in that
-CHAMBER_ROWS: Final = 4
+H_INFLOW: Final = 4  # what enters in this step, kg/s
+CHAMBER_ROWS: Final = 5
 
 # --- cylinders (integer columns): what each side is, head first, then rod ---------------------
 Y_KIND: Final = 0  # of the head side: one of GAS_*; of the rod side the same COLUMNS_PER_SIDE later

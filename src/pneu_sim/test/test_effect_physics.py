@@ -721,23 +721,77 @@ def test_chamber_heat_settles_an_emptied_bottle_back_to_the_room(bottle: Rig) ->
     assert rise > 3.0 * abs(adiabatic[-1, END] - adiabatic[80, END])
 
 
-def test_chamber_convection_is_mcadams_law_at_any_density(bottle: Rig) -> None:
-    warm = attach(bottle, "chamber_convection", "bottle", area_m2=0.02)
+def still_conductance(
+    pressure: float, temperature: float, area_m2: float, height_m: float
+) -> float:
+    """Conductance of a wall along which gas rises, W/K: Nu = 0.104 Ra^0.352."""
+    film = 0.5 * (temperature + ROOM_K)
+    nu = float(AIR.viscosity(film)) * AIR.r_specific * film / pressure
+    rayleigh = 9.81 * abs(temperature - ROOM_K) / film * AIR.prandtl / nu**2 * height_m**3
+    # Another law for plates, McAdams' of 1954, is nearly as high.
+    assert 0.104 * rayleigh**0.352 == pytest.approx(0.13 * rayleigh ** (1.0 / 3.0), rel=0.2)
+    return area_m2 * 0.104 * rayleigh**0.352 * float(AIR.conductivity(film)) / height_m
+
+
+def test_chamber_convection_is_its_law_at_any_density(bottle: Rig) -> None:
+    warm = attach(bottle, "chamber_convection", "bottle", area_m2=0.02, inlet_m=1.0)
     warm.pipes["tube"].area_m2 = 1e-7  # next to no gas in the tube
-    for pressure, temperature in ((1e5, 260.0), (8e5, 260.0), (8e5, 340.0)):
-        simulator = Simulator(warm)
-        simulator.set_chamber("bottle", pressure, temperature)
-        simulator.set_state("tube", pressure / (AIR.r_specific * ROOM_K), 0.0, pressure)
-        simulator.run(5e-3, {"voltage": 5.0})
-        gas = simulator.chamber_gas("bottle")
-        film = 0.5 * (temperature + ROOM_K)
-        nu = float(AIR.viscosity(film)) * AIR.r_specific * film / pressure
-        rayleigh_m3 = 9.81 * abs(temperature - ROOM_K) / film * AIR.prandtl / nu**2
-        watts = 0.02 * 0.13 * float(AIR.conductivity(film)) * rayleigh_m3 ** (1.0 / 3.0)
-        watts *= ROOM_K - temperature
-        mass = pressure * 1e-4 / (AIR.r_specific * temperature)
-        expected = 5e-3 * watts / (mass * AIR.cv)
-        assert gas["temperature"] - temperature == pytest.approx(expected, rel=0.02)
+    for height_m in (None, 0.15):
+        warm.chambers["bottle"].height_m = height_m
+        for pressure, temperature in ((1e5, 260.0), (8e5, 260.0), (8e5, 340.0)):
+            simulator = Simulator(warm)
+            simulator.set_chamber("bottle", pressure, temperature)
+            simulator.set_state("tube", pressure / (AIR.r_specific * ROOM_K), 0.0, pressure)
+            simulator.run(5e-3, {"voltage": 5.0})
+            gas = simulator.chamber_gas("bottle")
+            watts = still_conductance(pressure, temperature, 0.02, height_m or 1e-4 ** (1.0 / 3.0))
+            watts *= ROOM_K - temperature
+            mass = pressure * 1e-4 / (AIR.r_specific * temperature)
+            expected = 5e-3 * watts / (mass * AIR.cv)
+            assert gas["temperature"] - temperature == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("through", ["orifice", "pipe"])
+def test_what_enters_a_chamber_stirs_it(through: str) -> None:
+    """Heat beside a chamber that has none: its law at the inflow that the gas itself tells."""
+    volume, inlet_m, area_m2, start_k = 1e-3, 4e-3, 2e-3, 380.0
+    pipe = {"from": "in", "to": "tank", "length_m": 0.2, "area_m2": 2e-5}
+    chamber = {"volume_m3": volume, "inlet_m": inlet_m}
+    ends = ("source", "tank") if through == "orifice" else ("source", "in")
+    rig = Rig.model_validate(
+        {
+            "name": "filled",
+            "grid": {"dx_m": 0.05},
+            "ambient": {"pressure_pa": ROOM_PA, "temperature_k": ROOM_K},
+            "reservoirs": {"source": {"pressure_pa": 6e5}},
+            "chambers": {"tank": chamber},
+            "pipes": {"tube": pipe | ({"from": "closed"} if through == "orifice" else {})},
+            "orifices": {"o": {"from": ends[0], "to": ends[1], "conductance_m3_s_pa": 2e-9}},
+            "taps": {"tank": {"chamber": "tank"}},
+        }
+    )
+    stirred = rig.model_copy(deep=True)
+    stirred.chambers["tank"].convection_m2 = area_m2
+    energy = []
+    for one in (rig, stirred):
+        simulator = Simulator(one)
+        simulator.set_chamber("tank", ROOM_PA, start_k)
+        gas = [simulator.chamber_gas("tank")]
+        for _ in range(100):
+            simulator.run(5e-4, sample_s=5e-4)
+            gas.append(simulator.chamber_gas("tank"))
+        p, t = (np.array([g[key] for g in gas]) for key in ("pressure", "temperature"))
+        energy.append(p[-1] * volume / 0.4)
+    mass = p * volume / (AIR.r_specific * t)
+    inflow = np.maximum(np.diff(mass) / 5e-4, 0.0)
+    given = 0.0
+    for k, m in enumerate(inflow):
+        warm, film = 0.5 * (t[k] + t[k + 1]), 0.25 * (t[k] + t[k + 1]) + 0.5 * ROOM_K
+        reynolds = 4.0 * m / (math.pi * inlet_m * float(AIR.viscosity(film)))
+        jet = area_m2 * 0.56 * reynolds**0.67 * float(AIR.conductivity(film)) / 0.1
+        given += 5e-4 * (jet + still_conductance(p[k], warm, area_m2, 0.1)) * (ROOM_K - warm)
+    assert inflow[-1] == pytest.approx(2e-9 * 1.185 * 6e5, rel=0.05)
+    assert energy[1] - energy[0] == pytest.approx(given, rel=0.03)
 
 
 # --- supply and room ------------------------------------------------------------------------------

@@ -151,6 +151,7 @@ def calibrated_parameters(rig: Rig) -> list[FitParameter]:
     add("pipes.*.wall.roughness_m", 0.0, 5e-5, 5e-6)
     for name in rig.chambers:
         around(f"chambers.{name}.heat_w_per_k", 5.0, 0.4)
+        around(f"chambers.{name}.convection_m2", 5.0, 0.4)
     for name in rig.orifices:
         around(f"orifices.{name}.conductance_m3_s_pa", 3.0, 0.3)
         add(f"orifices.{name}.critical_ratio", 0.02, 0.7, 0.1)

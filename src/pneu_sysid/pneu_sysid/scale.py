@@ -25,6 +25,7 @@ WITH_IT = (
     "volume_to_m3",
     "conductance_m3_s_pa",
     "heat_w_per_k",
+    "convection_m2",
 )
 """Ends of the paths of what grows with the scale ..."""
 AGAINST_IT = "droop_pa_s_per_kg"

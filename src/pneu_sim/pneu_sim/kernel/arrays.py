@@ -154,7 +154,7 @@ class Chambers(NamedTuple):
     Attributes:
         par: (n_chambers, CHAMBER_PARAMS, lanes).
         state: (n_chambers, 2, lanes) mass kg and energy J.
-        work: (n_chambers, CHAMBER_ROWS, lanes) pressure and temperature, see ``layout``.
+        work: (n_chambers, CHAMBER_ROWS, lanes) pressure, temperature, inflow, see ``layout``.
     """
 
     par: Floats

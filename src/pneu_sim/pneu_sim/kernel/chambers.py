@@ -8,6 +8,8 @@ from pneu_sim.compiling import branching, folded
 from pneu_sim.kernel.ends import face_state
 from pneu_sim.kernel.pistons import squeeze
 
+GRAVITY_M_S2 = 9.81
+
 
 @folded
 def chamber_pressure(energy, volume, compliance, rest_p, gamma):
@@ -65,6 +67,7 @@ def find_middle(gas, order, dt, cells, ends, ports, chambers, moving):
         for j in range(w):
             work[c, L.H_MIDDLE, j] = work[c, L.H_PRESSURE, j]
             work[c, L.H_WEIGHT, j] = 1.0
+            work[c, L.H_INFLOW, j] = 0.0
     for e in range(ends.table.shape[0]):
         if ends.table[e, L.E_KIND] == L.CHAMBER:
             c = ends.table[e, L.E_REF]
@@ -88,9 +91,40 @@ def find_middle(gas, order, dt, cells, ends, ports, chambers, moving):
             )
 
 
+@folded
+def convection(c, j, gas, chambers):
+    """Conductance of a chamber's wall by what rises along it and by the jet that enters, W/K.
+
+    Nu = 0.56 Re_d^0.67 + 0.104 Ra_H^0.352: Woodfield, Monde and Mitsutake 2007, J. Therm. Sci.
+    Technol. 2(2), 180, of vessels being charged, as quoted in HydDown's manual. While nothing
+    enters the second term is left. Re is of the jet where it enters, Ra and Nu are of the gas's
+    height.
+
+    Args:
+        c: The chamber.
+        j: The lane.
+        gas: The gas.
+        chambers: Chambers, with what enters in this step.
+    """
+    par, work = chambers.par, chambers.work
+    t, wall = work[c, L.H_TEMPERATURE, j], par[c, L.C_WALL_T, j]
+    film = 0.5 * (t + wall)
+    mu = par[c, L.C_VISCOUS, j] * film * math.sqrt(film) / (film + par[c, L.C_SUTHERLAND, j])
+    d, height = par[c, L.C_INLET, j], par[c, L.C_HEIGHT, j]
+    nu = mu * gas.r * film / work[c, L.H_PRESSURE, j]
+    rayleigh = gas.prandtl * GRAVITY_M_S2 * abs(t - wall) / film * height**3 / (nu * nu)
+    nusselt = 0.104 * rayleigh**0.352
+    if d > 0.0:
+        nusselt += 0.56 * (4.0 * work[c, L.H_INFLOW, j] / (math.pi * d * mu)) ** 0.67
+    cp = gas.gamma * gas.r / (gas.gamma - 1.0)
+    return par[c, L.C_CONVECTION, j] * nusselt * mu * cp / gas.prandtl / height
+
+
 @branching
 def heat_chambers(gas, dt, chambers):
     """Heat that passes between the walls of chambers and the gas in them.
+
+    Implicit in the gas's temperature, so that no step is too long for a small chamber.
 
     Args:
         gas: The gas.
@@ -102,6 +136,8 @@ def heat_chambers(gas, dt, chambers):
     for c in range(state.shape[0]):
         for j in range(state.shape[2]):
             h = dt * par[c, L.C_HEAT, j]
+            if par[c, L.C_CONVECTION, j] > 0.0:
+                h += dt * convection(c, j, gas, chambers)
             if h > 0.0:
                 gain = h / (1.0 + h / (state[c, 0, j] * cv))
                 state[c, 1, j] += gain * (par[c, L.C_WALL_T, j] - work[c, L.H_TEMPERATURE, j])

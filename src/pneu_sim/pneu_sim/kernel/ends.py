@@ -325,6 +325,7 @@ def _pass_on(e, j, dt, cells, ends, reservoirs, chambers):
         k = dt * face * sign
         chambers.state[ref, 0, j] += k * fm[f]
         chambers.state[ref, 1, j] += k * fe[f]
+        chambers.work[ref, L.H_INFLOW, j] += max(face * sign * fm[f], 0.0)
     elif kind == L.RESERVOIR or kind == L.TANK:
         par = reservoirs.par
         a = dt / (dt + par[ref, L.R_TAU, j])
@@ -388,8 +389,10 @@ def cross_ends(gas, order, dt, cells, ends, ports, reservoirs, chambers):
         for side in range(2):
             kind = ports.table[k, L.P_A if side == 0 else L.P_B]
             ref = ports.table[k, L.P_AI if side == 0 else L.P_BI]
-            g = -dt if side == 0 else dt
+            sign = -1.0 if side == 0 else 1.0
+            g = sign * dt
             if kind == L.SIDE_CHAMBER:
                 for j in range(w):
                     chambers.state[ref, 0, j] += g * ports.flow[k, 0, j]
                     chambers.state[ref, 1, j] += g * ports.flow[k, 1, j]
+                    chambers.work[ref, L.H_INFLOW, j] += max(sign * ports.flow[k, 0, j], 0.0)

@@ -73,7 +73,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         cell=cell,
         port=port,
         reservoir=_reservoirs(rig),
-        chamber=_chambers(rig),
+        chamber=_chambers(rig, gas),
         cylinder=cylinder_rows(rig),
         body=body,
         joint=joint,
@@ -187,14 +187,22 @@ def _reservoirs(rig: Rig) -> Floats:
     return np.array(rows).reshape(-1, L.RESERVOIR_PARAMS)
 
 
-def _chambers(rig: Rig) -> Floats:
+def _chambers(rig: Rig, gas: Gas) -> Floats:
     """(n_chambers, CHAMBER_PARAMS)."""
     room = rig.ambient
-    rows = [
-        (c.volume_m3, c.compliance_m3_per_pa, c.heat_w_per_k, room.temperature_k, room.pressure_pa)
-        for c in rig.chambers.values()
-    ]
-    return np.array(rows).reshape(-1, L.CHAMBER_PARAMS)
+    rows = np.zeros((len(rig.chambers), L.CHAMBER_PARAMS))
+    for row, c in zip(rows, rig.chambers.values(), strict=True):
+        row[L.C_VOLUME] = c.volume_m3
+        row[L.C_COMPLIANCE] = c.compliance_m3_per_pa
+        row[L.C_HEAT] = c.heat_w_per_k
+        row[L.C_WALL_T] = room.temperature_k
+        row[L.C_REST_P] = room.pressure_pa
+        row[L.C_CONVECTION] = c.convection_m2
+        row[L.C_HEIGHT] = c.height_m or math.cbrt(c.volume_m3)
+        row[L.C_INLET] = c.inlet_m or 0.0
+        row[L.C_VISCOUS] = gas.mu_ref * (gas.t_ref + gas.sutherland_k) / gas.t_ref**1.5
+        row[L.C_SUTHERLAND] = gas.sutherland_k
+    return rows
 
 
 def _taps(rig: Rig, plan: Plan) -> tuple[Ints, Floats, Floats]:

@@ -286,6 +286,10 @@ class Chamber(Part):
         volume_m3: Volume at the room's pressure.
         compliance_m3_per_pa: Growth of the volume per pascal above the room (a test lung).
         heat_w_per_k: Heat conductance of its wall.
+        convection_m2: Area of its wall along which the gas convects: Nu = 0.56 Re^0.67 + 0.104
+            Ra^0.352 of the jet that enters and of the gas's height.
+        height_m: Height of its gas for that; none is the edge of a cube of its volume.
+        inlet_m: Diameter of the jet that enters; none is one that stirs nothing.
         leak_area_m2: Effective area of its leak to the room.
         leak_porous_m3: Permeability x area / length of a porous leak to the room, see a pipe's.
         reliefs: Relief valves.
@@ -294,6 +298,9 @@ class Chamber(Part):
     volume_m3: Positive
     compliance_m3_per_pa: NonNegative = 0.0
     heat_w_per_k: NonNegative = 0.0
+    convection_m2: NonNegative = 0.0
+    height_m: Positive | None = None
+    inlet_m: Positive | None = None
     leak_area_m2: NonNegative = 0.0
     leak_porous_m3: NonNegative = 0.0
     reliefs: list[Relief] = []
