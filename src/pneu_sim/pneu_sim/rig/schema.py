@@ -1,47 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a rig file may say: pipes, reservoirs, chambers, valves, taps, channels, effects, fit.
+"""What a rig file may say, its parts put together; some are described in files of their own.
 
 A rig is a network of named *nodes*. Pipes run from one node to another; a reservoir or a chamber of
 that name sits at the node; valve ports and orifices connect two nodes. The node ``closed`` is a
 wall. All quantities are SI, pressures absolute.
 """
 
-from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BeforeValidator,
-    Discriminator,
     Field,
-    Tag,
-    ValidationError,
     model_validator,
 )
 
-from pneu_common.validation import sentence
 from pneu_sim.bodies.kinds import AnyBody
 from pneu_sim.channels import Channel, TextFormat
 from pneu_sim.mechanism.settings import MechanismSettings
-from pneu_sim.parts import Finite, NonNegative, Part, Positive, Ratio
+from pneu_sim.parts import Finite, NonNegative, Part, Positive
 from pneu_sim.rig.cylinder import Cylinder
 from pneu_sim.rig.kinds import checked
-from pneu_sim.rig.valve_kinds import (
-    FiveThree,
-    Regulation,
-    Regulator,
-    Switch,
-    ThreeThree,
-    ThreeTwo,
-    TwoTwo,
-    kind_of_valve,
-    of_a_kind,
-)
+from pneu_sim.rig.valves import AnyValve as AnyValve
+from pneu_sim.rig.valves import Opening as Opening
+from pneu_sim.rig.valves import Orifice as Orifice
+from pneu_sim.rig.valves import Port as Port
+from pneu_sim.rig.valves import Spool as Spool
+from pneu_sim.rig.valves import Valve as Valve
+from pneu_sim.rig.vessels import Chamber as Chamber
+from pneu_sim.rig.vessels import DeadVolume as DeadVolume
+from pneu_sim.rig.vessels import Leak as Leak
+from pneu_sim.rig.vessels import LocalLoss as LocalLoss
+from pneu_sim.rig.vessels import Narrowing as Narrowing
+from pneu_sim.rig.vessels import Pipe as Pipe
+from pneu_sim.rig.vessels import PipeRelief as PipeRelief
+from pneu_sim.rig.vessels import Relief as Relief
+from pneu_sim.rig.vessels import Reservoir as Reservoir
+from pneu_sim.rig.vessels import Ripple as Ripple
+from pneu_sim.rig.vessels import Wall as Wall
 
 SCHEMA_VERSION = 1
 CLOSED = "closed"
-LEAST_STEP_V = 1e-6
-"""Between points of an opening curve; closer ones are one."""
 
 
 class Grid(Part):
@@ -87,406 +85,6 @@ class Ambient(Part):
 
     pressure_pa: Positive = 101325.0
     temperature_k: Positive = 293.15
-
-
-class Wall(Part):
-    """How a pipe wall acts on the gas.
-
-    Attributes:
-        laminar: Factor on laminar drag 8 pi mu u; the thesis as printed (4 pi mu u) is 0.5.
-        turbulent: Gain on what turbulence adds to the drag (Haaland); 0 is laminar throughout.
-        onset_reynolds: Reynolds number at which turbulence sets in; full at 1.74 times that.
-        roughness_m: Height of the wall's roughness.
-        unsteady: Factor on frequency-dependent friction (Zielke).
-        turbulent_fade: Gain on how much faster the memory of friction and heat fades in turbulent
-            flow; 1 is Vardy and Brown (2003), 0 as in laminar flow.
-        nusselt: Nusselt number of quasi-steady wall heat, on the section's mean temperature; 8 is
-            the limit that belongs to the unsteady kernel, 3.66 the developed flow at constant wall
-            temperature, 0 (with no gain on what follows) an adiabatic wall.
-        heat_turbulent: Gain on what turbulence adds to wall heat (Gnielinski).
-        heat_unsteady: Factor on frequency-dependent wall heat.
-        heat_kappa: Conductivity of thesis eq. 5.3, W/(m^2 K); replaces ``nusselt`` where given.
-        compliance_per_pa: Relative growth of the cross-section per pascal.
-    """
-
-    laminar: NonNegative = 1.0
-    turbulent: NonNegative = 1.0
-    onset_reynolds: Positive = 2300.0
-    roughness_m: NonNegative = 0.0
-    unsteady: NonNegative = 1.0
-    turbulent_fade: NonNegative = 1.0
-    nusselt: NonNegative = 8.0
-    heat_turbulent: NonNegative = 1.0
-    heat_unsteady: NonNegative = 1.0
-    heat_kappa: NonNegative | None = None
-    compliance_per_pa: NonNegative = 0.0
-
-
-class LocalLoss(Part):
-    """A fitting or valve body in a pipe.
-
-    Attributes:
-        position_m: Where it sits.
-        k: Velocity heads it costs (turbulent).
-        resistance_pa_s_m: Pressure drop per velocity (viscous), the "added viscosity just for the
-            valve-adjacent cell" of thesis 5.4.
-    """
-
-    position_m: NonNegative
-    k: NonNegative = 0.0
-    resistance_pa_s_m: NonNegative = 0.0
-
-
-class Leak(Part):
-    """A way to the room in a pipe's wall: a hole, or something porous (a seal, a thread).
-
-    Attributes:
-        position_m: Where it sits.
-        area_m2: Effective area of an orifice.
-        porous_m3: Permeability x area / length of a porous plug; of a capillary of diameter d and
-            length l, pi d^4 / (128 l). It leaks porous_m3 (p^2 - p_room^2) / (2 mu R T).
-    """
-
-    position_m: NonNegative
-    area_m2: NonNegative = 0.0
-    porous_m3: NonNegative = 0.0
-
-
-class Relief(Part):
-    """A relief valve: an orifice to the room that opens above a set pressure.
-
-    Attributes:
-        area_m2: Effective area fully open.
-        set_pa: Pressure at which it begins to open.
-        range_pa: By how much more it is fully open; between, the area grows in proportion.
-    """
-
-    area_m2: NonNegative
-    set_pa: Positive
-    range_pa: Positive = 2e4
-
-
-class PipeRelief(Relief):
-    """A relief valve on a pipe.
-
-    Attributes:
-        area_m2: Effective area fully open.
-        set_pa: Pressure at which it begins to open.
-        range_pa: By how much more it is fully open; between, the area grows in proportion.
-        position_m: Where it sits.
-    """
-
-    position_m: NonNegative
-
-
-class Ripple(Part):
-    """A pulsation of a reservoir's pressure: a compressor's strokes, a regulator that hunts.
-
-    Attributes:
-        amplitude_pa: Its amplitude, half of peak to peak.
-        frequency_hz: Its frequency.
-        phase_rad: Phase of its sine at time zero of the simulation or recording.
-    """
-
-    amplitude_pa: NonNegative
-    frequency_hz: Positive
-    phase_rad: Finite = 0.0
-
-
-class DeadVolume(Part):
-    """A volume that hangs on a pipe: a fitting, a sensor's cavity.
-
-    Attributes:
-        position_m: Where it sits.
-        volume_m3: Its volume.
-    """
-
-    position_m: NonNegative
-    volume_m3: NonNegative
-
-
-class Narrowing(Part):
-    """A stretch of a pipe with less area: a kink, a blockage.
-
-    Attributes:
-        position_m: Its middle.
-        length_m: Its length.
-        fraction: Share of the area that is lost.
-    """
-
-    position_m: NonNegative
-    length_m: Positive = 0.1
-    fraction: Annotated[float, Field(ge=0.0, le=0.98)]
-
-
-class Pipe(Part):
-    """A line between two nodes.
-
-    Attributes:
-        from_node: Node at position 0.
-        to_node: Node at position ``length_m``.
-        length_m: Length.
-        area_m2: Cross-section.
-        area_profile: Optional (position, area) corners of a cross-section that varies linearly.
-        dx_m: Cell length, where it differs from the grid's.
-        wall: Friction and heat.
-        losses: Local losses.
-        leaks: Leaks to the room.
-        reliefs: Relief valves.
-        volumes: Dead volumes.
-        narrowings: Stretches of reduced area.
-        volume_from_m3: Volume at the ``from`` end (a valve's chamber, a fitting).
-        volume_to_m3: Volume at the ``to`` end.
-        loss_from: Velocity heads lost at the ``from`` end (a fitting, this branch of a junction).
-        loss_to: Velocity heads lost at the ``to`` end.
-    """
-
-    from_node: str = Field(alias="from")
-    to_node: str = Field(alias="to")
-    length_m: Positive
-    area_m2: Positive
-    area_profile: list[tuple[NonNegative, Positive]] | None = None
-    dx_m: Positive | None = None
-    wall: Wall = Wall()
-    losses: list[LocalLoss] = []
-    leaks: list[Leak] = []
-    reliefs: list[PipeRelief] = []
-    volumes: list[DeadVolume] = []
-    narrowings: list[Narrowing] = []
-    volume_from_m3: NonNegative = 0.0
-    volume_to_m3: NonNegative = 0.0
-    loss_from: NonNegative = 0.0
-    loss_to: NonNegative = 0.0
-
-
-class Reservoir(Part):
-    """A source or sink of constant state: compressor, regulator, room.
-
-    Attributes:
-        pressure_pa: Pressure at no flow.
-        temperature_k: Temperature; None is the room's.
-        droop_pa_s_per_kg: Sag of the pressure per flow drawn.
-        droop_tau_s: Time constant of the sag.
-        inlet_loss: Velocity heads lost where gas enters a pipe (0 rounded, 0.5 sharp).
-        ripples: Pulsations of its pressure, added up. Lumped models have none.
-    """
-
-    pressure_pa: Positive
-    temperature_k: Positive | None = None
-    droop_pa_s_per_kg: NonNegative = 0.0
-    droop_tau_s: NonNegative = 0.002
-    inlet_loss: NonNegative = 0.0
-    ripples: list[Ripple] = []
-
-
-class Chamber(Part):
-    """A well-mixed volume.
-
-    Attributes:
-        volume_m3: Volume at the room's pressure.
-        compliance_m3_per_pa: Growth of the volume per pascal above the room (a test lung).
-        heat_w_per_k: Heat conductance of its wall.
-        convection_m2: Area of its wall along which the gas convects: Nu = 0.56 Re^0.67 + 0.104
-            Ra^0.352 of the jet that enters and of the gas's height.
-        height_m: Height of its gas for that; none is the edge of a cube of its volume.
-        inlet_m: Diameter of the jet that enters; none is one that stirs nothing.
-        leak_area_m2: Effective area of its leak to the room.
-        leak_porous_m3: Permeability x area / length of a porous leak to the room, see a pipe's.
-        reliefs: Relief valves.
-    """
-
-    volume_m3: Positive
-    compliance_m3_per_pa: NonNegative = 0.0
-    heat_w_per_k: NonNegative = 0.0
-    convection_m2: NonNegative = 0.0
-    height_m: Positive | None = None
-    inlet_m: Positive | None = None
-    leak_area_m2: NonNegative = 0.0
-    leak_porous_m3: NonNegative = 0.0
-    reliefs: list[Relief] = []
-
-
-class Opening(Part):
-    """A port's opening as a measured curve of spool voltage.
-
-    Attributes:
-        voltage_v: Voltages of the points, increasing.
-        fraction: Opening at each, 1 = fully open.
-        interpolation: ``cubic`` is monotone cubic between the points; ``power`` is monotone cubic
-            in the logarithms of opening and distance from the null voltage, so that two points are
-            a power law, and goes on as one down to zero at null. Its points lie on one side of it.
-        mirror: Instead of points, the name of another port of the valve: its curve, mirrored about
-            the null voltage, as a symmetrical spool has it.
-    """
-
-    voltage_v: list[Finite] = []
-    fraction: list[NonNegative] = []
-    interpolation: Literal["cubic", "power"] = "cubic"
-    mirror: str | None = None
-
-    @model_validator(mode="after")
-    def _check(self) -> "Opening":
-        if self.mirror is not None:
-            if self.voltage_v or self.fraction:
-                raise ValueError("give either mirror or voltage_v and fraction, not both")
-            return self
-        if len(self.voltage_v) < 2:
-            raise ValueError("voltage_v needs at least two points (or name a port to mirror)")
-        if len(self.voltage_v) != len(self.fraction):
-            raise ValueError(
-                f"voltage_v has {len(self.voltage_v)} points and fraction {len(self.fraction)};"
-                " they need equally many"
-            )
-        if any(b <= a for a, b in pairwise(self.voltage_v)):
-            raise ValueError("voltage_v must increase")
-        if any(b - a < LEAST_STEP_V for a, b in pairwise(self.voltage_v)):
-            raise ValueError(f"voltage_v must increase by {LEAST_STEP_V:g} V or more each time")
-        return self
-
-
-class Port(Part):
-    """One flow path of a valve.
-
-    Attributes:
-        from_node: Node on one side; positive flow leaves it.
-        to_node: Node on the other side.
-        model: ``iso6358`` (sonic conductance) or ``effective_area`` (thesis 5.4).
-        conductance_m3_s_pa: Sonic conductance fully open (1 dm^3/(s bar) = 1e-8).
-        critical_ratio: Critical pressure ratio b.
-        laminar_ratio: Pressure ratio above which flow is linear in the pressure drop, fully open.
-        laminar_widening: Exponent n with which that range of ratios, 1 - ``laminar_ratio``, grows
-            with the opening. 0 fixes the ratio, as ISO 6358 does; 2 fixes the slope of the flow
-            where the pressures meet, as a flutter of the flow through the port makes it.
-        jet_loss: Velocity heads of the entered pipe that the jet behind the port does not recover;
-            1 makes its stagnation pressure the downstream pressure.
-        inlet_head: Share of the velocity head of the pipe it leaves that drives the port; 1 makes
-            its stagnation pressure the upstream pressure, as ISO 6358 does; 2 is a port that takes
-            gas but none of its momentum, which piles up before it (a tee, a blind end behind it).
-        area_m2: Effective area fully open, for ``effective_area``.
-        opening: Opening fraction against spool voltage.
-        leakage: Opening fraction that remains when the spool closes the port.
-    """
-
-    from_node: str = Field(alias="from")
-    to_node: str = Field(alias="to")
-    model: Literal["iso6358", "effective_area"] = "iso6358"
-    conductance_m3_s_pa: NonNegative = 0.0
-    critical_ratio: Ratio = 0.3
-    laminar_ratio: Annotated[float, Field(gt=0.8, le=1.0)] = 0.999
-    laminar_widening: Annotated[float, Field(ge=0.0, le=4.0)] = 0.0
-    jet_loss: NonNegative = 1.0
-    inlet_head: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0
-    area_m2: NonNegative = 0.0
-    opening: Opening
-    leakage: NonNegative = 0.0
-
-
-class Spool(Part):
-    """How the spool follows its command (thesis eq. 5.4, corrected).
-
-    Attributes:
-        bandwidth_hz: Natural frequency; None follows at once.
-        damping: Damping ratio.
-        integral: Gain of the position loop's integral term, 1/s.
-        max_acceleration_v_s2: Limit of the acceleration; None is unlimited.
-        max_speed_v_s: Limit of the speed; None is unlimited. A spool without a bandwidth follows
-            at once, but no faster.
-        delay_s: Transport delay of the command.
-        closing_delay_s: Transport delay of a command that moves the spool towards ``null_v``, where
-            it differs; None is ``delay_s``. A change across null counts as closing unless it ends
-            farther from null than it began. What would act before an earlier change supersedes
-            it: a pulse shorter than the difference of the delays is swallowed.
-        hysteresis_v: Backlash, full width.
-        null_offset_v: Shift of the spool's null.
-        dead_band_v: Overlap on each side of null.
-        null_v: Voltage at which the spool closes; the overlap lies around it.
-    """
-
-    bandwidth_hz: Positive | None = None
-    damping: Positive = 0.8
-    integral: NonNegative = 0.0
-    max_acceleration_v_s2: Positive | None = None
-    max_speed_v_s: Positive | None = None
-    delay_s: NonNegative = 0.0
-    closing_delay_s: NonNegative | None = None
-    hysteresis_v: NonNegative = 0.0
-    null_offset_v: Finite = 0.0
-    dead_band_v: NonNegative = 0.0
-    null_v: Finite = 5.0
-
-
-class Valve(Part):
-    """A spool and the ports it opens: the general valve, which every other kind becomes.
-
-    Attributes:
-        kind: Says that it is a general one; other kinds follow below.
-        command: Name of the command it follows.
-        position: Where the spool's measured position is recorded, in volts of command. Recordings
-            may lack it; from those that have it the spool is identified without any gas.
-        spool: How the spool follows.
-        switch: How the command becomes one of two voltages, of an on-off valve.
-        ports: Its flow paths.
-        regulator: How it holds the pressure behind it, of a pressure regulator.
-    """
-
-    kind: Literal["general"] = "general"
-    command: str
-    position: Channel | None = None
-    spool: Spool = Spool()
-    switch: Switch | None = None
-    ports: dict[str, Port] = Field(min_length=1)
-    regulator: Regulation | None = None
-
-    @model_validator(mode="after")
-    def _check(self) -> "Valve":
-        if self.position is not None and (self.switch or self.regulator):
-            raise ValueError("position: a valve with a switch or a regulator records none")
-        return self
-
-
-def _as_general(valve: Any) -> Valve:
-    """Any kind of valve as the general one."""
-    if isinstance(valve, Valve):
-        return valve
-    try:
-        return Valve.model_validate(valve.general())
-    except ValidationError as error:
-        raise ValueError(sentence(error, Valve)) from None
-
-
-if TYPE_CHECKING:
-    AnyValve = Valve
-else:
-    AnyValve = Annotated[
-        Annotated[Valve, Tag("general")]
-        | Annotated[FiveThree, Tag("5/3")]
-        | Annotated[ThreeThree, Tag("3/3")]
-        | Annotated[ThreeTwo, Tag("3/2")]
-        | Annotated[TwoTwo, Tag("2/2")]
-        | Annotated[Regulator, Tag("regulator")],
-        Discriminator(kind_of_valve),
-        BeforeValidator(of_a_kind),
-        AfterValidator(_as_general),
-    ]
-    """A valve of any kind in the file, a general one from then on."""
-
-
-class Orifice(Part):
-    """A fixed restriction between two nodes.
-
-    Attributes:
-        from_node: Node on one side; positive flow leaves it.
-        to_node: Node on the other side.
-        conductance_m3_s_pa: Sonic conductance (ISO 6358).
-        critical_ratio: Critical pressure ratio b.
-        laminar_ratio: Pressure ratio above which flow is linear in the pressure drop (viscous).
-    """
-
-    from_node: str = Field(alias="from")
-    to_node: str = Field(alias="to")
-    conductance_m3_s_pa: NonNegative
-    critical_ratio: Ratio = 0.3
-    laminar_ratio: Annotated[float, Field(gt=0.8, le=1.0)] = 0.999
 
 
 class Tap(Part):
