@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pneu_sim import layout as L
 from pneu_sim.plant import Plant
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Readings, Simulator
@@ -105,8 +106,8 @@ def test_the_free_piston_converges_in_second_order() -> None:
         simulator.reset({"c.head": 1e5})
         out = simulator.run(0.01, {}, 1e-3)
         errors.append(abs(out.joints["b_slide"][-1] - exact_piston(0.01)[0]))
-    # cells appear at other instants at each length: the order is that from first to last
-    assert math.log(errors[0] / errors[-1]) / math.log(4.0) > 1.6
+    assert math.log2(errors[0] / errors[1]) > 1.7
+    assert math.log2(errors[1] / errors[2]) > 1.7
 
 
 # ---- gas springs ---------------------------------------------------------------------------------
@@ -237,34 +238,30 @@ def test_energy_of_gas_body_and_heat_is_kept_while_cells_come_and_go(gas: str, o
     assert simulator.mass_kg() == pytest.approx(mass, rel=1e-11)
 
 
-def test_no_pressure_jumps_when_cells_appear_and_vanish() -> None:
-    """A piston moved steadily: from step to step its force changes as the gas is pressed."""
+@pytest.mark.parametrize(
+    ("order", "speed", "most"), [(1, 1.0, 5e-4), (2, 1.0, 2e-5), (2, 3.0, 1e-4)]
+)
+def test_no_pressure_jumps_when_cells_appear_and_vanish(
+    order: int, speed: float, most: float
+) -> None:
+    """A piston that goes steadily: pressures on its faces bend by no more where cells change."""
     cylinder = closed(0.025, 0.2, 1e-5, gas="cells", gas_friction=0.0)
-    rigs = [
-        alone({**cylinder, "start_m": 0.02}, grid={"dx_m": 0.01, "order": order})
-        for order in (1, 2)
-    ]
-    for one in rigs:
-        plant = Plant([one])
-        plant.reset({"c.head": 4e5, "c.rod": 4e5})
-        state = plant.solver.tiles[0][0].cylinder_state  # type: ignore[attr-defined]
-        step = plant.solver.step_s
-        counts, force = [], []
-        for sign in (1.0, -1.0):
-            # speed up gently, so that what waves there are do not hide a jump
-            for n in range(6000):
-                ramp = min(n / 2000, (6000 - n) / 2000, 1.0)
-                plant.solver.drive(np.array([[sign * ramp]]))
-                plant.advance(np.zeros((1, 0, 1)), step)
-                counts.append(state[0, 3:5, 0].copy())
-                force.append(float(state[0, 6, 0]))
-        changes = np.flatnonzero(np.any(np.diff(np.array(counts), axis=0) != 0, axis=1)) + 1
-        assert len(changes) >= 10
-        area = 0.25 * math.pi * 0.025**2
-        pressure = np.array(force) / area  # difference of the two sides'
-        jump = np.abs(np.diff(pressure))
-        usual = np.median(jump)
-        assert jump.max() < usual + 1e-3 * 4e5
+    plant = Plant([alone({**cylinder, "start_m": 0.02}, grid={"dx_m": 0.01, "order": order})])
+    plant.reset({"c.head": 4e5, "c.rod": 4e5})
+    tile = plant.solver.tiles[0][0]  # type: ignore[attr-defined]
+    step = plant.solver.step_s
+    steps = round(0.15 / speed / step)
+    counts, pressures = [], []
+    for n in range(steps):
+        # sped up gently, so that what waves there are do not hide a jump
+        ramp = min(6.0 * n / steps, 6.0 * (steps - n) / steps, 1.0)
+        plant.solver.drive(np.array([[speed * ramp]]))
+        plant.advance(np.zeros((1, 0, 1)), step)
+        counts.append(tile.cylinder_state[0, L.SY_COUNT : L.SY_COUNT + 2, 0].copy())
+        pressures.append(tile.cylinder_work[0, L.WY_FACE : L.WY_FACE + 2, 0].copy())
+    assert np.count_nonzero(np.diff(np.array(counts), axis=0), axis=0).min() >= 10
+    p = np.array(pressures)
+    assert np.max(np.abs(np.diff(p, 2, axis=0)) / p[2:]) < most
 
 
 def test_the_coupling_is_of_second_order_in_the_step() -> None:

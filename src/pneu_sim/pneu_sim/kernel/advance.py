@@ -198,7 +198,7 @@ def advance(rigs, moving, clock, opening, record):
             act_terms(gas, dt, cells, chambers, terms)
             _conserve(dt, scheme, cells)
             if moving is not None:
-                make_room(cells, chambers, moving.cylinders)
+                make_room(gas, order, cells, chambers, moving.cylinders)
             _act_of_walls(gas, scheme, dt, s, cells)
             if corrected:
                 correct(cells, chambers, taps)

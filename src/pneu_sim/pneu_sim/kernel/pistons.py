@@ -494,7 +494,31 @@ def _copy_cell(i, g, cells):
 
 
 @folded
-def _stretch(k, side, j, cells, cylinders):
+def _tilt(i, g, share, gm, cells):
+    """Lean two halves of a cell as its face states do, so that a cut changes no slope.
+
+    Args:
+        i: The half on the left, of the whole's state.
+        g: The half on the right, likewise.
+        share: Length of the left half over that of the whole.
+        gm: Ratio of specific heats less one.
+        cells: All slots, with the face states of the whole.
+    """
+    S, X = cells.state, cells.work
+    dl, ul, pl = X[L.W_RL, i], X[L.W_UL, i], X[L.W_PL, i]
+    dr, ur, pr = X[L.W_RR, i], X[L.W_UR, i], X[L.W_PR, i]
+    left, right = 0.5 * (1.0 - share), 0.5 * share  # of the way from face to face, to either side
+    density = dr - dl
+    momentum = dr * ur - dl * ul
+    energy = (pr - pl) / gm + 0.5 * (dr * ur * ur - dl * ul * ul)
+    for row, lean in ((L.RHO, density), (L.MOM, momentum), (L.ENE, energy)):
+        S[row, i] -= left * lean
+        S[row, g] += right * lean
+    X[L.W_RI, i] = 1.0 / S[L.RHO, i]
+
+
+@folded
+def _stretch(k, side, j, order, gm, cells, cylinders):
     """Give the last cell its new length; cut it in two, or join it with its neighbour."""
     w, S, P = cells.lanes, cells.state, cells.par
     most = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_CELLS]
@@ -511,6 +535,8 @@ def _stretch(k, side, j, cells, cylinders):
     if length > LONGEST * dx and count < most:
         g = i + w
         _copy_cell(i, g, cells)
+        if order == 2:
+            _tilt(i, g, dx / length, gm, cells)
         P[L.LENGTH, i] = dx
         P[L.INV_VOLUME, i] = 1.0 / (area * dx)
         i, length = g, length - dx
@@ -534,10 +560,12 @@ def _stretch(k, side, j, cells, cylinders):
 
 
 @branching
-def make_room(cells, chambers, cylinders):
+def make_room(gas, order, cells, chambers, cylinders):
     """Volumes of the gas as the pistons now stand.
 
     Args:
+        gas: The gas.
+        order: 1 Godunov, 2 MUSCL-Hancock.
         cells: All slots.
         chambers: Chambers.
         cylinders: Cylinders, moved.
@@ -549,4 +577,4 @@ def make_room(cells, chambers, cylinders):
                 if kind == L.GAS_CHAMBER:
                     _set_chamber(k, side, j, cylinders, chambers)
                 elif kind == L.GAS_CELLS:
-                    _stretch(k, side, j, cells, cylinders)
+                    _stretch(k, side, j, order, gas.gamma - 1.0, cells, cylinders)

@@ -13,9 +13,6 @@ from pneu_common.errors import InputError
 from pneu_sim.rig.cylinder import Cylinder, Side
 from pneu_sim.rig.schema import CLOSED, Chamber, Orifice, Pipe, Rig, Wall
 
-FULL_OPEN = "port"
-"""How the orifice of a side's port is named after it."""
-
 
 def part_name(cylinder: str, side: str) -> str:
     """Name of the chamber or pipe that a side of a cylinder is, where its node is none.
@@ -34,7 +31,7 @@ def port_name(cylinder: str, side: str) -> str:
         cylinder: Name of the cylinder.
         side: ``head`` or ``rod``.
     """
-    return f"{cylinder}.{side}.{FULL_OPEN}"
+    return f"{cylinder}.{side}.port"
 
 
 def chamber_of(name: str, side_name: str, side: Side) -> str:
@@ -50,16 +47,13 @@ def chamber_of(name: str, side_name: str, side: Side) -> str:
     return side.node
 
 
-def cells_of_side(rig: Rig, name: str, side: str) -> tuple[int, float]:
-    """Number of cells of a side, and the length of its dead volume.
+def dead_length_m(rig: Rig, name: str, side: str) -> float:
+    """Length that the dead volume of a side takes of its bore.
 
     Args:
         rig: The rig.
         name: Name of a cylinder whose gas is held in cells.
         side: ``head`` or ``rod``.
-
-    Returns:
-        Cells when the piston is farthest away, and the length, m.
 
     Raises:
         InputError: Its stroke is shorter than a cell.
@@ -71,8 +65,7 @@ def cells_of_side(rig: Rig, name: str, side: str) -> tuple[int, float]:
             f"rig {rig.name!r}: cylinders.{name}: found a stroke of {cylinder.stroke:g} m, shorter"
             f" than a cell of {dx:g} m; give it a smaller dx_m, or gas: chamber"
         )
-    dead_m = cylinder.sides[side].dead_volume_m3 / _area(cylinder, side)
-    return max(1, round((dead_m + cylinder.stroke) / dx)), dead_m
+    return cylinder.sides[side].dead_volume_m3 / _area(cylinder, side)
 
 
 def with_cylinders(rig: Rig) -> Rig:
@@ -109,7 +102,7 @@ def with_cylinders(rig: Rig) -> Rig:
                 )
                 moved: dict[str, Any] = {"chamber": where}
             else:
-                _, dead_m = cells_of_side(rig, name, side_name)
+                dead_m = dead_length_m(rig, name, side_name)
                 pipes[own] = _pipe(cylinder, side_name, node, dead_m)
                 moved = {"chamber": None, "pipe": own, "position_m": 0.0}
             for tap_name, tap in rig.taps.items():
