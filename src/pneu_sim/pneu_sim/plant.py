@@ -17,7 +17,7 @@ from pneu_common.errors import InputError
 from pneu_sim import layout as L
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.models import kind_of
-from pneu_sim.rig.expand import with_cylinders
+from pneu_sim.rig.expand import gas_of_sides, with_cylinders
 from pneu_sim.rig.network import reservoir_of_pipes
 from pneu_sim.rig.plan import common_plan
 from pneu_sim.rig.schema import Rig
@@ -149,8 +149,9 @@ class Plant:
         """Fills the rigs with gas at rest at the room's temperature, valves closed, at time zero.
 
         Args:
-            pressures_pa: Pressures of pipes and chambers, a number or one per rig. A pipe that is
-                not named has the pressure of a reservoir it meets without a valve between, any
+            pressures_pa: Pressures of pipes, chambers and sides of cylinders (by their node, or as
+                ``cylinder.head`` and ``cylinder.rod``), a number or one per rig. A pipe that is not
+                named has the pressure of a reservoir it meets without a valve between, any
                 other part the room's.
             long_closed: Whether the first command is under way for as long as any other; else it
                 counts as having been there before.
@@ -158,7 +159,8 @@ class Plant:
         Raises:
             InputError: A name is no pipe and no chamber.
         """
-        given = dict(pressures_pa or {})
+        sides = gas_of_sides(self.rigs[0])
+        given = {sides.get(name, name): value for name, value in (pressures_pa or {}).items()}
         plan, models = self.plan, self.solver.models
         first = with_cylinders(self.rigs[0])
         for name in given:
@@ -364,8 +366,10 @@ class Plant:
         self.solver.set_reservoir(index, array)
 
     def _cells(self, pipe: str) -> int:
-        if pipe not in self.plan.pipes:
-            raise InputError(f"the rig has no pipe {pipe!r} ({', '.join(self.plan.pipes)})")
+        if pipe not in self.rigs[0].pipes:
+            raise InputError(
+                f"the rig has no pipe {pipe!r} ({', '.join(self.rigs[0].pipes) or 'none'})"
+            )
         return self.plan.pipes[pipe][1]
 
     def _index(self, what: str, name: str, known: Sequence[str]) -> int:

@@ -171,3 +171,18 @@ def test_a_piston_beyond_its_stroke_is_refused() -> None:
         simulator.plant.place({"shoulder": -1.49})
     with pytest.raises(InputError, match="no joint 'knee'"):
         simulator.plant.place({"knee": 0.0})
+
+
+@pytest.mark.parametrize("gas", ["chamber", "cells"])
+def test_a_side_has_its_names_however_its_gas_is_held(gas: str) -> None:
+    rig = load_rig(ROOT / "rigs" / "kokoro.yaml")
+    more = {"gas": gas, "dx_m": 0.01}
+    rig.cylinders["forearm"] = rig.cylinders["forearm"].model_copy(update=more)
+    simulator = Simulator(rig)
+    area = rig.cylinders["forearm"].areas[0]
+    for names in (("head", "rod"), ("forearm.head", "forearm.rod")):
+        simulator.reset(dict(zip(names, (5e5, 1.01e5), strict=True)))
+        out = simulator.run(1e-4, {"head": 5.0, "rod": 5.0}, 1e-4)
+        assert out.forces["forearm"][-1] == pytest.approx((5e5 - 1.01e5) * area, rel=0.02)
+    with pytest.raises(InputError, match=r"no pipe 'forearm\.head'"):
+        simulator.state("forearm.head")

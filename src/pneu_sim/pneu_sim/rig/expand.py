@@ -113,6 +113,26 @@ def with_cylinders(rig: Rig) -> Rig:
     )
 
 
+def gas_of_sides(rig: Rig) -> dict[str, str]:
+    """The chamber or pipe that holds the gas of every side, by either of the side's names.
+
+    Args:
+        rig: The rig.
+
+    Returns:
+        By the node of a side, unless it is closed, and by ``cylinder.side``.
+    """
+    held: dict[str, str] = {}
+    for name, cylinder in rig.cylinders.items():
+        for side_name, side in cylinder.sides.items():
+            own = part_name(name, side_name)
+            part = own if cylinder.gas == "cells" else chamber_of(name, side_name, side)
+            held[own] = part
+            if side.node != CLOSED:
+                held[side.node] = part
+    return held
+
+
 def _area(cylinder: Cylinder, side: str) -> float:
     return cylinder.areas[0 if side == "head" else 1]
 
