@@ -21,6 +21,7 @@ from pneu_sim.effects import apply_to_rig
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.lumped import thin_plate
 from pneu_sim.lumped.model import LumpedModel
+from pneu_sim.rig.expand import with_cylinders
 from pneu_sim.rig.model import Model
 from pneu_sim.rig.network import distances_from, end_nodes, port_ends
 from pneu_sim.rig.plan import Plan
@@ -45,7 +46,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> LumpedModel:
         InputError: The rig has no such reduction.
     """
     model = thin_plate.build(rig, plan, gas)
-    rig = apply_to_rig(rig)  # lengths may have changed
+    rig = with_cylinders(apply_to_rig(rig))  # lengths may have changed
     speed = float(gas.sound_speed(model.base.ambient[1]))
     nodes = [node for ends in port_ends(rig) for node in ends]
     n_sides = len(nodes)

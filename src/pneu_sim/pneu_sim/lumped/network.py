@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 from pneu_common.errors import InputError
+from pneu_sim.rig.expand import with_cylinders
 from pneu_sim.rig.network import joined
 from pneu_sim.rig.schema import Rig
 
@@ -46,14 +47,21 @@ def reduce_network(rig: Rig) -> Network:
         rig: The rig.
 
     Raises:
-        InputError: Two reservoirs are joined by pipes alone, no volume is closed, or there are
-            cylinders.
+        InputError: Two reservoirs are joined by pipes alone, no volume is closed, or cylinders are
+            not locked or hold their gas in cells.
     """
-    if rig.cylinders:
+    if rig.bodies or rig.mechanism is not None:
         raise InputError(
             f"rig {rig.name!r}: model: found {rig.model}, lumped models do not move cylinders yet;"
             " use pde"
         )
+    for name, cylinder in rig.cylinders.items():
+        if cylinder.gas == "cells":
+            raise InputError(
+                f"rig {rig.name!r}: cylinders.{name}.gas: found cells, of which model {rig.model}"
+                " has none; use chamber"
+            )
+    rig = with_cylinders(rig)
     group = joined(rig)
     source_of: dict[str, int] = {}
     for r, reservoir in enumerate(rig.reservoirs):

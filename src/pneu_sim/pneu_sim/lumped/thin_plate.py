@@ -29,6 +29,7 @@ from pneu_sim.lumped.model import (
 )
 from pneu_sim.lumped.network import Network, reduce_network
 from pneu_sim.rig.build import build as build_full
+from pneu_sim.rig.expand import with_cylinders
 from pneu_sim.rig.model import Model
 from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Rig
@@ -57,6 +58,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> LumpedModel:
     """
     network = reduce_network(rig)
     full = build_full(rig, plan, gas)
+    rig = with_cylinders(rig)
     plan = full.plan
     ports = plan.ports
     ideal = gas.area_from_conductance(full.port[:, L.Q_CONDUCTANCE])
