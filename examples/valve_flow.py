@@ -5,7 +5,7 @@ Run ``python examples/valve_flow.py`` (half a minute); it prints a table and dra
 docs/figures/valve_flow.png, which needs matplotlib.
 
 First the flow itself (thesis fig. 6.3): gas at rest on both sides of a fixed opening, by the
-thin-plate model (eqs. 3.15-3.17) and by the exact solution of the Riemann problem. Then a chamber
+thin-plate model (eqs. 3.15-3.17) and by the exact solution of the Riemann problem. Then a cylinder
 at the end of a line, filled after its valve has opened (fig. 6.4): one number of each model, the
 plate's discharge factor or the opening's area, is fitted to the early or to the late part of the
 filling. What they are compared with is the model in full on a grid four times as fine.
@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 RIG = ROOT / "rigs" / "valve_flow.yaml"
 FIGURE = ROOT / "docs" / "figures" / "valve_flow.png"
 DURATION_S = {1e-6: 1.8, 2e-6: 1.0, 4e-6: 0.6}
-"""Openings, m^2, and how long the chamber takes to fill through each."""
+"""Openings, m^2, and how long the cylinder takes to fill through each."""
 SAMPLE_S = 1e-3
 FINER = 4
 EARLY = (0.0, 0.5)
@@ -79,7 +79,7 @@ class Fitted:
         model: ``thin_plate`` or ``pde``.
         part: ``early`` or ``late``.
         factor: The number over that of the rig file: discharge factor, or area.
-        pressure_pa: (T,) pressure of the chamber.
+        pressure_pa: (T,) pressure of the cylinder.
         early_pa: Root mean square of what is missed in the early part.
         late_pa: Likewise in the late one.
     """
@@ -94,12 +94,12 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Filling:
-    """A chamber filled through an opening.
+    """A cylinder filled through an opening.
 
     Attributes:
         area_m2: The opening.
         time_s: (T,) times.
-        true_pa: (T,) pressure of the chamber by the finer grid.
+        true_pa: (T,) pressure of the cylinder by the finer grid.
         fits: Both models, fitted to either part.
     """
 
@@ -119,7 +119,7 @@ class Filling:
 
 
 def pressures(rigs: Rig | Sequence[Rig], duration_s: float, dx_m: float | None = None) -> Floats:
-    """Pressure of the chamber after the valve was told to open fully, (T,) or (T, rigs), Pa.
+    """Pressure of the cylinder after the valve was told to open fully, (T,) or (T, rigs), Pa.
 
     Args:
         rigs: The rig, or several.
@@ -127,7 +127,7 @@ def pressures(rigs: Rig | Sequence[Rig], duration_s: float, dx_m: float | None =
         dx_m: Cell length in place of the rig's.
     """
     simulator = Simulator(rigs, dx_m=dx_m)
-    return simulator.run(duration_s, {"voltage": 10.0}, SAMPLE_S).chambers["chamber"]
+    return simulator.run(duration_s, {"voltage": 10.0}, SAMPLE_S).chambers["cylinder"]
 
 
 def with_discharge(rig: Rig, factor: float) -> Rig:
@@ -154,7 +154,7 @@ def with_area(rig: Rig, factor: float) -> Rig:
 
 
 def fill(area_m2: float) -> Filling:
-    """Fills the chamber, and fits both models to either part.
+    """Fills the cylinder, and fits both models to either part.
 
     Args:
         area_m2: Area of the valve's opening.
@@ -192,9 +192,9 @@ def table_of(fillings: list[Filling]) -> Table:
     """The table of all fits.
 
     Args:
-        fillings: The chambers.
+        fillings: The cylinders.
     """
-    table = Table(title="a chamber filled through a valve: error of its pressure")
+    table = Table(title="a cylinder filled through a valve: error of its pressure")
     for column in ("opening, mm2", "model", "fitted to", "factor", "early, Pa", "late, Pa"):
         table.add_column(column, justify="right" if "," in column else "left")
     for filling in fillings:
@@ -209,7 +209,7 @@ def draw(filling: Filling, path: Path) -> None:
     """The ratio of the flows, and the filling with its fits.
 
     Args:
-        filling: The chamber.
+        filling: The cylinder.
         path: File to write.
     """
     import matplotlib

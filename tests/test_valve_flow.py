@@ -15,7 +15,7 @@ SUPPLY_PA, ROOM_K = 6.35e5, 293.15
 
 @functools.cache
 def filled(area_m2: float) -> Filling:
-    """The chamber filled through an opening, once for all tests."""
+    """The cylinder filled through an opening, once for all tests."""
     return fill(area_m2)
 
 

@@ -202,27 +202,21 @@ def test_other_models_than_the_full_one_say_that_they_move_nothing(tmp_path: Pat
 
 @pytest.mark.parametrize("model", ["pde", "thin_plate", "delay_line"])
 def test_a_locked_cylinder_fills_as_a_chamber_of_its_volume(model: str) -> None:
-    rig = load_rig(Path(__file__).resolve().parents[3] / "rigs" / "valve_flow.yaml").model_copy(
-        update={"model": model}
-    )
-    chamber = rig.chambers["chamber"]
-    area = 0.25 * math.pi * 0.025**2
-    side = {
-        "node": "chamber", "dead_volume_m3": chamber.volume_m3 - 0.05 * area,
-        "heat_w_per_k": chamber.heat_w_per_k,
-    }  # fmt: skip
-    locked = {"bore_m": 0.025, "stroke_m": 0.1, "start_m": 0.05, "head": side}
-    twin = Rig.model_validate({**rig.dump(), "chambers": {}, "cylinders": {"c": locked}})
+    path = Path(__file__).resolve().parents[3] / "rigs" / "valve_flow.yaml"
+    rig = load_rig(path).model_copy(update={"model": model})
+    side = rig.cylinders["locked"].head
+    assert side is not None
+    volume = side.dead_volume_m3 + 0.1 * 0.25 * math.pi * 0.025**2
+    chamber = {"volume_m3": volume, "heat_w_per_k": side.heat_w_per_k}
+    twin = Rig.model_validate({**rig.dump(), "cylinders": {}, "chambers": {"cylinder": chamber}})
     volts = {name: np.where(np.arange(150) < 5, 5.0, 10.0) for name in rig.commands}
-    filled, same = (run_rig(one, volts, 2e-3)["chamber"] for one in (rig, twin))
+    filled, same = (run_rig(one, volts, 2e-3)["cylinder"] for one in (rig, twin))
     assert filled[-1] > 2e5
-    np.testing.assert_allclose(
-        same, filled, rtol=2e-3
-    )  # their walls' heat is stepped in other ways
-    in_cells = twin.model_copy(deep=True)
-    in_cells.cylinders["c"] = in_cells.cylinders["c"].model_copy(update={"gas": "cells"})
+    np.testing.assert_allclose(filled, same, rtol=2e-3)  # heat of a wall is stepped in another way
+    in_cells = rig.model_copy(deep=True)
+    in_cells.cylinders["locked"] = in_cells.cylinders["locked"].model_copy(update={"gas": "cells"})
     if model != "pde":
-        with pytest.raises(InputError, match=r"cylinders\.c\.gas: found cells"):
+        with pytest.raises(InputError, match=r"cylinders\.locked\.gas: found cells"):
             run_rig(in_cells, volts, 2e-3)
 
 
