@@ -71,7 +71,7 @@ def test_it_carries_the_examples_and_the_templates(wheel):
     prefix = next(n for n in names if n.endswith("share/pneu/LICENSE")).removesuffix("LICENSE")
     assert {n.removeprefix(prefix) for n in names if n.startswith(prefix)} == set(examples)
     assert "data/bags/a_leak/a_leak.mcap" in examples
-    templates = {f"pneu_sim/rig/templates/{kind}.yaml" for kind in ("line", "tee")}
+    templates = {f"pneu_sim/rig/templates/{kind}.yaml" for kind in ("cylinder", "line", "tee")}
     assert templates == {name for name in names if "/templates/" in name and "pneu_sim" in name}
     assert wheel.stat().st_size < 8e6
 

@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_sim.coupled import CoupledSolver
 from pneu_sim.full_solver import FullSolver
 from pneu_sim.gas import AIR, Gas
@@ -42,7 +43,14 @@ class Full(ModelKind):
             courses: The recordings.
             field: How readings spread over lines and chambers.
             options: How.
+
+        Raises:
+            InputError: Rigs have a mechanism, which is stepped alone.
         """
+        for rig in (one for own in rigs for one in own if one.mechanism is not None):
+            raise InputError(
+                f"rig {rig.name!r}: mechanism: found one, along recordings bodies alone are moved"
+            )
         built = {id(own): [build(rig, plan) for rig in own] for own in rigs}
         models = [built[id(own)] for own in rigs]
         return predict(models, courses, field, None, options)

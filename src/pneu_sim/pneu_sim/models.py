@@ -106,7 +106,7 @@ class ModelKind(ABC):
         Raises:
             InputError: The rig cannot be computed so.
         """
-        if rig.bodies:  # predictions are of taps alone
+        if rig.moves:  # predictions are of taps alone
             raise InputError(
                 f"rig {rig.name!r}: model: found {rig.model}, which moves no bodies; use pde"
             )

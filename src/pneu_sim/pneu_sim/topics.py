@@ -246,7 +246,7 @@ def check_joints_topic(rig: Rig, topics: Iterable[Topic]) -> None:
         topics: Those of its commands and taps.
     """
     for topic in topics:
-        if rig.bodies and same_topic(f"/{JOINTS_TOPIC}", topic.name):
+        if rig.moves and same_topic(f"/{JOINTS_TOPIC}", topic.name):
             raise InputError(
                 f"rig {rig.name!r}: channel of {topic.signals[0].name!r}: topic {topic.name!r} is"
                 " that of the rig's joints; give it another"

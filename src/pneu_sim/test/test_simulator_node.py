@@ -306,3 +306,15 @@ def test_a_channel_on_the_topic_of_joints_is_refused(graph, tmp_path):
     path.write_text(path.read_text().replace("/taps/rod", "joint_states"))
     with pytest.raises(InputError, match="channel of 'rod': topic 'joint_states' is that of the"):
         simulator(graph, rig=str(path))
+
+
+def test_joints_of_a_mechanism_are_published_too(graph):
+    pytest.importorskip("mujoco", reason="MuJoCo is an extra of the package")
+    rig = Path(__file__).resolve().parents[3] / "rigs" / "arm4.yaml"
+    Plant([load_rig(rig)])  # what moves is compiled here, not while the graph waits
+    simulator(graph, rig=str(rig), pace="lock_step", publish_clock=True, command_timeout_s=0.0)
+    joints = graph.listen(JointState, "joint_states", common.READINGS_QOS)
+    assert graph.call(StepSimulator, "simulator/step", step(0.02)).success
+    wait_for(lambda: len(joints) > 0)
+    assert list(joints[-1].name) == ["yaw", "shoulder", "elbow"]
+    assert all(math.isfinite(x) for x in (*joints[-1].position, *joints[-1].velocity))

@@ -50,7 +50,7 @@ def reduce_network(rig: Rig) -> Network:
         InputError: Two reservoirs are joined by pipes alone, no volume is closed, or cylinders are
             not locked or hold their gas in cells.
     """
-    if rig.bodies or rig.mechanism is not None:
+    if rig.moves:
         raise InputError(
             f"rig {rig.name!r}: model: found {rig.model}, lumped models do not move cylinders yet;"
             " use pde"

@@ -162,7 +162,7 @@ class SimulatorNode(Node):
             self._applied = self.create_publisher(
                 ValveCommand, topics.APPLIED_TOPIC, common.READINGS_QOS
             )
-        if rig.bodies:
+        if rig.moves:
             self._joint_publisher = self.create_publisher(
                 JointState, topics.JOINTS_TOPIC, common.READINGS_QOS
             )

@@ -303,6 +303,11 @@ class Rig(Part):
         check_network(self)
         return self
 
+    @property
+    def moves(self) -> bool:
+        """Whether anything has joints: a body, or a mechanism."""
+        return bool(self.bodies) or self.mechanism is not None
+
     def dump(self) -> dict[str, Any]:
         """Returns the rig as plain data for a YAML file, defaults left out."""
         data = self.model_dump(mode="json", by_alias=True, exclude_defaults=True)

@@ -58,7 +58,7 @@ def load_events(rig: Rig, bag: Path, mode: str) -> Events:
         {n: c.channel for n, c in rig.commands.items() if c.channel} if mode != "taps" else {}
     )
     taps = {n: t.channel for n, t in rig.taps.items() if t.channel} if mode != "commands" else {}
-    joints, said = read_joints(bag) if rig.bodies and mode != "commands" else (None, [])
+    joints, said = read_joints(bag) if rig.moves and mode != "commands" else (None, [])
     if not commands and not taps and joints is None:
         raise InputError(f"rig {rig.name!r}: no channel says what to replay in mode {mode!r}")
     streams, _ = read_bag(bag, commands, taps)
