@@ -144,6 +144,8 @@ class CoupledSolver(FullSolver):
         row = self._rows
         if not row[:, [L.PY_COULOMB, L.PY_PER_PA, L.PY_BREAKAWAY]].any():
             return None
+        for tile, _ in self.tiles:
+            tiles.force_at_rest(tile)  # of the present, so that no call before it matters
         faces = np.concatenate(
             [tile.cylinder_work[self._of, L.WY_FACE : L.WY_FACE + 2] for tile, _ in self.tiles],
             axis=-1,

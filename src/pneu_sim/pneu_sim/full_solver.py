@@ -61,6 +61,7 @@ class FullSolver(Solver):
             tiles.forget(tile)
             tiles.fill_pipes(tile, pressure_pa[:, of], temperature_k[:, of])
             tiles.fill_chambers(tile, chamber_pressure_pa[:, of], chamber_temperature_k[:, of])
+        self._lean()
 
     def advance(self, opening: Floats, interval_s: float) -> Series:
         """Advances all; see `Solver.advance`.
@@ -98,6 +99,7 @@ class FullSolver(Solver):
             for name, part in zip(tiles.CHANGING, changing, strict=True):
                 getattr(tile, name)[:] = part[..., of]
             tile.dt_s = float(step_s[0])
+            tiles.settle(tile)
 
     def set_reservoir(self, index: int, pressure_pa: Floats | float) -> None:
         """Changes what a reservoir supplies; its own pressure follows within its time constant.
@@ -155,8 +157,20 @@ class FullSolver(Solver):
             position: (n_joints, lanes).
             velocity: (n_joints, lanes).
         """
+        for tile, of in self.tiles:  # refused for one, no other has moved
+            tiles.check_place(tile, position[:, of])
         for tile, of in self.tiles:
             tiles.rearrange(tile, position[:, of], velocity[:, of])
+        self._lean()
+
+    def _lean(self) -> None:
+        """Has the forces on pistons be those of the gas as it now is."""
+        if not self.plan.cylinders:
+            return
+        for tile, _ in self.tiles:
+            nothing = np.zeros((0, 2, self.plan.ports.shape[0], tile.lanes))
+            tiles.advance(tile, 1, tile.dt_s or self.step_s, nothing)
+            tiles.force_at_rest(tile)
 
     def joints(self) -> Floats:
         """Positions and velocities of all joints; see `Solver.joints`."""

@@ -159,7 +159,8 @@ class Plant:
         Raises:
             InputError: A name is no pipe and no chamber.
         """
-        sides = gas_of_sides(self.rigs[0])
+        own = {*self.rigs[0].pipes, *self.rigs[0].chambers}
+        sides = {n: part for n, part in gas_of_sides(self.rigs[0]).items() if n not in own}
         given = {sides.get(name, name): value for name, value in (pressures_pa or {}).items()}
         plan, models = self.plan, self.solver.models
         first = with_cylinders(self.rigs[0])

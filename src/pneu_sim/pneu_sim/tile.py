@@ -315,28 +315,67 @@ def forget(tile: Tile) -> None:
     tile.reservoir[:] = lanes([m.reservoir for m in tile.models])
     tile.reservoir_p[:] = tile.reservoir[:, L.R_PRESSURE]
     if tile.plan.cylinders:
+        tile.cylinder_state[:, L.SY_EXTENSION] = tile.cylinder[:, L.PY_START]
         place_joints(tile, tile.body_joint[:, L.PJ_START], 0.0)
 
 
 def place_joints(tile: Tile, position: Floats, velocity: Floats | float) -> None:
-    """Sets bodies and the pistons that move them; those that move none stand where they start.
+    """Sets bodies and the pistons that move them, whatever the gas; others stand where they stood.
 
     Args:
         tile: The batch.
         position: (n_joints, lanes) rad or m.
-        velocity: (n_joints, lanes) per second.
+        velocity: (n_joints, lanes) per second; a joint that is held has none.
+
+    Raises:
+        InputError: A piston would stand beyond its stroke; nothing has moved then.
     """
-    rigs, moves = tile.free, moving(tile)
-    tile.joint_state[:, L.SJ_POSITION] = position
-    tile.joint_state[:, L.SJ_VELOCITY] = velocity
-    tile.joint_state[:, L.SJ_PUSH] = 0.0
-    tile.cylinder_state[:] = 0.0
-    tile.cylinder_state[:, L.SY_EXTENSION] = tile.cylinder[:, L.PY_START]
-    kernel.stand(moves.bodies, moves.cylinders)
+    moves = moving(tile)
+    joints, cylinders = _standing(tile, position, velocity)
+    stood = tile.cylinder_state[:, L.SY_EXTENSION] == cylinders[:, L.SY_EXTENSION]
+    counts = slice(L.SY_COUNT, L.SY_COUNT_ROD + 1)
+    before = tile.cylinder_state[:, counts].copy()
+    tile.joint_state[:] = joints
+    tile.cylinder_state[:] = cylinders
     kernel.count_cells(tile.lanes, moves.cylinders)
-    kernel.settle(rigs.cells, rigs.chambers, moves.cylinders)
+    # cells beside a piston that did not move are as many as they were, if they were counted
+    kept = stood[:, None] & (before > 0.0)
+    tile.cylinder_state[:, counts] = np.where(kept, before, tile.cylinder_state[:, counts])
+    settle(tile)
+
+
+def check_place(tile: Tile, position: Floats) -> None:
+    """Raises InputError where joints would put a piston beyond its stroke.
+
+    Args:
+        tile: The batch.
+        position: (n_joints, lanes) rad or m.
+    """
+    _standing(tile, position, 0.0)
+
+
+def _standing(tile: Tile, position: Floats, velocity: Floats | float) -> tuple[Floats, Floats]:
+    """States of joints and cylinders with the joints somewhere else; nothing is changed."""
+    moves = moving(tile)
+    held = tile.body_joint[:, L.PJ_HELD] > 0.0
+    joints, cylinders = np.zeros_like(tile.joint_state), tile.cylinder_state.copy()
+    joints[:, L.SJ_POSITION] = position
+    joints[:, L.SJ_VELOCITY] = np.where(held, 0.0, velocity)
+    cylinders[:, [L.SY_PUSH, L.SY_IMPULSE]] = 0.0
+    kernel.stand(moves.bodies._replace(state=joints), moves.cylinders._replace(state=cylinders))
     for j, model in enumerate(tile.models):
-        check_extensions(model, tile.cylinder_state[:, L.SY_EXTENSION, j])
+        check_extensions(model, cylinders[:, L.SY_EXTENSION, j])
+    return joints, cylinders
+
+
+def settle(tile: Tile) -> None:
+    """Has volumes and cells be those of the places where the pistons stand.
+
+    Args:
+        tile: The batch.
+    """
+    if tile.moving is not None:
+        kernel.settle(tile.free.cells, tile.free.chambers, tile.moving.cylinders)
 
 
 def force_at_rest(tile: Tile) -> Floats:
@@ -352,33 +391,34 @@ def force_at_rest(tile: Tile) -> Floats:
 def rearrange(tile: Tile, position: Floats, velocity: Floats) -> None:
     """Moves bodies and their pistons elsewhere; gas keeps its pressure and temperature.
 
+    Gas in cells comes to rest where its piston moved, all of it as beside its way in.
+
     Args:
         tile: The batch.
         position: (n_joints, lanes) rad or m.
         velocity: (n_joints, lanes) per second.
+
+    Raises:
+        InputError: A piston would stand beyond its stroke; nothing has moved then.
     """
-    plan = tile.plan
-    mass, energy = tile.chamber_state[:, 0].copy(), tile.chamber_state[:, 1].copy()
     before = tile.chamber[:, L.C_VOLUME].copy()
+    stood = tile.cylinder_state[:, L.SY_EXTENSION].copy()
     place_joints(tile, position, velocity)
-    grown = tile.chamber[:, L.C_VOLUME] / before
-    tile.chamber_state[:, 0] = mass * grown
-    tile.chamber_state[:, 1] = energy * grown
-    for row in plan.cylinder:
+    tile.chamber_state *= (tile.chamber[:, L.C_VOLUME] / before)[:, None]
+    for row, moved in zip(
+        tile.plan.cylinder, tile.cylinder_state[:, L.SY_EXTENSION] != stood, strict=True
+    ):
         for side in range(2):
             kind, first, most = row[L.COLUMNS_PER_SIDE * side : L.COLUMNS_PER_SIDE * (side + 1)]
-            if kind == L.GAS_CELLS:
-                # at rest, all of it as beside its way in
-                slots = slice(first - 1, first + most + 1)
-                density, _, pressure = gas_in(tile, slice(first, first + 1))
-                shape = (most + 2, tile.lanes)
-                hold_gas(
-                    tile,
-                    slots,
-                    np.broadcast_to(density, shape),
-                    np.zeros(shape),
-                    np.broadcast_to(pressure, shape),
-                )
+            if kind != L.GAS_CELLS or not moved.any():
+                continue
+            slots = slice(first - 1, first + most + 1)
+            kept = tile.state[:, slots].copy()
+            density, _, pressure = gas_in(tile, slice(first, first + 1))
+            shape = (most + 2, tile.lanes)
+            density, pressure = (np.broadcast_to(of, shape) for of in (density, pressure))
+            hold_gas(tile, slots, density, np.zeros(shape), pressure)
+            tile.state[:, slots] = np.where(moved, tile.state[:, slots], kept)
 
 
 def check_extensions(model: Model, extension: Floats) -> None:
@@ -739,6 +779,7 @@ def _with_more_steps(
         left = left[_wrong(again, dt_s / more * fastest).any(axis=0)]
         if left.size == 0:
             break
+    settle(tile)
     return out
 
 

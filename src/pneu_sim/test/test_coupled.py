@@ -117,6 +117,23 @@ def test_any_cutting_and_a_state_put_back_give_the_same_bits() -> None:
     np.testing.assert_array_equal(again, whole)
 
 
+def test_friction_by_pressure_comes_back_with_a_state_and_is_forgotten_by_a_reset(
+    tmp_path: Path,
+) -> None:
+    friction = {"coulomb_n": 1.0, "coulomb_n_per_pa": 2e-5}
+    simulator = Simulator(in_mujoco(tmp_path, 1e-3, friction=friction))
+    runs = []
+    for _ in range(2):
+        simulator.reset({"c.head": 4e5, "c.rod": 3e5})
+        runs.append(simulator.run(0.05, {}, 1e-3).joints["slide"])
+    np.testing.assert_array_equal(runs[0], runs[1])
+    kept = simulator.plant.state()
+    first = simulator.run(0.05, {}, 1e-3).joints["slide"]
+    fresh = Simulator(in_mujoco(tmp_path, 1e-3, friction=friction))
+    fresh.plant.set_state(kept)
+    np.testing.assert_array_equal(fresh.run(0.05, {}, 1e-3).joints["slide"], first)
+
+
 def test_the_arm_follows_its_valves_and_stays_within_its_strokes() -> None:
     rig = load_rig(ARM)
     simulator = Simulator(rig)

@@ -186,3 +186,98 @@ def test_a_side_has_its_names_however_its_gas_is_held(gas: str) -> None:
         assert out.forces["forearm"][-1] == pytest.approx((5e5 - 1.01e5) * area, rel=0.02)
     with pytest.raises(InputError, match=r"no pipe 'forearm\.head'"):
         simulator.state("forearm.head")
+
+
+# ---- what a plant keeps ---------------------------------------------------------------------------
+
+
+def slider(gas: str, **more: Any) -> Rig:
+    """A mass between two sealed gases."""
+    cylinder = {**SHUT, "gas": gas, "dx_m": 0.01}
+    body = {"kind": "rail", "cylinder": "c", "mass_kg": 1.0, "slide": {"start": 0.02, **more}}
+    return Rig.model_validate(
+        {"pneu_rig": 1, "name": "r", "cylinders": {"c": cylinder}, "bodies": {"b": body}}
+    )
+
+
+@pytest.mark.parametrize("gas", ["chamber", "cells"])
+def test_volumes_come_back_with_a_state(gas: str) -> None:
+    plant = Plant([slider(gas)])
+    plant.reset({"c.head": 6e5, "c.rod": 1e5})
+    kept, mass, energy = plant.state(), *(float(of[0]) for of in plant.solver.held())
+    nothing = np.zeros((1, 0, 50))
+    plant.advance(nothing, 1e-3)
+    plant.set_state(kept)
+    assert [float(of[0]) for of in plant.solver.held()] == [mass, energy]
+    plant.place({"b_slide": 0.02})
+    assert float(plant.solver.held()[0][0]) == pytest.approx(mass, rel=1e-12)
+    force = plant.advance(nothing[:, :, :1], 1e-3)[0].cylinders[0, 0, 2, 0]
+    areas = Rig.model_validate(slider(gas)).cylinders["c"].areas
+    assert force == pytest.approx(6e5 * areas[0] - 1e5 * areas[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("gas", ["chamber", "cells"])
+def test_a_place_that_is_refused_moves_nothing_and_its_own_place_is_neutral(gas: str) -> None:
+    plant = Plant([slider(gas)])
+    plant.reset({"c.head": 6e5, "c.rod": 1e5})
+    plant.advance(np.zeros((1, 0, 7)), 1e-3)
+    before = [part.copy() for part in plant.solver.state()]
+    with pytest.raises(InputError, match="past its stroke"):
+        plant.place({"b_slide": 0.5})
+    for one, other in zip(plant.solver.state(), before, strict=True):
+        np.testing.assert_array_equal(one, other)
+    mass, energy = (float(of[0]) for of in plant.solver.held())
+    plant.place({})
+    assert [float(of[0]) for of in plant.solver.held()] == [mass, energy]
+
+
+def test_a_joint_that_is_held_has_no_velocity() -> None:
+    plant = Plant([slider("chamber", held=True)])
+    plant.place({}, {"b_slide": 0.5})
+    series, _ = plant.advance(np.zeros((1, 0, 20)), 1e-3)
+    assert np.all(series.joints[:, 0, 0] == 0.02)
+
+
+def test_rigs_that_move_otherwise_do_not_run_side_by_side() -> None:
+    rig = slider("chamber")
+    one_sided = {**SHUT, "head": None}
+    other = Rig.model_validate({**rig.dump(), "cylinders": {"c": one_sided}})
+    with pytest.raises(InputError, match="share one structure"):
+        Plant([rig, other])
+    loaded = load_rig(ROOT / "rigs" / "kokoro.yaml")
+    with pytest.raises(InputError, match="share one structure"):
+        Plant([loaded, loaded.model_copy(update={"bodies": {}})])
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"chambers": {"c.head": {"volume_m3": 1e-3}}}, "'c.head' is what its head side is called"),
+        (
+            {"cylinders": {"c": {
+                "rotary": {"displacement_m3_rad": 1e-5, "stroke_rad": 1.0}, "head": SIDE,
+                "heat_w_m2_k": 10.0,
+            }}},
+            "give heat_w_per_k",
+        ),
+        (
+            {"cylinders": {"c": {**SHUT, "head": {
+                **SIDE, "node": "n", "port_conductance_m3_s_pa": 1e-9,
+                "cushion": {"length_m": 0.01, "opening": 0.0},
+            }}}},
+            "greater than 0",
+        ),
+    ],
+)  # fmt: skip
+def test_what_would_come_out_wrong_is_refused(change: dict[str, Any], told: str) -> None:
+    with pytest.raises(ValueError, match=told):
+        Rig.model_validate({**slider("chamber").dump(), **change})
+
+
+def test_cells_too_short_to_be_run_are_refused() -> None:
+    tiny = {"node": "closed", "dead_volume_m3": 1e-12}
+    rig = Rig.model_validate(
+        {**slider("cells").dump(), "cylinders": {"c": {**SHUT, "gas": "cells", "head": tiny}}}
+    )
+    with pytest.raises(InputError, match="needs steps of"):
+        Plant([rig])

@@ -2,9 +2,9 @@
 """What a rig file may say of a cylinder: its gas, its seals, its friction and where it ends."""
 
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from pneu_sim.parts import Finite, NonNegative, Part, Positive, Ratio
 
@@ -42,7 +42,7 @@ class Cushion(Part):
     """
 
     length_m: Positive
-    opening: Ratio = 0.1
+    opening: Annotated[Ratio, Field(gt=0.0)] = 0.1
 
 
 class Side(Part):
@@ -136,6 +136,11 @@ class Cylinder(Part):
         if self.rotary is not None:
             if self.bore_m is not None or self.stroke_m is not None or self.rod_m > 0.0:
                 raise ValueError("give either rotary or bore_m, rod_m and stroke_m, not both")
+            if self.heat_w_m2_k > 0.0:
+                raise ValueError(
+                    "heat_w_m2_k: the wall of a rotary one is not known; give heat_w_per_k of its"
+                    " sides"
+                )
             if self.gas != "chamber":
                 raise ValueError("gas: found cells, the gas of a rotary one is a chamber")
         elif self.bore_m is None or self.stroke_m is None:

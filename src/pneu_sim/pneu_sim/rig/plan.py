@@ -3,7 +3,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from pneu_sim.rig.valve_kinds import SWITCH_STEP_S
 
 Ints = NDArray[np.int64]
 
+LEAST_STEP_S = 1e-7
+"""A second of shorter steps would take minutes at least."""
 MOST_CELLS = 1_000_000
 """More would fill the memory, and a second of simulation would take hours."""
 
@@ -233,6 +235,12 @@ def _step_s(rig: Rig, shortest: float, dx_m: float | None) -> float:
         dt = rig.grid.dt_s
     if any(valve.switch or valve.regulator for valve in rig.valves.values()):
         dt = min(dt, SWITCH_STEP_S)
+    if rig.cylinders and dt < LEAST_STEP_S:
+        raise InputError(
+            f"rig {rig.name!r}: found a cell of {shortest:.3g} m, which needs steps of {dt:.2g} s;"
+            f" allowed are {LEAST_STEP_S:g} s and more: give dead volumes more room, cells more"
+            " length, or hold the gas of cylinders in chambers"
+        )
     return dt
 
 
@@ -259,12 +267,16 @@ def common_plan(rigs: Sequence[Rig], dx_m: float | None = None) -> Plan:
     first = rigs[0]
     plan = plan_grid(first, dx_m)
     for other in rigs[1:]:
-        same = list(other.pipes) == list(first.pipes) and np.array_equal(
-            plan_grid(other, dx_m).ends, plan.ends
+        own = plan_grid(other, dx_m)
+        same = list(other.pipes) == list(first.pipes) and all(
+            np.array_equal(getattr(own, table), getattr(plan, table))
+            for table in ("ends", "ports", "cylinder", "moves", "body", "driven_by")
         )
         if not same:
             raise InputError(
-                f"rig {other.name!r} has other pipes, nodes or cells than {first.name!r};"
-                " rigs that run side by side share one structure"
+                f"rig {other.name!r} has other pipes, nodes or cells than {first.name!r}, or other"
+                " ports, cylinders or bodies; rigs that run side by side share one structure"
             )
+        if plan.cylinders:  # what dead volumes leave of cells may be shorter in another
+            plan = replace(plan, dt_s=min(plan.dt_s, own.dt_s))
     return plan

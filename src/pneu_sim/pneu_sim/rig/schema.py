@@ -423,7 +423,16 @@ def check_network(rig: Rig) -> None:
 def _check_cylinders(rig: Rig) -> list[str]:
     """Raises ValueError where cylinders and bodies do not fit; returns all nodes with a vessel."""
     vessels = list(rig.chambers)
+    named = {*rig.pipes, *rig.chambers, *rig.reservoirs, *rig.orifices}
+    named |= {node for pipe in rig.pipes.values() for node in (pipe.from_node, pipe.to_node)}
     for name, cylinder in rig.cylinders.items():
+        for side_name in ("head", "rod"):
+            for reserved in (f"{name}.{side_name}", f"{name}.{side_name}.port"):
+                if reserved in named:
+                    raise ValueError(
+                        f"cylinders.{name}: {reserved!r} is what its {side_name} side is called;"
+                        " give that other part another name"
+                    )
         for side_name, side in cylinder.sides.items():
             where = f"cylinders.{name}.{side_name}.node"
             if side.node in rig.reservoirs or side.node in rig.chambers:
