@@ -188,7 +188,7 @@ def test_a_side_has_its_names_however_its_gas_is_held(gas: str) -> None:
         simulator.state("forearm.head")
 
 
-# ---- what a plant keeps ---------------------------------------------------------------------------
+# ---- what a plant keeps --------------------------------------------------------------------------
 
 
 def slider(gas: str, **more: Any) -> Rig:
