@@ -94,6 +94,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         tap_slot=tap_slot,
         tap_weight=tap_weight,
         sensor=sensor,
+        encoder=_encoders(rig),
         ambient=np.array([rig.ambient.pressure_pa, rig.ambient.temperature_k]),
         end_area=end_area,
         order=rig.grid.order,
@@ -230,6 +231,12 @@ def _taps(rig: Rig, plan: Plan) -> tuple[Ints, Floats, Floats]:
             weight[t] = at - left
         slot[t] = first + left
     return slot, weight, sensor
+
+
+def _encoders(rig: Rig) -> Floats:
+    """(n_encoders, SENSOR_COLUMNS)."""
+    rows = [(e.lag_s, e.gain, e.bias, e.offset_s) for e in rig.encoders.values()]
+    return np.array(rows, dtype=np.float64).reshape(-1, SENSOR_COLUMNS)
 
 
 def _regulators(rig: Rig) -> Floats:

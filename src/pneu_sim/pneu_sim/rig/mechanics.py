@@ -12,7 +12,7 @@ from pneu_sim import layout as L
 from pneu_sim.bodies.kinds import NUMBER
 from pneu_sim.rig.cylinder import Cylinder
 from pneu_sim.rig.expand import chamber_of, part_name, port_name
-from pneu_sim.rig.schema import Rig
+from pneu_sim.rig.schema import Rig, joint_names
 from pneu_sim.signals import velocity_of
 
 Floats = NDArray[np.float64]
@@ -86,12 +86,13 @@ def lay_bodies(rig: Rig) -> tuple[Ints, Ints, list[str]]:
     table = np.zeros((len(rig.bodies), L.BODY_COLUMNS), dtype=np.int64)
     places: list[int] = []
     joints: list[str] = []
+    names = iter(joint_names(rig))
     for b, (name, body) in enumerate(rig.bodies.items()):
         driven = body.driven_by
         table[b] = NUMBER[type(body)], len(joints), len(body.joints), len(places), len(driven)
         places += [cylinders.index(cylinder) for cylinder in driven]
-        for field, joint in zip(body.joint_fields, body.joints, strict=True):
-            called = joint.name or f"{name}_{field}"
+        for field in body.joint_fields:
+            called = next(names)
             if called in joints:
                 raise InputError(
                     f"rig {rig.name!r}: bodies.{name}.{field}.name: found {called!r}, which another"
@@ -104,6 +105,27 @@ def lay_bodies(rig: Rig) -> tuple[Ints, Ints, list[str]]:
                 )
             joints.append(called)
     return table, np.array(places, dtype=np.int64), joints
+
+
+def lay_encoders(rig: Rig, joints: Sequence[str]) -> Ints:
+    """What every encoder is on.
+
+    Args:
+        rig: The rig.
+        joints: Names of the joints of its bodies.
+
+    Returns:
+        (n_encoders,) number of a joint, or -1 - number of a cylinder. Joints of a mechanism are
+        not numbered here: 0.
+    """
+    cylinders = list(rig.cylinders)
+    table = np.zeros(len(rig.encoders), dtype=np.int64)
+    for e, (name, encoder) in enumerate(rig.encoders.items()):
+        if encoder.cylinder is not None:
+            table[e] = -1 - cylinders.index(encoder.cylinder)
+        elif rig.mechanism is None:
+            table[e] = joints.index(encoder.on(name))
+    return table
 
 
 def slice_of(row: Ints) -> slice:

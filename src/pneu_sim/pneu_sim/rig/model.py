@@ -72,6 +72,7 @@ class Model:
         tap_slot: (n_taps,) slot left of the tap, or -1 - chamber.
         tap_weight: (n_taps,) weight of the next slot.
         sensor: (n_taps, 4) lag, gain, bias, clock offset.
+        encoder: (n_encoders, 4) likewise.
         ambient: (2,) pressure, temperature.
         end_area: (n_ends,) area of each pipe at its ends.
         thesis_joints: Whether pipes are joined as in the thesis, see the rig's grid.
@@ -98,6 +99,7 @@ class Model:
     tap_slot: Ints
     tap_weight: Floats
     sensor: Floats
+    encoder: Floats
     ambient: Floats
     end_area: Floats
     order: int = 2

@@ -14,6 +14,7 @@ from pneu_sim.rig.expand import with_cylinders
 from pneu_sim.rig.mechanics import (
     lay_bodies,
     lay_cylinders,
+    lay_encoders,
     shortest_of_cylinders,
     slice_of,
 )
@@ -52,6 +53,8 @@ class Plan:
         body: (n_bodies, BODY_COLUMNS), see ``layout``.
         driven_by: (places,) cylinders that take hold of bodies, body by body.
         joints: Names.
+        encoders: Names.
+        encoder_of: (n_encoders,) joint that each is on, or -1 - cylinder.
         dt_s: Largest time step.
         regulators: (n_regulators, REG_COLUMNS) ports of pressure regulators, see ``layout``.
     """
@@ -74,6 +77,8 @@ class Plan:
     body: Ints
     driven_by: Ints
     joints: list[str]
+    encoders: list[str]
+    encoder_of: Ints
     dt_s: float
     regulators: Ints
 
@@ -118,6 +123,8 @@ def plan_grid(rig: Rig, dx_m: float | None = None, fewest: int = 2) -> Plan:
         body=body,
         driven_by=driven_by,
         joints=joints,
+        encoders=list(rig.encoders),
+        encoder_of=lay_encoders(rig, joints),
         dt_s=_step_s(rig, shortest, dx_m),
         regulators=_regulators(rig, names),
     )

@@ -19,6 +19,7 @@ from pneu_sim.channels import Channel, TextFormat
 from pneu_sim.mechanism.settings import MechanismSettings
 from pneu_sim.parts import Finite, NonNegative, Part, Positive
 from pneu_sim.rig.cylinder import Cylinder
+from pneu_sim.rig.encoder import Encoder as Encoder
 from pneu_sim.rig.kinds import checked
 from pneu_sim.rig.valves import AnyValve as AnyValve
 from pneu_sim.rig.valves import Opening as Opening
@@ -266,6 +267,7 @@ class Rig(Part):
         orifices: Fixed restrictions.
         commands: What the valves follow.
         taps: Pressure sensors.
+        encoders: Position sensors, of joints and pistons.
         text: Layout of text recordings.
         rate_hz: Most readings a second that are used of each tap; None uses all.
         effects: Attached effects.
@@ -291,6 +293,7 @@ class Rig(Part):
     orifices: dict[str, Orifice] = {}
     commands: dict[str, Command] = {}
     taps: dict[str, Tap] = {}
+    encoders: dict[str, Encoder] = {}
     text: TextFormat | None = None
     rate_hz: Positive | None = None
     effects: list[AttachedEffect] = []
@@ -417,6 +420,39 @@ def check_network(rig: Rig) -> None:
             raise ValueError(
                 f"taps.{name}.chamber: {tap.chamber!r} is not among chambers and nodes of cylinders"
                 f" ({', '.join(vessels) or 'none declared'})"
+            )
+    _check_encoders(rig)
+
+
+def joint_names(rig: Rig) -> list[str]:
+    """Names of the joints of a rig's bodies, in their order; a mechanism's are in its MJCF.
+
+    Args:
+        rig: The rig.
+    """
+    return [
+        joint.name or f"{name}_{field}"
+        for name, body in rig.bodies.items()
+        for field, joint in zip(body.joint_fields, body.joints, strict=True)
+    ]
+
+
+def _check_encoders(rig: Rig) -> None:
+    """Raises ValueError where an encoder sits on nothing that moves, or is called as a tap is."""
+    joints = joint_names(rig)
+    for name, encoder in rig.encoders.items():
+        if name in rig.taps:
+            raise ValueError(f"encoders.{name}: a tap has this name already")
+        if encoder.cylinder is not None:
+            if encoder.cylinder not in rig.cylinders:
+                raise ValueError(
+                    f"encoders.{name}.cylinder: {encoder.cylinder!r} is not among cylinders"
+                    f" ({', '.join(rig.cylinders) or 'none declared'})"
+                )
+        elif rig.mechanism is None and encoder.on(name) not in joints:
+            raise ValueError(
+                f"encoders.{name}.joint: {encoder.on(name)!r} is not among joints"
+                f" ({', '.join(joints) or 'there is no body'})"
             )
 
 
