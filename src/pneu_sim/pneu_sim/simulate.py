@@ -31,6 +31,8 @@ from pneu_sim.tile import (
     finite_lanes,
     lanes,
     pack,
+    place_joints,
+    reachable,
     unstable,
 )
 from pneu_sim.valve import openings_along
@@ -45,6 +47,8 @@ TICK_S = 2e-3
 KNOTS = 16
 """Openings per tick: a spool that leaves its seat is between two of them for an eighth of a
 millisecond, and linear there."""
+HALVINGS = 40
+"""Of the way on which a joint is looked for whose piston stands within its stroke."""
 CHUNK = 2000
 """Ticks that are run at once: what must be in memory does not grow with the recording."""
 
@@ -166,6 +170,8 @@ class Start:
         chamber_pressure: (n_chambers,) Pa.
         temperature: (slots,) K, or None for the room's.
         chamber_temperature: (n_chambers,) K, or None for its wall's.
+        joints: (n_joints, 2) positions and velocities of joints, or None for where the rig has
+            them, at rest; a piston that would stand beyond its stroke stands at its end.
         at_null: Whether the spools stand closed, else where the first command has them.
     """
 
@@ -173,6 +179,7 @@ class Start:
     chamber_pressure: Floats
     temperature: Floats | None = None
     chamber_temperature: Floats | None = None
+    joints: Floats | None = None
     at_null: bool = False
 
 
@@ -198,24 +205,28 @@ def rest(rig: Rig, plan: Plan) -> Start:
 class Course:
     """A recording as models follow it: what drives them, and when they are read.
 
+    Sensors are the taps, then the encoders.
+
     Attributes:
         commands: Volts per command, each held until the next.
         begin_s: Time at which the run begins, s.
         end_s: Time that it reaches at least, s.
-        time_s: (n_taps, m) when each tap is read, s, increasing; inf beyond its last reading.
-        measured_pa: (n_taps, m) what was read, Pa; NaN where nothing was.
-        gain: (n_taps, m) share of measured minus predicted by which the gas is corrected then; 0
-            lets the model run free.
+        time_s: (n_sensors, m) when each is read, s, increasing; inf beyond its last reading.
+        measured: (n_sensors, m) what was read, Pa, rad or m; NaN where nothing was.
+        gain: (n_sensors, m) share of measured minus predicted by which the gas, or a position, is
+            corrected then; 0 lets the model run free.
         start: How it begins.
+        push: (n_sensors, m) change of a velocity by that difference, 1/s; None is none.
     """
 
     commands: dict[str, Signal]
     begin_s: float
     end_s: float
     time_s: Floats
-    measured_pa: Floats
+    measured: Floats
     gain: Floats
     start: Start
+    push: Floats | None = None
 
     @property
     def ticks(self) -> int:
@@ -264,7 +275,7 @@ class Prediction:
     """What a batch of models predicts along one course.
 
     Attributes:
-        readings: (n_models, n_taps, m) sensor readings at their own times, Pa.
+        readings: (n_models, n_sensors, m) readings at their own times, Pa, rad or m.
         tick_s: (ticks,) times of what follows, s.
         flows: (n_models, ticks, n_ports) port flows, kg/s; empty where not asked for.
         chambers: (n_models, ticks, n_chambers) pressures, Pa; likewise.
@@ -429,6 +440,8 @@ def _pass(
     n_sub = _steps(plan) * more
     dt = TICK_S / n_sub
     tile = pack(models)
+    if any(s.joints is not None for s in starts):
+        place_joints(tile, *_within_stroke(tile, starts))
     fill_pipes(
         tile,
         lanes([s.pressure for s in starts]),
@@ -485,7 +498,8 @@ def _pass(
         if wrong.all():
             break
         tell((first + count + 1) / ticks)
-    out.readings[rows] = readings = np.moveaxis(watch.readings_pa, -1, 0)
+    readings = np.moveaxis(watch.readings, -1, 0)[:, : len(course.time_s)]
+    out.readings[rows] = readings
     due = np.isfinite(course.time_s)
     return wrong | ~np.isfinite(readings[:, due]).all(axis=1)
 
@@ -500,29 +514,64 @@ def _temperatures(tile: Tile, given: Sequence[Floats | None]) -> Floats:
 def _watch(models: Sequence[Model], course: Course, field: InitialField, dt: float) -> Watch:
     """The readings of a course, as each model's sensors take them."""
     w = len(models)
-    sensor = np.empty((len(models[0].plan.taps), L.SENSOR_ROWS, w))
+    taps = len(models[0].plan.taps)
+    sensor = np.empty((taps + len(models[0].plan.encoders), L.SENSOR_ROWS, w))
     late = np.empty((w, sensor.shape[0]))
     for j, model in enumerate(models):
-        lag, gain = model.sensor[:, S_LAG], model.sensor[:, S_GAIN]
+        each = np.concatenate([model.sensor, model.encoder])
+        lag, gain = each[:, S_LAG], each[:, S_GAIN]
         lags = lag > 0.0
         r = dt / np.where(lags, lag, 1.0)
         keep = np.where(lags, np.exp(-r), 0.0)
         mean = np.where(lags, (1.0 - np.exp(-r)) / r, 0.0)
+        about = np.where(np.arange(gain.size) < taps, model.ambient[0], 0.0)
         sensor[:, L.SENSE_KEEP, j] = keep
         sensor[:, L.SENSE_OLD, j] = np.where(lags, mean - keep, 0.0)
         sensor[:, L.SENSE_NEW, j] = 1.0 - mean
         sensor[:, L.SENSE_GAIN, j] = gain
-        sensor[:, L.SENSE_BIAS, j] = (1.0 - gain) * model.ambient[0] + model.sensor[:, S_BIAS]
-        late[j] = model.sensor[:, S_OFFSET]
-    time = (course.time_s[None] - late[:, :, None] - course.begin_s) / dt
+        sensor[:, L.SENSE_BIAS, j] = (1.0 - gain) * about + each[:, S_BIAS]
+        late[j] = each[:, S_OFFSET]
+    # A course that knows of no encoders reads none.
+    more = ((0, sensor.shape[0] - len(course.time_s)), (0, 0))
+    due = np.pad(course.time_s, more, constant_values=np.inf)
+    measured = np.pad(course.measured, more, constant_values=np.nan)
+    gains = np.pad(course.gain, more)
+    push = np.zeros_like(gains) if course.push is None else np.pad(course.push, more)
+    time = (due[None] - late[:, :, None] - course.begin_s) / dt
     # A clock that is ahead asks for what lies beyond the end: it gets the end.
     last = (course.ticks - 1) * round(TICK_S / dt)
     time = np.where(np.isfinite(time), np.minimum(time, last), np.inf)
     return Watch(
         lanes(list(time)),
-        lanes([course.measured_pa] * w),
-        lanes([course.gain] * w),
+        lanes([measured] * w),
+        lanes([gains] * w),
         sensor,
         field.weight,
         field.chamber_weight,
+        lanes([push] * w),
+    )
+
+
+def _within_stroke(tile: Tile, starts: Sequence[Start]) -> tuple[Floats, Floats]:
+    """(n_joints, lanes) positions and velocities of joints at the start.
+
+    What an encoder read may lie a little beyond where a piston can stand; on the way from where
+    the rig has its joints to there the farthest that can be is taken.
+    """
+    usual = tile.body_joint[:, L.PJ_START]
+    wanted, velocity = usual.copy(), np.zeros_like(usual)
+    for j, start in enumerate(starts):
+        if start.joints is not None:
+            wanted[:, j], velocity[:, j] = start.joints.T
+    if reachable(tile, wanted).all():
+        return wanted, velocity
+    low, high = np.zeros(tile.lanes), np.ones(tile.lanes)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        fine = reachable(tile, usual + middle * (wanted - usual))
+        low, high = np.where(fine, middle, low), np.where(fine, high, middle)
+    there = reachable(tile, wanted)
+    return (
+        np.where(there, wanted, usual + low * (wanted - usual)),
+        np.where(there, velocity, 0.0),
     )

@@ -171,7 +171,7 @@ class Tile:
     @functools.cached_property
     def moving(self) -> kernel.Moving | None:
         """What of it moves, as the kernel takes it; None if nothing does."""
-        return moving(self) if self.plan.cylinders else None
+        return moving(self, unwatched(self)) if self.plan.cylinders else None
 
 
 def lanes(arrays: Sequence[Floats]) -> Floats:
@@ -330,7 +330,7 @@ def place_joints(tile: Tile, position: Floats, velocity: Floats | float) -> None
     Raises:
         InputError: A piston would stand beyond its stroke; nothing has moved then.
     """
-    moves = moving(tile)
+    moves = moving(tile, unwatched(tile))
     joints, cylinders = _standing(tile, position, velocity)
     stood = tile.cylinder_state[:, L.SY_EXTENSION] == cylinders[:, L.SY_EXTENSION]
     counts = slice(L.SY_COUNT, L.SY_COUNT_ROD + 1)
@@ -354,9 +354,24 @@ def check_place(tile: Tile, position: Floats) -> None:
     _standing(tile, position, 0.0)
 
 
+def reachable(tile: Tile, position: Floats) -> NDArray[np.bool_]:
+    """(lanes,) whether joints may stand somewhere, every piston within its stroke.
+
+    Args:
+        tile: The batch.
+        position: (n_joints, lanes) rad or m.
+    """
+    moves = moving(tile, unwatched(tile))
+    joints, cylinders = np.zeros_like(tile.joint_state), tile.cylinder_state.copy()
+    joints[:, L.SJ_POSITION] = position
+    kernel.stand(moves.bodies._replace(state=joints), moves.cylinders._replace(state=cylinders))
+    at, stroke = cylinders[:, L.SY_EXTENSION], tile.cylinder[:, L.PY_STROKE]
+    return np.asarray(((at >= -SLIPPED_M) & (at <= stroke + SLIPPED_M)).all(axis=0))
+
+
 def _standing(tile: Tile, position: Floats, velocity: Floats | float) -> tuple[Floats, Floats]:
     """States of joints and cylinders with the joints somewhere else; nothing is changed."""
-    moves = moving(tile)
+    moves = moving(tile, unwatched(tile))
     held = tile.body_joint[:, L.PJ_HELD] > 0.0
     joints, cylinders = np.zeros_like(tile.joint_state), tile.cylinder_state.copy()
     joints[:, L.SJ_POSITION] = position
@@ -384,7 +399,8 @@ def force_at_rest(tile: Tile) -> Floats:
     Args:
         tile: The batch, its pressures computed.
     """
-    kernel.lean(tile.free.cells, tile.free.chambers, moving(tile).cylinders)
+    moves = moving(tile, unwatched(tile))
+    kernel.lean(tile.free.cells, tile.free.chambers, moves.cylinders)
     return tile.cylinder_state[:, L.SY_FORCE].copy()
 
 
@@ -491,30 +507,35 @@ def fill_chambers(
 
 @dataclass
 class Watch:
-    """How the taps of a batch are read at times of their own, and its gas corrected by them.
+    """How a batch is read at times of its sensors' own, and corrected by what they measured.
+
+    Sensors are the taps, then the encoders.
 
     Attributes:
-        time_steps: (n_taps, m, lanes) when each tap is read, in steps since the start; inf beyond.
-        measured_pa: (n_taps, m, lanes) what was measured then; NaN where nothing was.
-        gain: (n_taps, m, lanes) share of the difference by which the gas is corrected then.
-        sensor: (n_taps, SENSOR_ROWS, lanes) see ``layout``.
+        time_steps: (n_sensors, m, lanes) when each is read, in steps since the start; inf beyond.
+        measured: (n_sensors, m, lanes) what was measured then; NaN where nothing was.
+        gain: (n_sensors, m, lanes) share of the difference by which gas or joint is corrected then.
+        sensor: (n_sensors, SENSOR_ROWS, lanes) see ``layout``.
         spread: (slots, n_taps) how a correction at the taps spreads over the slots.
         spread_chamber: (n_chambers, n_taps) likewise over the chambers.
-        readings_pa: (n_taps, m, lanes) what the sensors read; NaN before it is reached.
+        push: (n_sensors, m, lanes) change of a joint's velocity by the difference, 1/s; None is
+            none.
+        readings: (n_sensors, m, lanes) what the sensors read; NaN before it is reached.
         step: Steps since the start.
-        next_read: (n_taps, lanes) next reading of each tap.
-        shown: (n_taps, lanes) present reading before gain and bias.
-        felt: (n_taps, lanes) pressure one step ago.
-        error: (n_taps, lanes) scratch.
+        next_read: (n_sensors, lanes) next reading of each.
+        shown: (n_sensors, lanes) present reading before gain and bias.
+        felt: (n_sensors, lanes) pressure or position one step ago.
+        error: (n_sensors, lanes) scratch.
     """
 
     time_steps: Floats
-    measured_pa: Floats
+    measured: Floats
     gain: Floats
     sensor: Floats
     spread: Floats
     spread_chamber: Floats
-    readings_pa: Floats = field(init=False)
+    push: Floats | None = None
+    readings: Floats = field(init=False)
     step: int = 0
     next_read: Ints = field(init=False)
     shown: Floats = field(init=False)
@@ -523,27 +544,28 @@ class Watch:
 
     def __post_init__(self) -> None:
         """Nothing is read yet."""
-        taps, _, w = self.time_steps.shape
-        self.readings_pa = np.full(self.time_steps.shape, np.nan)
-        self.next_read = np.zeros((taps, w), dtype=np.int64)
-        self.shown = np.full((taps, w), np.nan)
-        self.felt = np.full((taps, w), np.nan)
-        self.error = np.zeros((taps, w))
+        sensors, _, w = self.time_steps.shape
+        self.readings = np.full(self.time_steps.shape, np.nan)
+        self.next_read = np.zeros((sensors, w), dtype=np.int64)
+        self.shown = np.full((sensors, w), np.nan)
+        self.felt = np.full((sensors, w), np.nan)
+        self.error = np.zeros((sensors, w))
 
 
 def unwatched(tile: Tile) -> Watch:
-    """Taps that are not read.
+    """Sensors that are not read.
 
     Args:
         tile: The batch.
     """
     taps = len(tile.plan.taps)
-    none = np.zeros((taps, 0, tile.lanes))
+    sensors = taps + len(tile.plan.encoders)
+    none = np.zeros((sensors, 0, tile.lanes))
     return Watch(
         none,
         none,
         none,
-        np.zeros((taps, L.SENSOR_ROWS, tile.lanes)),
+        np.zeros((sensors, L.SENSOR_ROWS, tile.lanes)),
         np.zeros((tile.plan.slots, taps)),
         np.zeros((len(tile.plan.chambers), taps)),
     )
@@ -557,6 +579,7 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
         watch: Taps that are read.
     """
     first, plan = tile.models[0], tile.plan
+    taps = slice(0, len(plan.taps))
     rippling = tile.ripple_index.size > 0
     return kernel.Rigs(
         kernel.Gas(first.gas.gamma, first.gas.r_specific, first.gas.prandtl),
@@ -602,32 +625,48 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
         kernel.Taps(
             tile.tap_slot,
             tile.tap_weight,
-            watch.sensor,
-            watch.time_steps,
-            watch.measured_pa,
-            watch.gain,
+            watch.sensor[taps],
+            watch.time_steps[taps],
+            watch.measured[taps],
+            watch.gain[taps],
             watch.spread,
             watch.spread_chamber,
-            watch.next_read,
-            watch.shown,
-            watch.felt,
-            watch.error,
-            watch.readings_pa,
+            watch.next_read[taps],
+            watch.shown[taps],
+            watch.felt[taps],
+            watch.error[taps],
+            watch.readings[taps],
         ),
     )
 
 
-def moving(tile: Tile) -> kernel.Moving:
+def moving(tile: Tile, watch: Watch) -> kernel.Moving:
     """What of a batch moves, as the kernel takes it.
 
     Args:
         tile: The batch.
+        watch: Encoders that are read.
     """
     plan = tile.plan
     cylinders = kernel.Cylinders(
         plan.cylinder, plan.moves, tile.cylinder, tile.cylinder_state, tile.cylinder_work
     )
-    return kernel.Moving(cylinders, _bodies(tile))
+    own = slice(len(plan.taps), None)
+    push = np.zeros_like(watch.gain) if watch.push is None else watch.push
+    encoders = kernel.Encoders(
+        plan.encoder_of,
+        watch.sensor[own],
+        watch.time_steps[own],
+        watch.measured[own],
+        watch.gain[own],
+        push[own],
+        watch.next_read[own],
+        watch.shown[own],
+        watch.felt[own],
+        np.zeros((len(plan.encoders), 2, tile.lanes)),
+        watch.readings[own],
+    )
+    return kernel.Moving(cylinders, _bodies(tile), encoders)
 
 
 def _bodies(tile: Tile) -> kernel.Bodies:
@@ -691,10 +730,13 @@ def advance(
         out.joints,
         np.zeros((0, w)) if fastest is None else fastest,
     )
-    rigs, step = (tile.free, 0) if watch is None else (arrays(tile, watch), watch.step)
+    rigs, moves, step = tile.free, tile.moving, 0
+    if watch is not None:
+        rigs, step = arrays(tile, watch), watch.step
+        moves = moving(tile, watch) if tile.plan.cylinders else None
     clock = kernel.Clock(intervals + 1, n_sub, dt_s, knots - 1, tile.clock, step, closing)
     flat = np.ascontiguousarray(opening).reshape(intervals * knots, ports, w)
-    kernel.advancing(tile.acts)(rigs, tile.moving, clock, flat, record)
+    kernel.advancing(tile.acts)(rigs, moves, clock, flat, record)
     if watch is not None:
         watch.step += intervals * n_sub
     tile.clock[1] += intervals * n_sub

@@ -88,4 +88,4 @@ def test_a_run_cut_anywhere(name: str, effect: str, order: int, watched: bool) -
     for kept in (*tiles.CHANGING, "time_s"):
         if kept != "work":
             assert np.array_equal(getattr(cut, kept), getattr(whole, kept)), kept
-    assert np.array_equal(cut_watch.readings_pa, watch.readings_pa, equal_nan=True)
+    assert np.array_equal(cut_watch.readings, watch.readings, equal_nan=True)

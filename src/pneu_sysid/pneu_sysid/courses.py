@@ -17,19 +17,23 @@ LONGEST_PULL = 3.0
 """A reading after a gap corrects the gas no more than one after this many of its periods."""
 
 
-def course_of(recording: Recording, taps: list[str], pull_s: float | None) -> Course:
-    """A recording as the taps of a rig see it; how it begins is found later.
+def course_of(recording: Recording, sensors: list[str], pull_s: float | None) -> Course:
+    """A recording as the sensors of a rig see it; how it begins is found later.
+
+    A position is drawn to its encoder as by a spring and a damper of critical damping, so that what
+    a force gets wrong does not add up for longer than what a flow does.
 
     Args:
         recording: The recording.
-        taps: Names of the taps.
-        pull_s: Time constant with which the gas is drawn to them, s; None lets it run free.
+        sensors: Names of the taps, then of the encoders.
+        pull_s: Time constant with which gas and joints are drawn to them, s; None lets them run
+            free.
     """
-    signals = [recording.pressures.get(tap) for tap in taps]
+    signals = [recording.readings.get(sensor) for sensor in sensors]
     most = max((len(s) for s in signals if s is not None), default=0)
-    time = np.full((len(taps), most), np.inf)
-    measured = np.full((len(taps), most), np.nan)
-    gain = np.zeros((len(taps), most))
+    time = np.full((len(sensors), most), np.inf)
+    measured = np.full((len(sensors), most), np.nan)
+    gain, push = np.zeros((2, len(sensors), most))
     for t, signal in enumerate(signals):
         if signal is None or not len(signal):
             continue
@@ -40,9 +44,13 @@ def course_of(recording: Recording, taps: list[str], pull_s: float | None) -> Co
             since = np.minimum(
                 np.diff(signal.time_s, prepend=signal.time_s[0] - usual), LONGEST_PULL * usual
             )
-            gain[t, :n] = 1.0 - np.exp(-since / pull_s)
+            if sensors[t] in recording.encoders:
+                gain[t, :n] = 1.0 - np.exp(-2.0 * since / pull_s)
+                push[t, :n] = since / pull_s**2
+            else:
+                gain[t, :n] = 1.0 - np.exp(-since / pull_s)
     nothing = Start(np.empty(0), np.empty(0))
-    return Course(recording.commands, 0.0, recording.end_s, time, measured, gain, nothing)
+    return Course(recording.commands, 0.0, recording.end_s, time, measured, gain, nothing, push)
 
 
 def edges_of(recording: Recording, horizon_s: float | None, lead_s: float) -> Floats:
@@ -56,7 +64,7 @@ def edges_of(recording: Recording, horizon_s: float | None, lead_s: float) -> Fl
     Raises:
         InputError: It is shorter than that and one stretch.
     """
-    first = min(float(s.time_s[0]) for s in recording.pressures.values() if len(s)) + lead_s
+    first = recording.start_s + lead_s
     end = recording.end_s
     count = 1 if horizon_s is None else int((end - first) / horizon_s + 1e-6)
     if count < 1:
@@ -105,7 +113,8 @@ def first_part(course: Course, end_s: float) -> Course:
     count = int(np.max(np.sum(course.time_s <= end_s, axis=1), initial=0))
     part = slice(0, count)
     time = np.where(course.time_s[:, part] <= end_s, course.time_s[:, part], np.inf)
-    measured = np.where(np.isfinite(time), course.measured_pa[:, part], np.nan)
+    measured = np.where(np.isfinite(time), course.measured[:, part], np.nan)
+    push = None if course.push is None else course.push[:, part]
     return replace(
-        course, end_s=end_s, time_s=time, measured_pa=measured, gain=course.gain[:, part]
+        course, end_s=end_s, time_s=time, measured=measured, gain=course.gain[:, part], push=push
     )

@@ -304,14 +304,14 @@ class Problem:
         if len(ways) == 1:
             return ways[0]
         course = self._courses[c]
-        slowest = max(s.period_s for s in self.recordings[c].pressures.values())
+        slowest = max(s.period_s for s in self.recordings[c].readings.values())
         until = max(TRIED_S, FEWEST_TRIED * slowest if np.isfinite(slowest) else 0.0)
         costs = []
         for way in ways:
             tried = first_part(replace(course, begin_s=way.begin_s, start=way.start), until)
             along = self._run([rig], ready, [tried], [c], None, False, False)
-            r = (tried.measured_pa - along[0].readings[0]) / self.noise_pa[:, None]
-            r = r[np.isfinite(tried.measured_pa)]
+            r = (tried.measured - along[0].readings[0]) / self.noise_pa[:, None]
+            r = r[np.isfinite(tried.measured)]
             # (a few wild readings must not decide)
             costs.append(float(np.sum(np.log1p(np.where(np.isfinite(r), r * r, np.inf)))))
         return ways[int(np.argmin(costs))]
@@ -325,7 +325,7 @@ class Problem:
         for t in list(self._in_doubt):
             found = []
             for course, out in zip(ready.courses, along, strict=True):
-                left = course.measured_pa[t] - out.readings[0, t]
+                left = course.measured[t] - out.readings[0, t]
                 good = np.isfinite(left)
                 if good.sum() > 2 * FEWEST_TRIED:
                     found.append(noise_floor(course.time_s[t, good], left[good]))
@@ -388,7 +388,7 @@ class Problem:
         part = first_part(course, until_s)
         options = RunOptions(self.workers, strict=False)
         out = predict([[model]], [part], ready.field, None, options)[0]
-        left = (part.measured_pa - out.readings[0]) / self.noise_pa[:, None]
+        left = (part.measured - out.readings[0]) / self.noise_pa[:, None]
         compared = np.isfinite(left) & (part.time_s >= self.span_s[self.of == c, 0].min())
         return np.where(compared, left, 0.0)
 
@@ -461,7 +461,8 @@ def record_for(
     if missing:
         raise InputError(f"rig {rig.name!r}: commands.{sorted(missing)[0]} has no channel to read")
     pressures = {n: t.channel for n, t in rig.taps.items() if t.channel is not None}
-    if not pressures:
+    encoders = {name: encoder.recorded for name, encoder in rig.encoders.items()}
+    if not pressures and not encoders:
         raise InputError(f"rig {rig.name!r}: no tap has a channel, so nothing can be compared")
     recording = read_recording(
         path,
@@ -472,6 +473,7 @@ def record_for(
         start_s=start_s,
         end_s=end_s,
         positions={n: v.position for n, v in rig.valves.items() if v.position is not None},
+        encoders=encoders,
     )
     return checked(rig, str(path), recording)
 
@@ -512,7 +514,7 @@ def make_problem(
     recordings = [source] if isinstance(source, Recording) else list(source)
     if not recordings:
         raise InputError(f"rig {rig.name!r}: no recording was given, at least one is needed")
-    taps = list(rig.taps)
+    taps = [*rig.taps, *rig.encoders]
     pull = pull_s or pull_of(rig)
     lead = rig.fit.warm_up_s if rig.fit.horizon_s is not None else 0.0
     problem = Problem(
@@ -542,7 +544,7 @@ def make_problem(
         wide[:, : index.shape[1]] = index
         problem._from.append(wide)
         times.append(problem._arranged(course.time_s[None], c)[0])
-        values.append(problem._arranged(course.measured_pa[None], c)[0])
+        values.append(problem._arranged(course.measured[None], c)[0])
         spans.append(np.stack([edges[:-1], edges[1:]], axis=1))
         of += [c] * index.shape[0]
     problem.time_s, problem.measured = np.concatenate(times), np.concatenate(values)
@@ -551,26 +553,20 @@ def make_problem(
 
 
 def _set_noise(problem: Problem, rig: Rig) -> None:
-    """Noise of each tap: what the rig says of the sensor, else an estimate from the readings."""
-    scale = max(
-        (
-            float(np.max(np.abs(s.values)))
-            for r in problem.recordings
-            for s in r.pressures.values()
-            if len(s)
-        ),
-        default=1.0,
-    )
-    for t, name in enumerate(problem.taps):
-        tap = rig.taps[name]
+    """Noise of each sensor: what the rig says of it, else an estimate from the readings."""
+    told = [(tap.noise_pa, tap.quantum_pa) for tap in rig.taps.values()]
+    told += [(encoder.noise, encoder.quantum) for encoder in rig.encoders.values()]
+    of_pressures = _scale(problem.recordings, list(rig.taps))
+    for t, (name, (white, quantum)) in enumerate(zip(problem.taps, told, strict=True)):
+        scale = of_pressures if name in rig.taps else _scale(problem.recordings, [name])
         noise = 0.0
-        if tap.noise_pa > 0.0:
-            noise = float(np.hypot(tap.noise_pa, tap.quantum_pa / np.sqrt(12.0)))
+        if white > 0.0:
+            noise = float(np.hypot(white, quantum / np.sqrt(12.0)))
         else:
             found = [
                 noise_floor(s.time_s, s.values)
                 for r in problem.recordings
-                if (s := r.pressures.get(name)) is not None and len(s) > FEWEST_TRIED
+                if (s := r.readings.get(name)) is not None and len(s) > FEWEST_TRIED
             ]
             if found:
                 noise = float(np.median([f.sigma_pa for f in found]))
@@ -578,6 +574,17 @@ def _set_noise(problem: Problem, rig: Rig) -> None:
                     problem._in_doubt.append(t)
                     problem.noise_words[name] = found[0].sentence
             else:
-                noise = 1.0
+                noise = 1e-6 * scale if name in rig.encoders else 1.0
         # A silent sensor (simulated, or coarser than its noise) still cannot resolve below this.
         problem.noise_pa[t] = max(noise, 1e-6 * scale)
+
+
+def _scale(recordings: list[Recording], sensors: list[str]) -> float:
+    """The largest of all readings of some sensors."""
+    largest = [
+        float(np.max(np.abs(s.values)))
+        for r in recordings
+        for name, s in r.readings.items()
+        if name in sensors and len(s)
+    ]
+    return max(largest, default=0.0) or 1.0

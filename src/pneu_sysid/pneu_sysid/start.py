@@ -17,6 +17,8 @@ Floats = NDArray[np.float64]
 
 EARLIEST_S = 10.0
 """Commands from before the first reading count this far back."""
+FIRST_S, FEWEST_FIRST = 0.03, 5
+"""Over this time, and of so many readings at least, an encoder tells how fast its joint moves."""
 TEMPERATURE_K = 30.0
 """How far gas in motion may be from the room's temperature, one sigma."""
 POSSIBLE_K = (150.0, 600.0)
@@ -206,7 +208,7 @@ def beginnings(rig: Rig, plan: Plan, field: InitialField, recording: Recording) 
         recording: The recording.
     """
     room = rig.ambient.pressure_pa
-    first_read = min(float(s.time_s[0]) for s in recording.pressures.values() if len(s))
+    first_read = recording.start_s
     ordered = max((float(s.time_s[0]) for s in recording.commands.values()), default=first_read)
     begin = min(max(ordered, first_read - EARLIEST_S), first_read)
     read = np.full(len(rig.taps), room)
@@ -218,14 +220,48 @@ def beginnings(rig: Rig, plan: Plan, field: InitialField, recording: Recording) 
     filled = Start(
         np.maximum(field.weight @ read + field.constant, 1.0),
         np.maximum(field.chamber_weight @ read + field.chamber_constant, 1.0),
+        joints=_joints(rig, plan, recording),
     )
     ways = [Beginning(first_read, filled)]
     if rig.fit.horizon_s is not None and rig.commands:
         ways += [
-            Beginning(begin, rest(rig, plan)),
+            Beginning(begin, _still(rest(rig, plan), filled)),
             Beginning(first_read, replace(filled, at_null=True)),
         ]
     return ways
+
+
+def _still(start: Start, read: Start) -> Start:
+    """A start at rest whose joints stand where another's do."""
+    if read.joints is None:
+        return start
+    return replace(start, joints=read.joints * [1.0, 0.0])
+
+
+def _joints(rig: Rig, plan: Plan, recording: Recording) -> Floats | None:
+    """(n_joints, 2) where the encoders first read the joints, and how fast they moved.
+
+    The first readings decide, by a straight line through them; other joints are where the rig has
+    them. Those of a piston whose encoder is on the cylinder likewise, as near as its stroke lets.
+    """
+    if not plan.joints:
+        return None
+    joints = np.zeros((len(plan.joints), 2))
+    joints[:, 0] = [joint.start for body in rig.bodies.values() for joint in body.joints]
+    held = [joint.held for body in rig.bodies.values() for joint in body.joints]
+    for name, on in zip(plan.encoders, plan.encoder_of, strict=True):
+        signal, encoder = recording.encoders.get(name), rig.encoders[name]
+        if on < 0 or held[on] or signal is None or not len(signal):
+            continue
+        early = signal.time_s <= signal.time_s[0] + FIRST_S
+        first = (signal.values[early] - encoder.bias) / encoder.gain
+        since = signal.time_s[early] - signal.time_s[0]
+        if first.size < FEWEST_FIRST:
+            joints[on] = first[0], 0.0
+            continue
+        slope, level = np.polyfit(since, first, 1)
+        joints[on] = level, slope
+    return joints
 
 
 def remembered_s(rig: Rig, start: Start) -> float:
@@ -254,7 +290,7 @@ def modes_of(rig: Rig, plan: Plan, start: Start, taps: list[str], noise_pa: Floa
         rig: The rig.
         plan: Its grid.
         start: The beginning.
-        taps: Names of the taps.
+        taps: Names of the taps, which others may follow.
         noise_pa: (n_taps,) their noise, Pa.
     """
     room = rig.ambient.temperature_k
@@ -277,7 +313,7 @@ def modes_of(rig: Rig, plan: Plan, start: Start, taps: list[str], noise_pa: Floa
     for which in sorted(set(volume.values()) - fed):
         inside = [
             noise_pa[t]
-            for t, name in enumerate(taps)
+            for t, name in enumerate(taps[: len(rig.taps)])
             if volume_of_tap(volume, rig.taps[name]) == which
         ]
         std = READING_SIGMAS * min(inside) if inside else UNSEEN * highest

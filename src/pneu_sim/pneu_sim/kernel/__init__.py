@@ -12,6 +12,7 @@ from pneu_sim.kernel.arrays import Cells as Cells
 from pneu_sim.kernel.arrays import Chambers as Chambers
 from pneu_sim.kernel.arrays import Clock as Clock
 from pneu_sim.kernel.arrays import Cylinders as Cylinders
+from pneu_sim.kernel.arrays import Encoders as Encoders
 from pneu_sim.kernel.arrays import Ends as Ends
 from pneu_sim.kernel.arrays import Gas as Gas
 from pneu_sim.kernel.arrays import Moving as Moving

@@ -16,6 +16,7 @@ from pneu_sim import layout as L
 from pneu_sim.compiling import branching, uncached
 from pneu_sim.kernel.bodies import foresee, move
 from pneu_sim.kernel.chambers import find_chambers, find_middle, heat_chambers
+from pneu_sim.kernel.encoders import correct_motion, read_encoders
 from pneu_sim.kernel.ends import cross_ends, fill_ghosts, join, mirror_faces
 from pneu_sim.kernel.faces import (
     close_outermost,
@@ -140,6 +141,8 @@ def advance(rigs, moving, clock, opening, record):
     if moving is not None:
         settle(cells, chambers, moving.cylinders)
     reading = taps.time.shape[1] > 0
+    if moving is not None:
+        reading = reading or moving.encoders.time.shape[1] > 0
     corrected = True  # the state may have been set
     for k in range(clock.samples):
         last = k == clock.samples - 1
@@ -151,9 +154,13 @@ def advance(rigs, moving, clock, opening, record):
                 invert_density(cells)
             find_primitive(gas, cells)
             find_chambers(gas, chambers)
-            corrected = False
+            corrected = shifted = False
             if reading and (clock.closing or not last):
                 corrected = read(clock.watched + step, cells, chambers, taps)
+                if moving is not None:
+                    shifted = read_encoders(
+                        clock.watched + step, moving.cylinders, moving.bodies, moving.encoders
+                    )
             if s == 0:
                 write_down(k, cells, ports, chambers, taps, record)
                 if moving is not None:
@@ -202,6 +209,8 @@ def advance(rigs, moving, clock, opening, record):
             _act_of_walls(gas, scheme, dt, s, cells)
             if corrected:
                 correct(cells, chambers, taps)
+            if moving is not None and shifted:
+                correct_motion(cells, chambers, moving.cylinders, moving.bodies, moving.encoders)
 
 
 @functools.lru_cache(maxsize=16)

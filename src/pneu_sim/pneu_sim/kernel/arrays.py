@@ -284,11 +284,42 @@ class Rigs(NamedTuple):
     taps: Taps
 
 
+class Encoders(NamedTuple):
+    """Encoders, when they are read, and how joints are corrected by what was measured.
+
+    Attributes:
+        of: (n_encoders,) joint that each is on, or -1 - cylinder.
+        sensor: (n_encoders, SENSOR_ROWS, lanes) what each makes of the position.
+        time: (n_encoders, m, lanes) when each is read, in steps since the start; see `Taps`.
+        measured: (n_encoders, m, lanes) what was measured then, rad or m; NaN where nothing was.
+        gain: (n_encoders, m, lanes) share of the difference by which the position is corrected.
+        push: (n_encoders, m, lanes) change of the velocity by the difference, 1/s.
+        next: (n_encoders, lanes) the next reading.
+        shown: (n_encoders, lanes) what sensors make of it before gain and bias; NaN: at rest.
+        felt: (n_encoders, lanes) position behind that.
+        shift: (n_encoders, 2, lanes) what each asks of position and velocity.
+        readings: (n_encoders, m, lanes) what they read.
+    """
+
+    of: Ints
+    sensor: Floats
+    time: Floats
+    measured: Floats
+    gain: Floats
+    push: Floats
+    next: Ints
+    shown: Floats
+    felt: Floats
+    shift: Floats
+    readings: Floats
+
+
 class Moving(NamedTuple):
-    """What of a batch of rigs moves."""
+    """What of a batch of rigs moves, and who reads it."""
 
     cylinders: Cylinders
     bodies: Bodies
+    encoders: Encoders
 
 
 class Clock(NamedTuple):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.tally import Tally
+from pneu_sim import layout as L
 from pneu_sim import sensors
 from pneu_sim.lumped.model import LumpedModel
 from pneu_sim.lumped.solver import LumpedSolver
@@ -109,6 +110,13 @@ def _along(model: LumpedModel, course: Course) -> tuple[Floats, Floats, Floats, 
     for t in range(len(plan.taps)):
         due = np.isfinite(course.time_s[t])
         readings[t, due] = np.interp(course.time_s[t, due], at, shown[:, t])
+    # its pistons are locked, and what they move stands
+    for e, (on, (_, gain, bias, _)) in enumerate(zip(plan.encoder_of, base.encoder, strict=True)):
+        t = len(plan.taps) + e
+        if t < len(readings):
+            stands = base.joint[:, L.PJ_START] if start.joints is None else start.joints[:, 0]
+            at_rest = stands[on] if on >= 0 else base.cylinder[-1 - on, L.PY_START]
+            readings[t, np.isfinite(course.time_s[t])] = gain * at_rest + bias
     return readings, flows, chambers, taps
 
 
@@ -127,11 +135,11 @@ def _goals(model: LumpedModel, course: Course, at: Floats) -> Floats:
     goals = np.full((at.size, len(model.plan.taps)), np.nan)
     room = model.base.ambient[0]
     for t, (_, gain, bias, late) in enumerate(model.base.sensor):
-        due = np.isfinite(course.measured_pa[t])
+        due = np.isfinite(course.measured[t])
         if due.sum() < 2:
             continue
         time = course.time_s[t, due] - late
-        pressure = room + (course.measured_pa[t, due] - bias - room) / gain
+        pressure = room + (course.measured[t, due] - bias - room) / gain
         goals[:, t] = np.interp(at, time, pressure, left=np.nan, right=np.nan)
         usual = float(np.median(np.diff(time)))
         right = np.clip(np.searchsorted(time, at), 1, time.size - 1)

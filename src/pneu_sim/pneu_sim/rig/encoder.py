@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a rig file may say of an encoder: the joint or piston that it is on, and what it makes of
-its position."""
+"""What a rig file may say of an encoder: what it is on, and what it makes of the position there."""
 
 from pydantic import model_validator
 
@@ -42,6 +41,11 @@ class Encoder(Part):
         if self.joint is not None and self.cylinder is not None:
             raise ValueError("an encoder names either a joint or a cylinder, not both")
         return self
+
+    @property
+    def recorded(self) -> Channel:
+        """Where its readings are recorded."""
+        return self.channel or Channel(topic="/joint_states", field="position")
 
     def on(self, name: str) -> str:
         """The joint that it reads, of an encoder of some name that is on no cylinder.

@@ -37,6 +37,8 @@ from pneu_sim.topics import JOINT_STATE, JOINTS_TOPIC, same_topic
 from pneu_sysid.records.recording import Finding, absent
 from pneu_sysid.records.stream import STAMP_LIMIT_NS, Role, Stream
 
+OF_JOINTS = ("position", "velocity", "effort")
+"""Fields of a ``JointState`` that hold a number for each joint that it names."""
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no CDR message starts so: its first byte is 0
 _DATA_OPCODES = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK}
 _STEP = re.compile(r"([A-Za-z]\w*)((?:\[\d+\])*)$")
@@ -81,6 +83,7 @@ def read_bag(
     commands: dict[str, Channel],
     pressures: dict[str, Channel],
     positions: dict[str, Channel] | None = None,
+    encoders: dict[str, Channel] | None = None,
 ) -> tuple[list[Stream], list[Finding]]:
     """Read the mapped channels of a bag.
 
@@ -90,6 +93,7 @@ def read_bag(
         commands: Held channels by name.
         pressures: Pressure channels by name.
         positions: Channels of spools' positions by name, which the bag may lack.
+        encoders: Channels of encoders by name; in a ``JointState`` the name is the joint's.
 
     Returns:
         One stream per channel in file order, with ``stamp_ns`` set to the log time, and
@@ -98,11 +102,16 @@ def read_bag(
     Raises:
         InputError: The bag is unreadable, or a channel's topic, type or field is not in it.
     """
-    for name, channel in {**commands, **pressures}.items():
+    encoders = encoders or {}
+    for name, channel in {**commands, **pressures, **encoders}.items():
         if channel.topic is None:
             raise InputError(f"{path}: channel '{name}' has no topic, which a bag needs")
     positions = positions or {}
-    channels_of_bag = (*commands.values(), *pressures.values(), *positions.values())
+    channels_of_bag = [
+        channel
+        for channels in (commands, pressures, encoders, positions)
+        for channel in channels.values()
+    ]
     wanted = {t for c in channels_of_bag for t in (c.topic, c.applied) if t}
     topics, findings = _collect(path, wanted)
     decoded: dict[tuple[str, str], list[Any]] = {}
@@ -110,6 +119,7 @@ def read_bag(
     roles: list[tuple[Role, dict[str, Channel]]] = [
         ("command", commands),
         ("pressure", pressures),
+        ("encoder", encoders),
         ("position", positions),
     ]
     for role, channels in roles:
@@ -124,12 +134,17 @@ def read_bag(
             topic = _find_topic(path, name, channel, topics)
             where = f"{path}: channel '{name}': topic '{topic.name}' ({topic.msgtype})"
             store = _typestore(where, topic, name, findings)
-            _check_number(where, store, topic.msgtype, channel.field)
+            of_joint = topic.msgtype == JOINT_STATE and channel.field in OF_JOINTS
+            if not of_joint:
+                _check_number(where, store, topic.msgtype, channel.field)
             key = (topic.name, topic.msgtype)
             if key not in decoded:
                 decoded[key] = _decode(where, store, topic)
             messages = decoded[key]
-            raw = _values(where, messages, channel.field)
+            if of_joint:
+                raw = _of_joint(where, messages, name, channel.field)
+            else:
+                raw = _values(where, messages, channel.field)
             log_ns = np.array(topic.log_ns, dtype=np.int64)
             stamp = _stamp_path(store, topic.msgtype)
             if channel.stamp == "header" and stamp is None:
@@ -593,6 +608,26 @@ def _values(where: str, messages: list[Any], path: str) -> np.ndarray:
     values = np.fromiter(map(_getter(steps), messages), np.float64, len(messages))
     if any(indices for _, indices in steps) and np.isnan(values).all():
         raise InputError(f"{where}: no message has a numeric element '{path}'")
+    return values
+
+
+def _of_joint(where: str, messages: list[Any], joint: str, field: str) -> np.ndarray:
+    """(n,) what each message says of a joint by its name; NaN where it says nothing."""
+    values = np.full(len(messages), np.nan)
+    named: dict[str, None] = {}
+    for k, message in enumerate(messages):
+        names = [str(name) for name in message.name]
+        named |= dict.fromkeys(names)
+        said = getattr(message, field)
+        if joint in names and (at := names.index(joint)) < len(said):
+            values[k] = said[at]
+    if joint not in named:
+        raise InputError(
+            f"{where}: no joint {joint!r}, it has {', '.join(map(repr, named)) or 'none'}; name the"
+            " encoder as the bag does, and the rig's joint in it: encoders: {NAME: {joint: JOINT}}"
+        )
+    if np.isnan(values).all():
+        raise InputError(f"{where}: no message has a {field} of joint {joint!r}")
     return values
 
 

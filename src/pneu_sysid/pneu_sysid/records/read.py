@@ -12,7 +12,7 @@ from pneu_sysid.records.bag import read_bag
 from pneu_sysid.records.clean import clean, is_regular
 from pneu_sysid.records.clock import choose_clock, mend_clock_jumps
 from pneu_sysid.records.recording import Finding, Recording, absent
-from pneu_sysid.records.stream import GAP_PERIODS, LONGEST_STEP, Stream, median_period_ns
+from pneu_sysid.records.stream import GAP_PERIODS, LONGEST_STEP, READ, Stream, median_period_ns
 from pneu_sysid.records.text import read_text
 
 MIN_SAMPLES = 20
@@ -30,6 +30,7 @@ def read_recording(
     start_s: float | None = None,
     end_s: float | None = None,
     positions: dict[str, Channel] | None = None,
+    encoders: dict[str, Channel] | None = None,
 ) -> Recording:
     """Read commands and pressures of a recording, each at its own times; nothing is resampled.
 
@@ -42,7 +43,7 @@ def read_recording(
     Args:
         path: rosbag2 MCAP folder, .mcap file, or text file.
         commands: Held channels by name; may be empty.
-        pressures: Pressure channels by tap, at least one.
+        pressures: Pressure channels by tap; at least one of them or of encoders.
         text: Layout of the rows, if the file is text.
         rate_hz: Readings per second of a tap that has more are thinned to this rate, by
             picking the first after each even beat, without a filter; all are kept if not given.
@@ -51,6 +52,7 @@ def read_recording(
         positions: Channels of the measured positions of spools, by valve. They are optional: what
             is not there, or of no use, is told in the report. They are not thinned; kept is what
             lies within the readings of the taps.
+        encoders: Channels of encoders by name; what is said of taps holds for them.
 
     Returns:
         The recording, with all that was detected and handled in ``report``.
@@ -63,19 +65,24 @@ def read_recording(
     # A valve may well have the name of its command.
     valves = {f"{valve}.position": valve for valve in positions or {}}
     spools = {name: (positions or {})[valve] for name, valve in valves.items()}
-    _check_arguments(path, commands, pressures, spools, rate_hz, start_s, end_s)
+    encoders = encoders or {}
+    _check_arguments(path, commands, {**pressures, **encoders}, spools, rate_hz, start_s, end_s)
     if _is_bag(path):
-        streams, findings = read_bag(path, commands, pressures, spools)
+        streams, findings = read_bag(path, commands, pressures, spools, encoders)
     else:
         layout = text or TextFormat()
-        streams, findings = read_text(path, commands, pressures, layout, spools)
+        streams, findings = read_text(path, commands, pressures, layout, spools, encoders)
     for stream in streams:
         if not len(stream):
             raise InputError(f"{path}: {stream.label} has no samples")
     streams, found = _readable(streams)
     findings += found
 
-    wanted = {name: channel.stamp for name, channel in {**commands, **pressures, **spools}.items()}
+    wanted = {
+        name: channel.stamp
+        for channels in (commands, pressures, encoders, spools)
+        for name, channel in channels.items()
+    }
     streams, found = choose_clock(streams, wanted, str(path))
     findings += found
     streams, found = mend_clock_jumps(streams)
@@ -88,7 +95,7 @@ def read_recording(
         if stream.role == "position":
             measured.append(stream)
             continue
-        least = MIN_SAMPLES if stream.role == "pressure" else 1
+        least = MIN_SAMPLES if stream.role in READ else 1
         if len(stream) < least:
             raise InputError(
                 f"{path}: {stream.label} has {len(stream)} usable sample(s), "
@@ -99,7 +106,7 @@ def read_recording(
     first_ns, last_ns, found = _common_time(str(path), cleaned)
     findings += found
     held = [s for s in cleaned if s.role == "command"]
-    taps = [s for s in cleaned if s.role == "pressure"]
+    taps = [s for s in cleaned if s.role in READ]
     begin_ns = first_ns if start_s is None else first_ns + max(round(start_s * 1e9), 0)
     end_ns = last_ns if end_s is None else min(first_ns + round(end_s * 1e9), last_ns)
     kept = [s.pick((s.stamp_ns >= begin_ns) & (s.stamp_ns <= end_ns)) for s in taps]
@@ -123,7 +130,8 @@ def read_recording(
         if rate_hz is not None:
             stream, found = _thin(str(path), stream, origin_ns, rate_hz)
             findings += found
-        recording.pressures[stream.name] = _signal(stream, origin_ns)
+        of_role = recording.pressures if stream.role == "pressure" else recording.encoders
+        of_role[stream.name] = _signal(stream, origin_ns)
     for stream in measured:
         inside = (stream.stamp_ns >= origin_ns) & (stream.stamp_ns <= until_ns)
         if np.count_nonzero(inside) < MIN_SAMPLES:
@@ -165,14 +173,14 @@ def _common_time(path: str, streams: list[Stream]) -> tuple[int, int, list[Findi
     Raises:
         InputError: Channels have no time in common.
     """
-    taps = [s for s in streams if s.role == "pressure"]
+    taps = [s for s in streams if s.role in READ]
     held = [s for s in streams if s.role == "command"]
     latest = max(streams, key=lambda s: s.stamp_ns[0])
     earliest = min(streams, key=lambda s: s.stamp_ns[-1])
     apart_ns = int(latest.stamp_ns[0]) - int(earliest.stamp_ns[-1])
     # A command sent on events holds, and a tap may fall silent where another begins.
     lasting = (earliest.role == "command" and not is_regular(earliest)) or (
-        earliest.role == latest.role == "pressure"
+        earliest.role in READ and latest.role in READ
     )
     if apart_ns > (_APART_NS if lasting else 0):
         raise InputError(
@@ -261,7 +269,7 @@ def _check_arguments(
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if not pressures:
-        raise InputError(f"{path}: no pressure channel is mapped, at least one is needed")
+        raise InputError(f"{path}: no tap or encoder is mapped, at least one is needed")
     if both := (commands.keys() & pressures.keys()) | (
         spools.keys() & (commands.keys() | pressures.keys())
     ):

@@ -21,7 +21,7 @@ class Finding:
             ``clock_offset``, ``clock_rate``, ``clock_jump``, ``out_of_order``,
             ``duplicate``, ``not_finite``, ``unreadable``, ``short_row``, ``irregular``,
             ``missing``, ``gap``, ``event_driven``, ``frozen``, ``constant``, ``cropped``,
-            ``thinned``, ``suspicious_unit``, ``mark``, ``absent``.
+            ``thinned``, ``suspicious_unit``, ``mark``, ``absent``, ``wrapped``.
         count: Number of samples, gaps or rows concerned.
         action: What was found in figures and what was done, in one sentence.
     """
@@ -57,6 +57,7 @@ class Recording:
         report: What was detected while reading, and how it was handled.
         start_time_s: Clock time of time 0 (Unix time for stamped bags).
         positions: Measured positions of spools by valve, volts of command; where they are recorded.
+        encoders: Positions of joints and pistons by encoder, rad or m.
     """
 
     name: str
@@ -65,11 +66,22 @@ class Recording:
     report: list[Finding] = field(default_factory=list)
     start_time_s: float = 0.0
     positions: dict[str, Signal] = field(default_factory=dict)
+    encoders: dict[str, Signal] = field(default_factory=dict)
+
+    @property
+    def readings(self) -> dict[str, Signal]:
+        """All that models are compared with, by sensor: pressures, then encoders."""
+        return {**self.pressures, **self.encoders}
+
+    @property
+    def start_s(self) -> float:
+        """Time of the first reading, s."""
+        return min((float(s.time_s[0]) for s in self.readings.values() if len(s)), default=0.0)
 
     @property
     def end_s(self) -> float:
         """Time of the last reading, s."""
-        return max((float(s.time_s[-1]) for s in self.pressures.values() if len(s)), default=0.0)
+        return max((float(s.time_s[-1]) for s in self.readings.values() if len(s)), default=0.0)
 
     def until(self, end_s: float) -> "Recording":
         """The first part of the recording; all of it where it is no longer.
@@ -85,6 +97,7 @@ class Recording:
             commands={n: s.within(min(first, 0.0), end_s) for n, s in self.commands.items()},
             pressures={n: s.within(0.0, end_s) for n, s in self.pressures.items()},
             positions={n: s.within(0.0, end_s) for n, s in self.positions.items()},
+            encoders={n: s.within(0.0, end_s) for n, s in self.encoders.items()},
         )
 
 
@@ -93,6 +106,7 @@ def even_recording(
     time_s: ArrayLike,
     commands: Mapping[str, ArrayLike],
     pressures: Mapping[str, ArrayLike],
+    encoders: Mapping[str, ArrayLike] | None = None,
 ) -> Recording:
     """A recording whose signals share their times, as a simulation gives them.
 
@@ -101,6 +115,7 @@ def even_recording(
         time_s: (T,) times, s.
         commands: Per command its (T,) volts.
         pressures: Per tap its (T,) readings, Pa; one that is NaN is missing.
+        encoders: Per encoder its (T,) readings, rad or m, likewise.
     """
     time = np.asarray(time_s, dtype=float)
 
@@ -113,4 +128,5 @@ def even_recording(
         name,
         {key: signal(value) for key, value in commands.items()},
         {key: signal(value) for key, value in pressures.items()},
+        encoders={key: signal(value) for key, value in (encoders or {}).items()},
     )

@@ -15,7 +15,9 @@ GAP_PERIODS = 3.0
 LONGEST_STEP = GAP_PERIODS + 0.05
 """The same with what clocks jitter."""
 
-Role = Literal["command", "pressure", "position"]
+Role = Literal["command", "pressure", "encoder", "position"]
+READ: tuple[Role, ...] = ("pressure", "encoder")
+"""What models are compared with."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ class Stream:
     @property
     def label(self) -> str:
         """Name of the channel for messages."""
-        kind = {"command": "command", "pressure": "tap", "position": "position"}[self.role]
+        kind = "tap" if self.role == "pressure" else self.role
         return f"{kind} '{self.name}' ({self.source})"
 
 

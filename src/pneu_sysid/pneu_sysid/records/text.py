@@ -21,6 +21,7 @@ def read_text(
     pressures: dict[str, Channel],
     layout: TextFormat,
     positions: dict[str, Channel] | None = None,
+    encoders: dict[str, Channel] | None = None,
 ) -> tuple[list[Stream], list[Finding]]:
     """Read the mapped columns of a text file.
 
@@ -30,6 +31,7 @@ def read_text(
         pressures: Pressure channels by name.
         layout: How the rows are laid out.
         positions: Channels of spools' positions by name, which the file may lack.
+        encoders: Channels of encoders by name.
 
     Returns:
         One stream per channel on the file's time column, and the findings about rows. Positions
@@ -42,7 +44,7 @@ def read_text(
     time_index = _column(path, "time", layout.time, names, len(rows[0]))
     wanted = {
         name: _column(path, name, channel.column, names, len(rows[0]))
-        for name, channel in {**commands, **pressures}.items()
+        for name, channel in {**commands, **pressures, **(encoders or {})}.items()
     }
     present: dict[str, Channel] = {}
     for name, channel in (positions or {}).items():
@@ -74,6 +76,7 @@ def read_text(
     roles: list[tuple[Role, dict[str, Channel]]] = [
         ("command", commands),
         ("pressure", pressures),
+        ("encoder", encoders or {}),
         ("position", present),
     ]
     for role, channels in roles:
