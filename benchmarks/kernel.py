@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.report import Table
 from benchmarks.timing import best_s
-from pneu_sim import simulate, tile
+from pneu_sim import simulate, stepping
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Simulator
 from pneu_sim.valve import KNOTS_PER_SAMPLE
@@ -88,7 +88,7 @@ def nanoseconds(cells: int, batch: int, order: int, budget_s: float = 1.0) -> fl
 
     def run() -> None:
         for one in tiles:
-            tile.advance(one, steps, plan.dt_s, opening)
+            stepping.advance(one, steps, plan.dt_s, opening)
 
     return best_s(run, budget_s=budget_s) / (steps * cells * batch) * 1e9
 

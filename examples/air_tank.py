@@ -211,17 +211,13 @@ def judge(name: str, sized: Sized, passes: float = 1.0) -> Judged:
     simulator.reset({"tank": START_PA[name], "stub": START_PA[name]})
     curves = {what: points(name, what) for what in ("pressure", "temperature")}
     steps = math.ceil(max(float(t.max()) for t, _ in curves.values()) / SAMPLE_S)
-    gas = [simulator.chamber_gas("tank")]
-    for _ in range(steps):
-        simulator.run(SAMPLE_S, sample_s=SAMPLE_S)
-        gas.append(simulator.chamber_gas("tank"))
-    time_s = SAMPLE_S * np.arange(steps + 1)
-    of = {what: np.array([float(g[what]) for g in gas]) for what in curves}
-    errors = {what: np.interp(t, time_s, of[what]) - y for what, (t, y) in curves.items()}
+    out = simulator.run(steps * SAMPLE_S, sample_s=SAMPLE_S)
+    of = {"pressure": out.chambers["tank"], "temperature": out.temperatures["tank"]}
+    errors = {what: np.interp(t, out.time_s, of[what]) - y for what, (t, y) in curves.items()}
     return Judged(
         sized,
         name,
-        time_s,
+        out.time_s,
         of["pressure"],
         of["temperature"],
         errors["pressure"],

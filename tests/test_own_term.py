@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pneu_sim import stepping
 from pneu_sim import tile as tiles
 from pneu_sim.effects import load_effect_file
 from pneu_sim.rig.build import build
@@ -53,5 +54,5 @@ def test_rigs_with_and_without_it_run_side_by_side() -> None:
         alone = Simulator(rig).run(0.05, sample_s=0.01).pressures["middle"]
         assert np.array_equal(together[:, k], alone)
     assert np.array_equal(together[:, 0], together[:, 2])
-    some = tiles.some_lanes(tiles.pack([build(rig) for rig in rigs]), np.array([1, 3]))
+    some = stepping.some_lanes(tiles.pack([build(rig) for rig in rigs]), np.array([1, 3]))
     assert [par.shape[-1] for _, par in some.own] == [2]

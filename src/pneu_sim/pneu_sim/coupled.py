@@ -2,6 +2,7 @@
 """The model in full whose pistons move a mechanism in MuJoCo: gas and mechanism step by step."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -85,18 +86,15 @@ class CoupledSolver(FullSolver):
         Raises:
             InputError: The interval is no whole number of physics steps.
         """
-        out = Series.empty(self.plan, len(opening) + 1, self.lanes)
-        joints = np.zeros((len(opening) + 1, len(self.joint_names), 2, self.lanes))
-        out = Series(**(out.__dict__ | {"joints": joints}))
+        out = replace(
+            Series.empty(self.plan, len(opening) + 1, self.lanes),
+            joints=np.zeros((len(opening) + 1, len(self.joint_names), 2, self.lanes)),
+        )
         now = super().advance(opening[:0], interval_s)
         for n in range(len(opening) + 1):
             if n > 0:
                 now = self._interval(opening[n - 1], interval_s)
-            last = Series(**({k: v[-1:] for k, v in now.__dict__.items()}))
-            here = np.stack(
-                [self.mechanism.joint_positions(), self.mechanism.joint_velocities()], axis=1
-            )
-            out.put(n, Series(**(last.__dict__ | {"joints": here[None]})))
+            out.put(n, replace(now.last(), joints=self.joints()[None]))
         return out
 
     def _interval(self, opening: Floats, interval_s: float) -> Series:
@@ -125,13 +123,11 @@ class CoupledSolver(FullSolver):
 
     def _extension(self) -> Floats:
         """(n_cyl, lanes) extensions of the mechanism's cylinders, as the gas has them."""
-        parts = [tile.cylinder_state[self._of, L.SY_EXTENSION] for tile, _ in self.tiles]
-        return np.concatenate(parts, axis=-1)[:, : self.lanes]
+        return self._whole(lambda tile: tile.cylinder_state[self._of, L.SY_EXTENSION])
 
     def _force(self) -> Floats:
         """(n_cyl, lanes) force of the gas on its pistons now, waves on their way left out."""
-        parts = [tiles.force_at_rest(tile)[self._of] for tile, _ in self.tiles]
-        return np.concatenate(parts, axis=-1)[:, : self.lanes]
+        return self._whole(lambda tile: tiles.force_at_rest(tile)[self._of])
 
     def _held_by_springs(self, speed_m_s: Floats) -> Floats:
         """(n_cyl, lanes) what springs and viscous friction of the cylinders add to that."""
@@ -146,10 +142,8 @@ class CoupledSolver(FullSolver):
             return None
         for tile, _ in self.tiles:
             tiles.force_at_rest(tile)  # of the present, so that no call before it matters
-        faces = np.concatenate(
-            [tile.cylinder_work[self._of, L.WY_FACE : L.WY_FACE + 2] for tile, _ in self.tiles],
-            axis=-1,
-        )[..., : self.lanes]
+        both = slice(L.WY_FACE, L.WY_FACE + 2)
+        faces = self._whole(lambda tile: tile.cylinder_work[self._of, both])
         gauge = np.maximum(faces.mean(axis=1) - row[:, L.PY_ROOM_P], 0.0)
         x = self.mechanism.speed() / row[:, L.PY_STRIBECK]
         return np.asarray(

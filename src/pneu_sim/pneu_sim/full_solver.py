@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What steps rigs in full side by side: tiles of them, advanced by the kernel."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim import layout as L
+from pneu_sim import stepping
 from pneu_sim import tile as tiles
 from pneu_sim.rig.model import Model
 from pneu_sim.solver import Series, Solver
@@ -72,19 +74,16 @@ class FullSolver(Solver):
         """
         steps = self.steps(interval_s)
         if len(self.tiles) == 1:
-            return tiles.advance_safely(self.tiles[0][0], steps, interval_s / steps, opening)
+            return stepping.advance_safely(self.tiles[0][0], steps, interval_s / steps, opening)
         out = Series.empty(self.plan, len(opening) + 1, self.lanes)
         for tile, of in self.tiles:
-            part = tiles.advance_safely(tile, steps, interval_s / steps, opening[..., of])
+            part = stepping.advance_safely(tile, steps, interval_s / steps, opening[..., of])
             out.put(0, part, of)
         return out
 
     def state(self) -> list[NDArray[Any]]:
         """Returns copies of all that the future depends on; see `Solver.state`."""
-        parts = []
-        for name in tiles.CHANGING:
-            of_tiles = [getattr(tile, name) for tile, _ in self.tiles]
-            parts.append(np.concatenate(of_tiles, axis=-1)[..., : self.lanes])
+        parts = [self._whole(attrgetter(name)) for name in tiles.CHANGING]
         # Clocks count steps, of this length.
         return [*parts, np.full(self.lanes, self.tiles[0][0].dt_s)]
 
@@ -169,13 +168,12 @@ class FullSolver(Solver):
             return
         for tile, _ in self.tiles:
             nothing = np.zeros((0, 2, self.plan.ports.shape[0], tile.lanes))
-            tiles.advance(tile, 1, tile.dt_s or self.step_s, nothing)
+            stepping.advance(tile, 1, tile.dt_s or self.step_s, nothing)
             tiles.force_at_rest(tile)
 
     def joints(self) -> Floats:
         """Positions and velocities of all joints; see `Solver.joints`."""
-        parts = [tile.joint_state[:, :2] for tile, _ in self.tiles]
-        return np.concatenate(parts, axis=-1)[..., : self.lanes]
+        return self._whole(lambda tile: tile.joint_state[:, :2])
 
     def drive(self, speed: Floats) -> None:
         """Has pistons that move no body go at some speed; see `Solver.drive`.
@@ -189,38 +187,21 @@ class FullSolver(Solver):
 
     def impulse(self) -> Floats:
         """Impulse on every piston since this was last asked for; see `Solver.impulse`."""
-        parts = []
+        impulse = self._whole(lambda tile: tile.cylinder_state[:, L.SY_IMPULSE])
         for tile, _ in self.tiles:
-            parts.append(tile.cylinder_state[:, L.SY_IMPULSE].copy())
             tile.cylinder_state[:, L.SY_IMPULSE] = 0.0
-        return np.concatenate(parts, axis=-1)[:, : self.lanes]
+        return impulse
 
     def friction_heat(self) -> Floats:
         """Heat that friction and damping made; see `Solver.friction_heat`."""
-        parts = [tile.friction_heat for tile, _ in self.tiles]
-        return np.concatenate(parts, axis=-1)[:, : self.lanes]
-
-    def chamber_gas(self, index: int) -> tuple[Floats, Floats]:
-        """Pressure and temperature of the gas in a chamber; see `Solver.chamber_gas`.
-
-        Args:
-            index: Its number.
-        """
-        both = np.empty((2, self.lanes))
-        for tile, of in self.tiles:
-            (mass, energy), rows = tile.chamber_state[index], tile.chamber[index]
-            com, rest = rows[L.C_COMPLIANCE], rows[L.C_REST_P]
-            gas = self.models[0].gas
-            # As `kernel.chambers.find_chambers`, which is for the arrays of a step.
-            e = (gas.gamma - 1.0) * (energy + 0.5 * com * rest**2)
-            b = rows[L.C_VOLUME] - com * rest
-            p = 2.0 * e / (b + np.sqrt(b * b + 2.0 * com * (gas.gamma + 1.0) * e))
-            volume = rows[L.C_VOLUME] + com * (p - rest)
-            both[:, of] = p, p * volume / (mass * gas.r_specific)
-        return both[0], both[1]
+        return self._whole(attrgetter("friction_heat"))
 
     def held(self) -> tuple[Floats, Floats]:
         """Mass and energy of all gas; see `Solver.held`."""
-        both = [tiles.held(tile) for tile, _ in self.tiles]
-        mass, energy = (np.concatenate(of)[: self.lanes] for of in zip(*both, strict=True))
+        mass, energy = self._whole(lambda tile: np.stack(tiles.held(tile)))
         return mass, energy
+
+    def _whole(self, part: Callable[[tiles.Tile], Floats]) -> Floats:
+        """A copy of what every tile has of its own rigs, (..., lanes), for all rigs."""
+        parts = [part(tile) for tile, _ in self.tiles]
+        return np.concatenate(parts, axis=-1)[..., : self.lanes]

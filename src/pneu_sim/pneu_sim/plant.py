@@ -288,17 +288,6 @@ class Plant:
         self.solver.set_gas(pipe, *values)
         self._sense_anew()
 
-    def chamber_gas(self, chamber: str) -> tuple[Floats, Floats]:
-        """Pressure, Pa, and temperature, K, of the gas in one chamber, each (lanes,).
-
-        Args:
-            chamber: Name of the chamber.
-
-        Raises:
-            InputError: There is no such chamber, or it has no gas of its own.
-        """
-        return self.solver.chamber_gas(self._index("chamber", chamber, self.plan.chambers))
-
     def set_chamber(self, chamber: str, pressure: ArrayLike, temperature: ArrayLike) -> None:
         """Sets the gas in one chamber; sensors then show what is there, as if it had been for long.
 

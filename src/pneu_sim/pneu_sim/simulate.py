@@ -21,19 +21,16 @@ from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import CLOSED, Rig
 from pneu_sim.signals import Signal
 from pneu_sim.spool import MEMORY
+from pneu_sim.stepping import MORE_STEPS, advance, finite_lanes, unstable
 from pneu_sim.tile import (
-    MORE_STEPS,
     Tile,
     Watch,
-    advance,
     fill_chambers,
     fill_pipes,
-    finite_lanes,
     lanes,
     pack,
     place_joints,
     reachable,
-    unstable,
 )
 from pneu_sim.valve import openings_along
 

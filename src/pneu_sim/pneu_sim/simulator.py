@@ -11,7 +11,7 @@ from pneu_common.errors import InputError
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.plant import Plant
 from pneu_sim.rig.schema import Rig
-from pneu_sim.tile import unstable
+from pneu_sim.stepping import unstable
 
 Floats = NDArray[np.float64]
 
@@ -164,21 +164,6 @@ class Simulator:
             table = {name: value[:, 0] for name, value in table.items()}
         n = rho.shape[0]
         return {"x_m": (np.arange(n) + 0.5) * length / n, **table}
-
-    def chamber_gas(self, chamber: str) -> dict[str, float | Floats]:
-        """Gas in one chamber.
-
-        Args:
-            chamber: Name of the chamber.
-
-        Returns:
-            Its ``pressure``, Pa, and ``temperature``, K; a number each, or one per rig for a batch.
-
-        Raises:
-            InputError: As `Plant.chamber_gas`.
-        """
-        pressure, temperature = self.plant.chamber_gas(chamber)
-        return {"pressure": self._one(pressure), "temperature": self._one(temperature)}
 
     def run(
         self,

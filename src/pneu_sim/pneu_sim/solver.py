@@ -59,6 +59,10 @@ class Series:
             np.zeros((samples, len(plan.joints), 2, lanes)),
         )
 
+    def last(self) -> "Series":
+        """Returns the last sample alone."""
+        return Series(*(getattr(self, name.name)[-1:] for name in fields(self)))
+
     def put(self, first: int, part: "Series", lanes: Ints | slice = slice(None)) -> None:
         """Takes over what was recorded of a part of the time, or of some rigs.
 
@@ -190,21 +194,7 @@ class Solver(ABC):
         Raises:
             InputError: In the model a chamber has no gas of its own.
         """
-        raise self._no_gas(index)
-
-    def chamber_gas(self, index: int) -> tuple[Floats, Floats]:
-        """Pressure, Pa, and temperature, K, of the gas in a chamber, each (lanes,).
-
-        Args:
-            index: Its number.
-
-        Raises:
-            InputError: In the model a chamber has no gas of its own.
-        """
-        raise self._no_gas(index)
-
-    def _no_gas(self, index: int) -> InputError:
-        return InputError(
+        raise InputError(
             f"chamber {self.plan.chambers[index]!r}: the rig's model knows no gas in it but that of"
             " a whole volume"
         )

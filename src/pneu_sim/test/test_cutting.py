@@ -13,6 +13,7 @@ from pneu_sim.effects import registry
 from pneu_sim.rig import Rig, load_rig
 from pneu_sim.rig.build import build
 from pneu_sim.rig.schema import AttachedEffect
+from pneu_sim.stepping import advance
 
 RIGS = Path(__file__).parents[3] / "rigs"
 SAMPLES, STEPS, KNOTS = 60, 5, 4  # five steps are no whole number of times between refreshed walls
@@ -77,10 +78,10 @@ def test_a_run_cut_anywhere(name: str, effect: str, order: int, watched: bool) -
     rng = np.random.default_rng(seed)
     ports = whole.plan.ports.shape[0]
     opening = rng.uniform(0.0, 1.0, (SAMPLES - 1, KNOTS + 1, ports, 2))
-    at_once = tiles.advance(whole, STEPS, DT_S, opening, watch)
+    at_once = advance(whole, STEPS, DT_S, opening, watch)
     where = [0, *np.sort(rng.choice(np.arange(1, SAMPLES - 1), 7, replace=False)), SAMPLES - 1]
     for first, last in pairwise(where):
-        piece = tiles.advance(cut, STEPS, DT_S, opening[first:last], cut_watch, last == SAMPLES - 1)
+        piece = advance(cut, STEPS, DT_S, opening[first:last], cut_watch, last == SAMPLES - 1)
         for name in ("taps", "flows", "chambers"):
             found, series = getattr(piece, name), getattr(at_once, name)
             assert np.array_equal(found, series[first : last + 1])

@@ -15,6 +15,7 @@ from scipy.optimize import brentq
 from tests.references import iso6358
 
 from pneu_common.validation import sentence
+from pneu_sim import stepping
 from pneu_sim import tile as tiles
 from pneu_sim.models import kind_of
 from pneu_sim.plant import Plant
@@ -241,7 +242,7 @@ def test_a_tile_keeps_where_its_regulators_stand() -> None:
     tiles.fill_pipes(tile, np.full((slots, 2), ROOM_PA), np.full((slots, 2), ROOM_K))
     tiles.fill_chambers(tile, np.full((1, 2), ROOM_PA), np.full((1, 2), ROOM_K))
     opening = np.full((20, 3, tile.plan.ports.shape[0], 2), 0.5)
-    tiles.advance(tile, 10, 5e-5, opening)
+    stepping.advance(tile, 10, 5e-5, opening)
     assert (tile.regulator_state[0, 0] > ROOM_PA).all() and (tile.regulator_state[0, 1] > 0).all()
     tiles.forget(tile)
     assert not tile.regulator_state.any()

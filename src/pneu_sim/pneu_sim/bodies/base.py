@@ -16,11 +16,6 @@ from pneu_sim.parts import Finite, NonNegative, Part, Positive
 
 Floats = NDArray[np.float64]
 
-MOST_JOINTS = 8
-"""Joints that one body may have."""
-MOST_CYLINDERS = 8
-"""Cylinders that may take hold of one body."""
-
 
 class Joint(Part):
     """A joint of a body: a rotation in rad, or a translation in m.

@@ -48,7 +48,7 @@ def _way(k, side, j, cylinders):
 
 
 @folded
-def _gap(k, side, j, cylinders):
+def _volume(k, side, j, cylinders):
     """Volume of the gas on a side; where a stop yields it is not used up."""
     par = cylinders.par
     dead = par[k, L.PY_DEAD + side, j]
@@ -59,7 +59,7 @@ def _gap(k, side, j, cylinders):
 def _set_chamber(k, side, j, cylinders, chambers):
     """Volume and wall of a side that is a chamber."""
     par, c = cylinders.par, cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_REF]
-    chambers.par[c, L.C_VOLUME, j] = _gap(k, side, j, cylinders)
+    chambers.par[c, L.C_VOLUME, j] = _volume(k, side, j, cylinders)
     wetted = max(_way(k, side, j, cylinders), 0.0)
     heat = par[k, L.PY_HEAT + side, j] + par[k, L.PY_FILM + side, j] * wetted
     cylinders.work[k, L.WY_HEAT + side, j] = heat
@@ -96,7 +96,7 @@ def _lay(k, side, j, cells, cylinders):
         i = (first + n) * w + j
         length = dx
         if n == count - 1:
-            length = _gap(k, side, j, cylinders) / area - n * dx
+            length = _volume(k, side, j, cylinders) / area - n * dx
         cells.par[L.LENGTH, i] = length if n < count else -1.0
         cells.par[L.INV_VOLUME, i] = 1.0 / (area * length) if n < count else 0.0
 
@@ -137,7 +137,7 @@ def count_cells(lanes, cylinders):
                 area = cylinders.par[k, L.PY_AREA + side, j]
                 dead = cylinders.par[k, L.PY_DEAD + side, j] / area
                 dx = (dead + cylinders.par[k, L.PY_STROKE, j]) / most
-                n = int(_gap(k, side, j, cylinders) / area / dx * (1.0 + 1e-12))
+                n = int(_volume(k, side, j, cylinders) / area / dx * (1.0 + 1e-12))
                 cylinders.state[k, L.SY_COUNT + side, j] = min(max(n, 1), most)
 
 
@@ -527,7 +527,7 @@ def _stretch(k, side, j, order, gm, cells, cylinders):
     area = cylinders.par[k, L.PY_AREA + side, j]
     dead = cylinders.par[k, L.PY_DEAD + side, j] / area
     dx = (dead + cylinders.par[k, L.PY_STROKE, j]) / most
-    length = _gap(k, side, j, cylinders) / area - (count - 1) * dx
+    length = _volume(k, side, j, cylinders) / area - (count - 1) * dx
     scale = 1.0 / (P[L.INV_VOLUME, i] * area * length)
     for row in range(3):
         S[row, i] *= scale
@@ -552,7 +552,7 @@ def _stretch(k, side, j, order, gm, cells, cylinders):
         length += dx
         count -= 1
     # by the length itself, as `_lay` has it: a run may be cut here
-    length = _gap(k, side, j, cylinders) / area - (count - 1) * dx
+    length = _volume(k, side, j, cylinders) / area - (count - 1) * dx
     P[L.LENGTH, i] = length
     P[L.INV_VOLUME, i] = 1.0 / (area * length)
     cells.work[L.W_RI, i] = 1.0 / S[L.RHO, i]

@@ -20,7 +20,7 @@ Ints = NDArray[np.int64]
 
 SIDES = ("head", "rod")
 SLIPPED_M = 1e-9
-"""Metres or radians by which a cylinder may stand beyond its stroke at the start: rounding."""
+"""Metres or radians by which a cylinder may be put beyond its stroke: rounding."""
 
 
 def lay_cylinders(
@@ -137,6 +137,16 @@ def slice_of(row: Ints) -> slice:
     return slice(int(row[L.B_PLACE]), int(row[L.B_PLACE] + row[L.B_PLACES]))
 
 
+def within_stroke(extension: float, stroke: float) -> bool:
+    """Whether a piston may be put somewhere.
+
+    Args:
+        extension: Where, m or rad.
+        stroke: Its stroke, likewise.
+    """
+    return -SLIPPED_M <= extension <= stroke + SLIPPED_M
+
+
 def check_starts(rig: Rig) -> None:
     """Raises InputError where a body's joints put a piston beyond its stroke as they start.
 
@@ -156,7 +166,7 @@ def check_starts(rig: Rig) -> None:
         levers(NUMBER[type(body)], rows[:, :, None], b, 0, start, extension, lever)
         for driven, found in zip(body.driven_by, extension.tolist(), strict=True):
             stroke = rig.cylinders[driven].stroke
-            if not -SLIPPED_M <= found <= stroke + SLIPPED_M:
+            if not within_stroke(found, stroke):
                 joints = ", ".join(
                     f"{field}.start {joint.start:g}"
                     for field, joint in zip(body.joint_fields, body.joints, strict=True)

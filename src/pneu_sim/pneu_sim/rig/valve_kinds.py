@@ -5,6 +5,7 @@ Every kind becomes the general valve (`pneu_sim.rig.schema.Valve`) as the file i
 identification and the bridge know that one only.
 """
 
+from abc import ABC, abstractmethod
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
@@ -84,7 +85,7 @@ class Regulation(Part):
         return self
 
 
-class _Kind(Part):
+class _Kind(Part, ABC):
     """What all kinds share.
 
     Attributes:
@@ -112,9 +113,9 @@ class _Kind(Part):
             "opening": opening,
         }
 
+    @abstractmethod
     def general(self) -> dict[str, Any]:
         """Returns the same valve as the fields of the general one."""
-        raise NotImplementedError
 
 
 class _Venting(_Kind):
