@@ -10,6 +10,7 @@ from pneu_sim.models import kind_of
 from pneu_sim.rig.parameters import get_parameter, value_of, with_parameters
 from pneu_sim.rig.schema import CLOSED, FitParameter, Rig
 from pneu_sysid.gauss_newton import Variable
+from pneu_sysid.moving_parameters import moving_parameters
 
 STEP_FRACTION = 2e-3
 """Difference step as a fraction of the range (of the value, for a logarithmic parameter)."""
@@ -93,6 +94,7 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
             add(f"{base}.losses.{k}.resistance_pa_s_m", 0.0, 3000.0, 300.0)
     for name in rig.chambers:
         around(f"chambers.{name}.volume_m3", 4.0, 0.5)
+    out += moving_parameters(rig)
     add("pipes.*.wall.laminar", 0.3, 3.0, 0.3)
     add("pipes.*.wall.unsteady", 0.0, 3.0, 0.5)
     add("pipes.*.wall.turbulent_fade", 0.0, 3.0, 0.5)

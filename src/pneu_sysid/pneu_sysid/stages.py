@@ -207,12 +207,14 @@ def runs_of(step: Step, count: int, valves: int) -> int:
 
 
 def is_slow(parameter: FitParameter) -> bool:
-    """Whether a parameter says how much flows, or how much it fills.
+    """Whether a parameter says how much flows, how much it fills, or what that moves.
 
     Args:
         parameter: The parameter.
     """
     parts = parameter.path.split(".")
+    if parts[0] in ("cylinders", "bodies"):
+        return True
     name = parts[-2] if parts[-1].isdigit() else parts[-1]
     return name in SLOW_PARTS
 

@@ -47,6 +47,12 @@ class Arm(Body):
     """
 
     joint_fields: ClassVar[tuple[str, ...]] = ("shoulder", "elbow")
+    uncertain: ClassVar[dict[str, float]] = {
+        "upper_arm.tip_kg": 0.2,
+        "upper_arm.mass_kg": 0.2,
+        "forearm.tip_kg": 0.2,
+        "forearm.mass_kg": 0.2,
+    }
 
     kind: Literal["arm"]
     upper_arm: Link

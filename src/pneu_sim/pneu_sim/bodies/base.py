@@ -66,6 +66,9 @@ class Body(Part, ABC):
     """Names of the fields that hold its joints, in the order of its coordinates."""
     slides: ClassVar[tuple[str, ...]] = ()
     """Those of them that are translations."""
+    uncertain: ClassVar[dict[str, float]]
+    """Paths of its numbers that no datasheet tells well, with their relative uncertainty, one
+    sigma. Of numbers that its equations know by their product alone one is named."""
 
     @property
     def joints(self) -> list[Joint]:

@@ -35,6 +35,11 @@ class CartPole(Body):
 
     joint_fields: ClassVar[tuple[str, ...]] = ("slide", "pole")
     slides: ClassVar[tuple[str, ...]] = ("slide",)
+    uncertain: ClassVar[dict[str, float]] = {
+        "cart_kg": 0.2,
+        "rod.tip_kg": 0.2,
+        "rod.mass_kg": 0.2,
+    }
 
     kind: Literal["cart_pole"]
     cylinder: str

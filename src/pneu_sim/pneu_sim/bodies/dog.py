@@ -123,6 +123,12 @@ class Dog(Body):
         "rear_knee",
     )
     slides: ClassVar[tuple[str, ...]] = ("x", "z")
+    uncertain: ClassVar[dict[str, float]] = {
+        "torso_kg": 0.2,
+        "ground.friction_coefficient": 0.3,
+        "ground.stiffness_n_m": 0.5,
+        "ground.damping_s_m": 0.5,
+    }
 
     kind: Literal["dog"]
     front: FrontLeg

@@ -46,6 +46,13 @@ class Kokoro(Body):
     """
 
     joint_fields: ClassVar[tuple[str, ...]] = ("alpha", "theta")
+    uncertain: ClassVar[dict[str, float]] = {
+        "alpha_inertia_kg_m2": 0.3,
+        "theta_inertia_kg_m2": 0.3,
+        "mass_kg": 0.2,
+        "slider.pivot_m": 0.005,
+        "slider.crank_m": 0.005,
+    }
 
     kind: Literal["kokoro"]
     theta_cylinder: str

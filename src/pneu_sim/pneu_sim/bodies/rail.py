@@ -22,6 +22,7 @@ class Rail(Body):
 
     joint_fields: ClassVar[tuple[str, ...]] = ("slide",)
     slides: ClassVar[tuple[str, ...]] = ("slide",)
+    uncertain: ClassVar[dict[str, float]] = {"mass_kg": 0.2}
 
     kind: Literal["rail"]
     cylinder: str

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which numbers of cylinders and bodies are fitted when a rig's file does not say."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from pneu_sim.rig.cylinder import Cylinder
+from pneu_sim.rig.parameters import get_parameter
+from pneu_sim.rig.schema import FitParameter, Rig
+
+MOST_GRIP, USUAL_GRIP = 0.3, 0.03
+"""Friction of seals, of the greatest force of the gas: at most, and one sigma."""
+MOST_DRAG, USUAL_DRAG = 1.0, 0.1
+"""Viscous friction at 1 m/s, or 1 rad/s of a rotary one, likewise."""
+MOST_HOLD, USUAL_HOLD = 0.2, 0.01
+"""Friction of a joint, of the greatest torque of the cylinder that turns it, likewise; viscous
+friction at 1 rad/s."""
+MOST_FILM, USUAL_FILM = 200.0, 20.0
+"""Heat transfer from the wall of a cylinder, W/(m^2 K), likewise."""
+
+
+def moving_parameters(rig: Rig) -> Iterator[FitParameter]:
+    """Numbers of what moves, with ranges that a datasheet leaves open.
+
+    Of cylinders that move something: dead volumes, heat, friction of the seals. Of bodies: what
+    each kind calls uncertain, and the friction of joints that are not held.
+
+    Args:
+        rig: The rig.
+    """
+    if not rig.bodies:
+        return
+    room = rig.ambient.pressure_pa
+    highest = max([r.pressure_pa for r in rig.reservoirs.values()], default=room)
+    force = {name: max(highest - room, room) * c.areas[0] for name, c in rig.cylinders.items()}
+    for name, cylinder in rig.cylinders.items():
+        if not any(name in body.driven_by for body in rig.bodies.values()):
+            continue
+        yield from _of_cylinder(f"cylinders.{name}", cylinder, force[name])
+    for name, body in rig.bodies.items():
+        base = f"bodies.{name}"
+        for path, share in body.uncertain.items():
+            if (value := _number(body, path)) is not None and value > 0.0:
+                factor = 1.0 + 5.0 * share
+                yield FitParameter(
+                    path=f"{base}.{path}",
+                    lower=value / factor,
+                    upper=value * factor,
+                    std=share * value,
+                    log=True,
+                )
+        lever = max((rig.cylinders[c].stroke for c in body.driven_by), default=0.0)
+        torque = max((force[c] for c in body.driven_by), default=0.0)
+        for field, joint in zip(body.joint_fields, body.joints, strict=True):
+            if joint.held or not body.driven_by:
+                continue
+            most = torque if field in body.slides else torque * lever
+            for number in ("viscous", "dry_friction"):
+                value = float(get_parameter(rig, f"{base}.{field}.{number}"))
+                yield FitParameter(
+                    path=f"{base}.{field}.{number}",
+                    lower=0.0,
+                    upper=max(MOST_HOLD * most, 5.0 * value),
+                    std=max(USUAL_HOLD * most, value),
+                )
+
+
+def _of_cylinder(base: str, cylinder: Cylinder, force: float) -> Iterator[FitParameter]:
+    """Numbers of one cylinder."""
+    for side_name, side in cylinder.sides.items():
+        value = side.dead_volume_m3
+        yield FitParameter(
+            path=f"{base}.{side_name}.dead_volume_m3",
+            lower=value / 4.0,
+            upper=value * 4.0,
+            std=0.5 * value,
+            log=True,
+        )
+    if cylinder.rotary is None:
+        usual = max(USUAL_FILM, 0.5 * cylinder.heat_w_m2_k)
+        yield FitParameter(
+            path=f"{base}.heat_w_m2_k",
+            lower=0.0,
+            upper=max(MOST_FILM, 4.0 * cylinder.heat_w_m2_k),
+            std=usual,
+        )
+    friction = cylinder.friction
+    for number, most, usual, value in (
+        ("coulomb_n", MOST_GRIP, USUAL_GRIP, friction.coulomb_n),
+        ("breakaway_n", MOST_GRIP, USUAL_GRIP, friction.breakaway_n),
+        ("viscous_n_s_m", MOST_DRAG, USUAL_DRAG, friction.viscous_n_s_m),
+    ):
+        yield FitParameter(
+            path=f"{base}.friction.{number}",
+            lower=0.0,
+            upper=max(most * force, 5.0 * value),
+            std=max(usual * force, value),
+        )
+
+
+def _number(part: Any, path: str) -> float | None:
+    """A number of a body by its dotted path; None where it has none."""
+    for name in path.split("."):
+        part = getattr(part, name)
+    return None if part is None else float(part)
