@@ -246,7 +246,8 @@ PY_LEFT_ROD: Final = 23
 PY_ROOM_P: Final = 24  # Pa
 PY_ROOM_T: Final = 25  # K
 PY_START: Final = 26  # extension at the start, m
-CYLINDER_PARAMS: Final = 27
+PY_MASS: Final = 27  # of what moves by itself where a joint has play, kg
+CYLINDER_PARAMS: Final = 28
 
 # --- cylinder state rows --------------------------------------------------------------------------
 SY_EXTENSION: Final = 0  # m, or rad of a rotary one
@@ -256,7 +257,8 @@ SY_COUNT: Final = 3  # cells of the head side that are in use; of the rod side t
 SY_COUNT_ROD: Final = 4
 SY_IMPULSE: Final = 5  # of gas and room on the piston since it was last asked for, N s
 SY_FORCE: Final = 6  # of gas and room on the piston, at the last step, N
-CYLINDER_STATE: Final = 7
+SY_SIDE: Final = 7  # 1: leans on its body that it pushes, -1: that it pulls, 0: is loose between
+CYLINDER_STATE: Final = 8
 
 # --- cylinder work rows ---------------------------------------------------------------------------
 WY_SPEED: Final = 0  # foreseen at the middle of the step, m/s
@@ -285,7 +287,10 @@ PJ_STOP: Final = 4
 PJ_STOP_DAMPING: Final = 5
 PJ_HELD: Final = 6
 PJ_START: Final = 7
-JOINT_PARAMS: Final = 8
+PJ_PLAY: Final = 8  # between what turns it and itself, rad or m
+PJ_SPRING: Final = 9  # rate of a spring, N m/rad or N/m ...
+PJ_REST: Final = 10  # ... and where it is at rest
+JOINT_PARAMS: Final = 11
 
 # --- joint state rows -----------------------------------------------------------------------------
 SJ_POSITION: Final = 0

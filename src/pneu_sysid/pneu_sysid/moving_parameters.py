@@ -15,6 +15,8 @@ MOST_DRAG, USUAL_DRAG = 1.0, 0.1
 MOST_HOLD, USUAL_HOLD = 0.2, 0.01
 """Friction of a joint, of the greatest torque of the cylinder that turns it, likewise; viscous
 friction at 1 rad/s."""
+STOPS = 30.0
+"""Stiffness and damping of a joint's stops are known to within this factor at the worst."""
 MOST_FILM, USUAL_FILM = 200.0, 20.0
 """Heat transfer from the wall of a cylinder, W/(m^2 K), likewise."""
 
@@ -63,6 +65,8 @@ def moving_parameters(rig: Rig) -> Iterator[FitParameter]:
                     upper=max(MOST_HOLD * most, 5.0 * value),
                     std=max(USUAL_HOLD * most, value),
                 )
+            if joint.lower is not None or joint.upper is not None:
+                yield from _of_stops(f"{base}.{field}.", joint.stop_stiffness, joint.stop_damping)
 
 
 def _of_cylinder(base: str, cylinder: Cylinder, force: float) -> Iterator[FitParameter]:
@@ -96,6 +100,19 @@ def _of_cylinder(base: str, cylinder: Cylinder, force: float) -> Iterator[FitPar
             upper=max(most * force, 5.0 * value),
             std=max(usual * force, value),
         )
+
+
+def _of_stops(base: str, stiffness: float, damping: float) -> Iterator[FitParameter]:
+    """How stops yield, which nobody measures."""
+    for name, value in (("stop_stiffness", stiffness), ("stop_damping", damping)):
+        if value > 0.0:
+            yield FitParameter(
+                path=base + name,
+                lower=value / STOPS,
+                upper=value * STOPS,
+                std=value,
+                log=True,
+            )
 
 
 def _number(part: Any, path: str) -> float | None:

@@ -134,7 +134,7 @@ def operation(problem: Problem, rig: Rig, out: Rollouts) -> Operation:
     for t, tap in enumerate(problem.taps):
         sets = [
             SampleSet(s.kind, s.label, at(s.masks, t), s.of, s.lower, s.upper)
-            for s in directions[tap] + common
+            for s in directions.get(tap, []) + common
         ]
         sets += _level_sets(problem, t)
         time = problem.time_s[:, :, t]

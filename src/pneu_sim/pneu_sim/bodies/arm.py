@@ -53,6 +53,9 @@ class Arm(Body):
         "forearm.tip_kg": 0.2,
         "forearm.mass_kg": 0.2,
     }
+    loaded: ClassVar[tuple[str, ...]] = ("shoulder", "elbow")
+    off_centre: ClassVar[tuple[str, ...]] = ("shoulder", "elbow")
+    cranks: ClassVar[dict[str, str]] = {"shoulder": "shoulder_crank", "elbow": "elbow_crank"}
 
     kind: Literal["arm"]
     upper_arm: Link
@@ -69,6 +72,17 @@ class Arm(Body):
         self.shoulder_crank.check("shoulder_crank", self.shoulder)
         self.elbow_crank.check("elbow_crank", self.elbow)
         return self
+
+    def carry(self, field: str, mass_kg: float, distance_m: float) -> None:
+        """See `Body.carry`."""
+        self._link(field).carry(mass_kg, distance_m)
+
+    def shift_centre(self, field: str, offset_m: float) -> None:
+        """See `Body.shift_centre`."""
+        self._link(field).shift_centre(offset_m)
+
+    def _link(self, field: str) -> Link:
+        return self.upper_arm if field == "shoulder" else self.forearm
 
     @property
     def driven_by(self) -> list[str]:

@@ -30,6 +30,10 @@ class Joint(Part):
         upper: Where its upper stop begins; None has none.
         stop_stiffness: Of both stops, N m/rad or N/m.
         stop_damping: Of both stops, N m s/rad or N s/m.
+        spring: Rate of a spring that draws it to a position, N m/rad or N/m.
+        spring_at: That position, rad or m.
+        play: Way that it can move without what drives it, from one face of the backlash to the
+            other, rad or m.
     """
 
     name: str | None = None
@@ -41,6 +45,9 @@ class Joint(Part):
     upper: Finite | None = None
     stop_stiffness: Positive = 1e4
     stop_damping: NonNegative = 10.0
+    spring: NonNegative = 0.0
+    spring_at: Finite = 0.0
+    play: NonNegative = 0.0
 
     @model_validator(mode="after")
     def _check(self) -> "Joint":
@@ -69,6 +76,32 @@ class Body(Part, ABC):
     uncertain: ClassVar[dict[str, float]]
     """Paths of its numbers that no datasheet tells well, with their relative uncertainty, one
     sigma. Of numbers that its equations know by their product alone one is named."""
+
+    loaded: ClassVar[tuple[str, ...]] = ()
+    """Fields of the joints that may carry something, see `carry`."""
+    off_centre: ClassVar[tuple[str, ...]] = ()
+    """Fields of the joints whose link's centre of mass may be elsewhere, see `shift_centre`."""
+    cranks: ClassVar[dict[str, str]] = {}
+    """Paths of its cranks, by the field of the joint that each turns."""
+
+    def carry(self, field: str, mass_kg: float, distance_m: float) -> None:
+        """Gives what a joint moves a point mass.
+
+        Args:
+            field: One of `loaded`.
+            mass_kg: The mass; may be negative.
+            distance_m: From a rotary joint, along its link.
+        """
+        raise ValueError(f"nothing that {field} moves can be loaded")
+
+    def shift_centre(self, field: str, offset_m: float) -> None:
+        """Moves the centre of mass of the link of a joint along it, its inertia about that kept.
+
+        Args:
+            field: One of `off_centre`.
+            offset_m: Away from the joint.
+        """
+        raise ValueError(f"what {field} moves has no centre of mass that could be elsewhere")
 
     @property
     def joints(self) -> list[Joint]:

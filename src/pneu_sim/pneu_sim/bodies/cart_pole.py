@@ -40,6 +40,8 @@ class CartPole(Body):
         "rod.tip_kg": 0.2,
         "rod.mass_kg": 0.2,
     }
+    loaded: ClassVar[tuple[str, ...]] = ("slide", "pole")
+    off_centre: ClassVar[tuple[str, ...]] = ("pole",)
 
     kind: Literal["cart_pole"]
     cylinder: str
@@ -48,6 +50,18 @@ class CartPole(Body):
     closed_at_m: Finite = 0.0
     slide: Joint = Joint()
     pole: Joint = Joint()
+
+    def carry(self, field: str, mass_kg: float, distance_m: float) -> None:
+        """See `Body.carry`."""
+        if field == "slide":
+            self.cart_kg += mass_kg
+        else:
+            self.rod.carry(mass_kg, distance_m)
+
+    def shift_centre(self, field: str, offset_m: float) -> None:
+        """See `Body.shift_centre`."""
+        del field
+        self.rod.shift_centre(offset_m)
 
     @property
     def driven_by(self) -> list[str]:

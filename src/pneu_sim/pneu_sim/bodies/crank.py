@@ -35,6 +35,14 @@ class Linkage(Part, ABC):
 
     closed_length_m: Positive
 
+    @abstractmethod
+    def lengthen(self, error: float) -> None:
+        """Has its pin farther from the joint, or nearer.
+
+        Args:
+            error: By which part of that distance.
+        """
+
     @property
     @abstractmethod
     def ends(self) -> tuple[Point, Point]:
@@ -122,6 +130,11 @@ class Crank(Linkage):
     pin_m: Point
     offset_rad: Finite = 0.0
 
+    def lengthen(self, error: float) -> None:
+        """See `Linkage.lengthen`."""
+        x, y = self.pin_m
+        self.pin_m = (x * (1.0 + error), y * (1.0 + error))
+
     @property
     def ends(self) -> tuple[Point, Point]:
         """Pivot and pin at joint angle zero; see `Linkage.ends`."""
@@ -145,6 +158,10 @@ class SliderCrank(Linkage):
     pivot_m: Positive
     crank_m: Positive
     phase_rad: Finite = 0.0
+
+    def lengthen(self, error: float) -> None:
+        """See `Linkage.lengthen`."""
+        self.crank_m *= 1.0 + error
 
     @property
     def ends(self) -> tuple[Point, Point]:

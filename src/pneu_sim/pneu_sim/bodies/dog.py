@@ -129,6 +129,13 @@ class Dog(Body):
         "ground.stiffness_n_m": 0.5,
         "ground.damping_s_m": 0.5,
     }
+    loaded: ClassVar[tuple[str, ...]] = ("pitch",)
+    cranks: ClassVar[dict[str, str]] = {
+        "front_hip": "front.hip_crank",
+        "front_knee": "front.knee_crank",
+        "rear_hip": "rear.hip_crank",
+        "rear_knee": "rear.knee_crank",
+    }
 
     kind: Literal["dog"]
     front: FrontLeg
@@ -156,6 +163,11 @@ class Dog(Body):
                 f"at its start the lowest point is {-lowest:.3g} m below the ground; start z higher"
             )
         return self
+
+    def carry(self, field: str, mass_kg: float, distance_m: float) -> None:
+        """See `Body.carry`; it lies on the middle of the torso."""
+        del field, distance_m
+        self.torso_kg += mass_kg
 
     @property
     def driven_by(self) -> list[str]:

@@ -53,6 +53,9 @@ class Kokoro(Body):
         "slider.pivot_m": 0.005,
         "slider.crank_m": 0.005,
     }
+    loaded: ClassVar[tuple[str, ...]] = ("theta",)
+    off_centre: ClassVar[tuple[str, ...]] = ("theta",)
+    cranks: ClassVar[dict[str, str]] = {"theta": "slider"}
 
     kind: Literal["kokoro"]
     theta_cylinder: str
@@ -71,6 +74,19 @@ class Kokoro(Body):
             raise ValueError("alpha_inertia_kg_m2 is needed where alpha is not held")
         self.slider.check("slider", self.theta)
         return self
+
+    def carry(self, field: str, mass_kg: float, distance_m: float) -> None:
+        """See `Body.carry`."""
+        del field
+        moment = self.mass_kg * self.centre_m + mass_kg * distance_m
+        self.mass_kg += mass_kg
+        self.centre_m = moment / self.mass_kg
+        self.theta_inertia_kg_m2 += mass_kg * distance_m**2
+
+    def shift_centre(self, field: str, offset_m: float) -> None:
+        """See `Body.shift_centre`; its inertia about the joint is kept, which is what it has."""
+        del field
+        self.centre_m += offset_m
 
     @property
     def driven_by(self) -> list[str]:

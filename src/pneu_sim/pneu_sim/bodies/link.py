@@ -32,6 +32,30 @@ class Link(Part):
             raise ValueError("a link needs inertia: its whole mass lies in its joint")
         return self
 
+    def carry(self, mass_kg: float, distance_m: float) -> None:
+        """Adds a point mass to the rod.
+
+        Args:
+            mass_kg: The mass; may be negative.
+            distance_m: From the joint, m.
+        """
+        whole = self.mass_kg + mass_kg
+        if whole <= 0.0:
+            raise ValueError(f"mass_kg: found {mass_kg:g}, of a rod of {self.mass_kg:g} kg")
+        before, rod = self._rod_centre_m(), self._rod_inertia_kg_m2()
+        centre = (self.mass_kg * before + mass_kg * distance_m) / whole
+        rod += self.mass_kg * (before - centre) ** 2 + mass_kg * (distance_m - centre) ** 2
+        self.mass_kg, self.centre_m, self.inertia_kg_m2 = whole, centre, max(rod, 0.0)
+
+    def shift_centre(self, offset_m: float) -> None:
+        """Moves the rod's centre of mass.
+
+        Args:
+            offset_m: Away from the joint, m.
+        """
+        self.inertia_kg_m2 = self._rod_inertia_kg_m2()
+        self.centre_m = self._rod_centre_m() + offset_m
+
     @property
     def total_kg(self) -> float:
         """Mass of rod and tip, kg."""
@@ -45,10 +69,13 @@ class Link(Part):
     @property
     def second_moment_kg_m2(self) -> float:
         """Moment of inertia about the joint, kg m^2."""
-        rod = self.inertia_kg_m2
-        if rod is None:
-            rod = self.mass_kg * self.length_m**2 / 12.0
+        rod = self._rod_inertia_kg_m2()
         return self.tip_kg * self.length_m**2 + rod + self.mass_kg * self._rod_centre_m() ** 2
+
+    def _rod_inertia_kg_m2(self) -> float:
+        if self.inertia_kg_m2 is None:
+            return self.mass_kg * self.length_m**2 / 12.0
+        return self.inertia_kg_m2
 
     def _rod_centre_m(self) -> float:
         return 0.5 * self.length_m if self.centre_m is None else self.centre_m

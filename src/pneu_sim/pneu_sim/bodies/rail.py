@@ -23,12 +23,18 @@ class Rail(Body):
     joint_fields: ClassVar[tuple[str, ...]] = ("slide",)
     slides: ClassVar[tuple[str, ...]] = ("slide",)
     uncertain: ClassVar[dict[str, float]] = {"mass_kg": 0.2}
+    loaded: ClassVar[tuple[str, ...]] = ("slide",)
 
     kind: Literal["rail"]
     cylinder: str
     mass_kg: Positive
     incline_rad: Finite = 0.0
     slide: Joint = Joint()
+
+    def carry(self, field: str, mass_kg: float, distance_m: float) -> None:
+        """See `Body.carry`."""
+        del field, distance_m
+        self.mass_kg += mass_kg
 
     @property
     def driven_by(self) -> list[str]:

@@ -8,14 +8,14 @@ from pneu_sim.rig.schema import Rig
 
 
 class ClockOffset(Effect):
-    """Lateness of one tap's readings, added to the rig's.
+    """Lateness of the readings of one tap or encoder, added to the rig's.
 
     A lateness that all taps share is the common clock offset.
     """
 
     name: ClassVar[str] = "clock_offset"
     title: ClassVar[str] = "sensor stream out of step"
-    where: ClassVar[str] = "tap"
+    where: ClassVar[str] = "tap or encoder"
     formula: ClassVar[str] = "r(t) = p(t - offset_s)"
     source: ClassVar[str] = (
         "offset between unsynchronised clocks: Mills, RFC 5905 (Network Time Protocol), 2010"
@@ -30,7 +30,8 @@ class ClockOffset(Effect):
     )
 
     def places(self, rig: Rig) -> list[str]:
-        return list(rig.taps)
+        return [*rig.taps, *rig.encoders]
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
-        rig.taps[place].offset_s += values["offset_s"]
+        sensor = rig.taps[place] if place in rig.taps else rig.encoders[place]
+        sensor.offset_s += values["offset_s"]

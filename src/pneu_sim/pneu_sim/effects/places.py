@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names of the parts of a rig at which effects may sit, and the parts by those names."""
 
-from pneu_sim.rig.schema import CLOSED, Orifice, Pipe, Port, Reservoir, Rig
+from pneu_sim.bodies.base import Body, Joint
+from pneu_sim.rig.cylinder import Side
+from pneu_sim.rig.schema import CLOSED, Orifice, Pipe, Port, Reservoir, Rig, joint_names
 
 ROOM = "room"
 """Place of effects that act on the surroundings of the whole rig."""
@@ -143,6 +145,69 @@ def _reservoirs_behind(rig: Rig, node: str) -> set[str]:
             if here in (pipe.from_node, pipe.to_node):
                 front += [pipe.from_node, pipe.to_node]
     return seen & set(rig.reservoirs)
+
+
+def joints(rig: Rig) -> dict[str, tuple[Body, str]]:
+    """Joints that move, by name: the body of each, and its field there.
+
+    Args:
+        rig: The rig.
+    """
+    out: dict[str, tuple[Body, str]] = {}
+    names = iter(joint_names(rig))
+    for body in rig.bodies.values():
+        for field, joint in zip(body.joint_fields, body.joints, strict=True):
+            name = next(names)
+            if not joint.held:
+                out[name] = (body, field)
+    return out
+
+
+def joint_at(rig: Rig, place: str) -> Joint:
+    """The joint of a name.
+
+    Args:
+        rig: The rig.
+        place: The name.
+    """
+    body, field = joints(rig)[place]
+    joint: Joint = getattr(body, field)
+    return joint
+
+
+def driven_joints(rig: Rig) -> list[str]:
+    """Joints that cylinders turn by a crank, or push.
+
+    Args:
+        rig: The rig.
+    """
+    return [
+        name
+        for name, (body, field) in joints(rig).items()
+        if field in body.cranks or (field in body.slides and body.driven_by)
+    ]
+
+
+def moved_cylinders(rig: Rig) -> list[str]:
+    """Cylinders that move a body.
+
+    Args:
+        rig: The rig.
+    """
+    return [name for body in rig.bodies.values() for name in body.driven_by]
+
+
+def cylinder_sides(rig: Rig) -> dict[str, Side]:
+    """Sides of cylinders that move a body, by ``cylinder.side``.
+
+    Args:
+        rig: The rig.
+    """
+    return {
+        f"{name}.{side_name}": side
+        for name in moved_cylinders(rig)
+        for side_name, side in rig.cylinders[name].sides.items()
+    }
 
 
 def on_pipe(pipe: Pipe, position_m: float) -> float:

@@ -13,8 +13,10 @@ from pneu_common.errors import InputError
 from pneu_sim.effects.ambient_pressure import AmbientPressure
 from pneu_sim.effects.ambient_temperature import AmbientTemperature
 from pneu_sim.effects.area_error import AreaError
+from pneu_sim.effects.backlash import Backlash
 from pneu_sim.effects.base import POSITION, Effect, EffectParameter
 from pneu_sim.effects.blockage import Blockage
+from pneu_sim.effects.centre_of_mass import CentreOfMass
 from pneu_sim.effects.chamber_compliance import ChamberCompliance
 from pneu_sim.effects.chamber_convection import ChamberConvection
 from pneu_sim.effects.chamber_heat import ChamberHeat
@@ -25,22 +27,38 @@ from pneu_sim.effects.chamber_volume import ChamberVolume
 from pneu_sim.effects.clock_offset import ClockOffset
 from pneu_sim.effects.closing_delay import ClosingDelay
 from pneu_sim.effects.common_clock_offset import CommonClockOffset
+from pneu_sim.effects.crank_error import CrankError
 from pneu_sim.effects.critical_ratio import CriticalRatio
+from pneu_sim.effects.cylinder_heat import CylinderHeat
+from pneu_sim.effects.cylinder_volume import CylinderVolume
 from pneu_sim.effects.dead_band import DeadBand
 from pneu_sim.effects.dead_volume import DeadVolume
+from pneu_sim.effects.encoder_bias import EncoderBias
+from pneu_sim.effects.encoder_gain import EncoderGain
+from pneu_sim.effects.encoder_lag import EncoderLag
+from pneu_sim.effects.external_spring import ExternalSpring
 from pneu_sim.effects.fill_exhaust_asymmetry import FillExhaustAsymmetry
 from pneu_sim.effects.flow_gain import FlowGain
 from pneu_sim.effects.hysteresis import Hysteresis
+from pneu_sim.effects.joint_damping import JointDamping
+from pneu_sim.effects.joint_friction import JointFriction
 from pneu_sim.effects.junction_loss import JunctionLoss
 from pneu_sim.effects.laminar_friction import LaminarFriction
 from pneu_sim.effects.leak import Leak
 from pneu_sim.effects.length_error import LengthError
 from pneu_sim.effects.local_loss import LocalLoss
 from pneu_sim.effects.null_offset import NullOffset
+from pneu_sim.effects.payload import Payload
+from pneu_sim.effects.piston_damping import PistonDamping
+from pneu_sim.effects.piston_friction import PistonFriction
+from pneu_sim.effects.piston_leak import PistonLeak
+from pneu_sim.effects.piston_stiction import PistonStiction
 from pneu_sim.effects.porous_leak import PorousLeak
 from pneu_sim.effects.regulator_droop import RegulatorDroop
 from pneu_sim.effects.relief_valve import ReliefValve
+from pneu_sim.effects.rod_leak import RodLeak
 from pneu_sim.effects.roughness import Roughness
+from pneu_sim.effects.seal_friction import SealFriction
 from pneu_sim.effects.sensor_bias import SensorBias
 from pneu_sim.effects.sensor_gain import SensorGain
 from pneu_sim.effects.sensor_lag import SensorLag
@@ -105,6 +123,24 @@ BUILT_IN: tuple[type[Effect], ...] = (
     SupplyRipple,
     AmbientTemperature,
     AmbientPressure,
+    PistonFriction,
+    PistonStiction,
+    SealFriction,
+    PistonDamping,
+    PistonLeak,
+    RodLeak,
+    CylinderVolume,
+    CylinderHeat,
+    JointFriction,
+    JointDamping,
+    Payload,
+    CentreOfMass,
+    ExternalSpring,
+    Backlash,
+    CrankError,
+    EncoderBias,
+    EncoderGain,
+    EncoderLag,
 )
 """One line per effect."""
 

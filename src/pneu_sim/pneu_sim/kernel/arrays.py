@@ -200,6 +200,11 @@ class Bodies(NamedTuple):
         answer: (rows, joints) velocity per impulse along those.
         most: (rows,) greatest impulses.
         impulse: (rows,) impulses.
+        loose: (cylinders,) whether each has play, and leans or is loose, see ``play``.
+        row: (cylinders,) which of those directions is its own, or -1.
+        there_q: (joints,) positions at a face of the play ...
+        there_x: (cylinders,) ... extensions there ...
+        there_lever: (cylinders, joints) ... and their growth.
     """
 
     table: Ints
@@ -218,6 +223,11 @@ class Bodies(NamedTuple):
     answer: Floats
     most: Floats
     impulse: Floats
+    loose: Floats
+    row: Floats
+    there_q: Floats
+    there_x: Floats
+    there_lever: Floats
 
 
 class Term(NamedTuple):

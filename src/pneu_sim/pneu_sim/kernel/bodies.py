@@ -12,9 +12,12 @@ import math
 from pneu_sim import layout as L
 from pneu_sim.compiling import branching, folded
 from pneu_sim.kernel.equations.kinds import levers, mechanics
+from pneu_sim.kernel.play import LEANS, LOOSE, glide, has_play, lean, look_from, stay_within
 
 SWEEPS = 12
 """Of Gauss-Seidel, for bodies of several joints; one joint needs two."""
+LET_GO = -2.0
+"""What ``Bodies.row`` says of a piston that lets go of the face of its play."""
 AT_REST = 1e-7
 """Speed, m/s or rad/s, below which seals hold as at rest."""
 
@@ -50,11 +53,18 @@ def foresee(dt, bodies, cylinders):
         for j in range(bodies.state.shape[2]):
             _middle(b, j, dt, bodies, 0.5)
             levers(kind, bodies.par, b, j, bodies.q, bodies.x, bodies.lever)
+            played = has_play(b, j, bodies)
+            if played:
+                lean(b, j, bodies, cylinders)
             for c in range(places):
+                k = bodies.driven_by[place + c]
                 speed = 0.0
                 for i in range(n):
                     speed += bodies.lever[c, i] * bodies.v[i]
-                cylinders.work[bodies.driven_by[place + c], L.WY_SPEED, j] = speed
+                if played and bodies.loose[c] == LOOSE:
+                    speed = cylinders.state[k, L.SY_SPEED, j]
+                    speed += 0.5 * dt * cylinders.state[k, L.SY_PUSH, j]
+                cylinders.work[k, L.WY_SPEED, j] = speed
 
 
 @folded
@@ -114,20 +124,26 @@ def _load_joints(b, j, dt, bodies):
             par[p, L.PJ_STOP, j],
             par[p, L.PJ_STOP_DAMPING, j],
         )
-        damping = par[p, L.PJ_DAMPING, j]
-        force[i] += push - damping * v
-        mass[i, i] += stiff + 0.5 * dt * damping
+        damping, rate = par[p, L.PJ_DAMPING, j], par[p, L.PJ_SPRING, j]
+        # implicit: the mean of a spring's force before and after is that at the mean position
+        at = bodies.state[p, L.SJ_POSITION, j] + 0.5 * dt * v
+        force[i] += push - damping * v - rate * (at - par[p, L.PJ_REST, j])
+        mass[i, i] += stiff + 0.5 * dt * damping + 0.25 * dt * dt * rate
 
 
 @folded
-def _load_cylinder(k, c, b, j, dt, bodies, cylinders):
-    """Add gas, spring, stops and viscous friction of a cylinder to the equations of its body."""
-    first, n = bodies.table[b, L.B_JOINT], bodies.table[b, L.B_JOINTS]
-    par, lever = cylinders.par, bodies.lever
-    speed = now = 0.0
-    for i in range(n):
-        speed += lever[c, i] * bodies.v[i]
-        now += lever[c, i] * bodies.state[first + i, L.SJ_VELOCITY, j]
+def _push(k, j, speed, now, dt, cylinders):
+    """Force of gas, spring, stops and viscous friction on a piston, and by how much they stiffen.
+
+    Args:
+        k: Which cylinder.
+        j: Which lane.
+        speed: Foreseen at the middle of the step, m/s.
+        now: At its beginning, m/s.
+        dt: Step, s.
+        cylinders: Cylinders.
+    """
+    par = cylinders.par
     # implicit: the mean of a spring's force before and after is that at the mean position
     at = cylinders.state[k, L.SY_EXTENSION, j] + 0.5 * dt * now
     push, stiff = _stop(
@@ -144,6 +160,19 @@ def _load_cylinder(k, c, b, j, dt, bodies, cylinders):
     push += cylinders.state[k, L.SY_FORCE, j]
     push -= par[k, L.PY_PRELOAD, j] + rate * at + viscous * now
     stiff += 0.5 * dt * viscous + 0.25 * dt * dt * rate
+    return push, stiff
+
+
+@folded
+def _load_cylinder(k, c, b, j, dt, bodies, cylinders):
+    """Add gas, spring, stops and viscous friction of a cylinder to the equations of its body."""
+    first, n = bodies.table[b, L.B_JOINT], bodies.table[b, L.B_JOINTS]
+    lever = bodies.lever
+    speed = now = 0.0
+    for i in range(n):
+        speed += lever[c, i] * bodies.v[i]
+        now += lever[c, i] * bodies.state[first + i, L.SJ_VELOCITY, j]
+    push, stiff = _push(k, j, speed, now, dt, cylinders)
     for i in range(n):
         bodies.force[i] += lever[c, i] * push
         if stiff > 0.0:
@@ -192,12 +221,15 @@ def _solve(n, factor, x):
 
 
 @folded
-def _grips(b, j, dt, bodies, cylinders):
+def _grips(b, j, dt, played, bodies, cylinders):
     """Directions in which dry friction acts, and its most impulse; returns how many there are."""
     first, n = bodies.table[b, L.B_JOINT], bodies.table[b, L.B_JOINTS]
     place, places = bodies.table[b, L.B_PLACE], bodies.table[b, L.B_PLACES]
     rows = 0
     for c in range(places):
+        bodies.row[c] = -1.0
+        if played and bodies.loose[c] == LOOSE:
+            continue
         k = bodies.driven_by[place + c]
         speed = 0.0
         for i in range(n):
@@ -208,6 +240,7 @@ def _grips(b, j, dt, bodies, cylinders):
                 held = bodies.joint[first + i, L.PJ_HELD, j] > 0.0
                 bodies.along[rows, i] = 0.0 if held else bodies.lever[c, i]
             bodies.most[rows] = dt * grip
+            bodies.row[c] = rows
             rows += 1
     for i in range(n):
         grip = bodies.joint[first + i, L.PJ_FRICTION, j]
@@ -263,6 +296,90 @@ def _account(b, j, dt, rows, bodies):
 
 
 @folded
+def _let_go(b, j, dt, bodies, cylinders):
+    """Note pistons whose face would have to hold them back: they are loose after this step.
+
+    Args:
+        b: Which body.
+        j: Which lane.
+        dt: Step, s.
+        bodies: Bodies, with the levers at the middle of the step and the new velocities.
+        cylinders: Cylinders.
+    """
+    first, n = bodies.table[b, L.B_JOINT], bodies.table[b, L.B_JOINTS]
+    place, places = bodies.table[b, L.B_PLACE], bodies.table[b, L.B_PLACES]
+    for c in range(places):
+        if bodies.loose[c] != LEANS:
+            continue
+        k = bodies.driven_by[place + c]
+        now = new = 0.0
+        for i in range(n):
+            now += bodies.lever[c, i] * bodies.state[first + i, L.SJ_VELOCITY, j]
+            new += bodies.lever[c, i] * bodies.v[i]
+        push, stiff = _push(k, j, 0.5 * (now + new), now, dt, cylinders)
+        push -= (stiff + cylinders.par[k, L.PY_MASS, j]) * (new - now) / dt
+        row = int(bodies.row[c])
+        if row >= 0:
+            push += bodies.impulse[row] / dt
+        if push * cylinders.state[k, L.SY_SIDE, j] < 0.0:
+            bodies.row[c] = LET_GO
+
+
+@folded
+def _move_loose(b, j, dt, bodies, cylinders):
+    """Move loose pistons by a step, until they meet a face; returns what friction made, J.
+
+    Args:
+        b: Which body.
+        j: Which lane.
+        dt: Step, s.
+        bodies: Bodies, moved, with extensions and levers at their new positions, which become those
+            of the pistons as they lean.
+        cylinders: Cylinders.
+    """
+    first, n = bodies.table[b, L.B_JOINT], bodies.table[b, L.B_JOINTS]
+    place, places = bodies.table[b, L.B_PLACE], bodies.table[b, L.B_PLACES]
+    par, state, heat = cylinders.par, cylinders.state, 0.0
+    for c in range(places):
+        if bodies.loose[c] != LOOSE:
+            continue
+        k = bodies.driven_by[place + c]
+        now = state[k, L.SY_SPEED, j]
+        push, stiff = _push(k, j, now + 0.5 * dt * state[k, L.SY_PUSH, j], now, dt, cylinders)
+        new = glide(k, j, dt, push, stiff, _grip(k, j, now, cylinders), cylinders)
+        at = state[k, L.SY_EXTENSION, j] + 0.5 * dt * (now + new)
+        side = 1.0 if at > look_from(b, j, c, 1.0, bodies) else 0.0
+        if side == 0.0 and at < look_from(b, j, c, -1.0, bodies):
+            side = -1.0
+        if side == 0.0:
+            move = at - state[k, L.SY_EXTENSION, j]
+            cylinders.work[k, L.WY_MOVE, j] = move
+            state[k, L.SY_EXTENSION, j] = at
+            state[k, L.SY_PUSH, j] = (new - now) / dt
+            state[k, L.SY_SPEED, j] = new
+            heat += par[k, L.PY_VISCOUS, j] * move * move / dt
+            continue
+        # it meets a face: an inelastic impact (scratch of the friction is free by now)
+        give = 1.0 / par[k, L.PY_MASS, j]
+        for i in range(n):
+            held = bodies.joint[first + i, L.PJ_HELD, j] > 0.0
+            bodies.along[0, i] = 0.0 if held else bodies.there_lever[c, i]
+            bodies.answer[0, i] = bodies.along[0, i]
+        _solve(n, bodies.mass, bodies.answer[0])
+        apart = new
+        for i in range(n):
+            give += bodies.along[0, i] * bodies.answer[0, i]
+            apart -= bodies.along[0, i] * bodies.v[i]
+        if apart * side > 0.0:
+            for i in range(n):
+                bodies.v[i] += apart / give * bodies.answer[0, i]
+                bodies.state[first + i, L.SJ_VELOCITY, j] = bodies.v[i]
+        state[k, L.SY_SIDE, j] = side
+    lean(b, j, bodies, cylinders)
+    return heat
+
+
+@folded
 def _move_body(b, j, dt, bodies, cylinders):
     """One step of one body, and the ways of its pistons."""
     kind, first, n = (
@@ -274,18 +391,24 @@ def _move_body(b, j, dt, bodies, cylinders):
     _middle(b, j, dt, bodies, 0.5)
     mechanics(kind, bodies.par, b, j, bodies.q, bodies.v, bodies.mass, bodies.force)
     levers(kind, bodies.par, b, j, bodies.q, bodies.x, bodies.lever)
+    played = has_play(b, j, bodies)
+    if played:
+        lean(b, j, bodies, cylinders)
     _load_joints(b, j, dt, bodies)
     for c in range(places):
-        _load_cylinder(bodies.driven_by[place + c], c, b, j, dt, bodies, cylinders)
+        if not (played and bodies.loose[c] == LOOSE):
+            _load_cylinder(bodies.driven_by[place + c], c, b, j, dt, bodies, cylinders)
     _take_out_held(b, j, bodies)
     _factor(n, bodies.mass)
     _solve(n, bodies.mass, bodies.force)
-    rows = _grips(b, j, dt, bodies, cylinders)
+    rows = _grips(b, j, dt, played, bodies, cylinders)
     for i in range(n):
         bodies.v[i] = bodies.state[first + i, L.SJ_VELOCITY, j] + dt * bodies.force[i]
     if rows > 0:
         _hold_back(n, rows, bodies)
     heat = _account(b, j, dt, rows, bodies)
+    if played:
+        _let_go(b, j, dt, bodies, cylinders)
     for i in range(n):
         old = bodies.state[first + i, L.SJ_VELOCITY, j]
         new = bodies.v[i]
@@ -294,8 +417,12 @@ def _move_body(b, j, dt, bodies, cylinders):
         bodies.state[first + i, L.SJ_PUSH, j] = (new - old) / dt
         bodies.q[i] = bodies.state[first + i, L.SJ_POSITION, j]
     levers(kind, bodies.par, b, j, bodies.q, bodies.x, bodies.lever)
+    if played:
+        heat += _move_loose(b, j, dt, bodies, cylinders)
     for c in range(places):
         k = bodies.driven_by[place + c]
+        if played and bodies.loose[c] == LOOSE:
+            continue
         was = cylinders.state[k, L.SY_EXTENSION, j]
         move = bodies.x[c] - was
         cylinders.work[k, L.WY_MOVE, j] = move
@@ -306,6 +433,8 @@ def _move_body(b, j, dt, bodies, cylinders):
         cylinders.state[k, L.SY_PUSH, j] = (speed - cylinders.state[k, L.SY_SPEED, j]) / dt
         cylinders.state[k, L.SY_SPEED, j] = speed
         heat += cylinders.par[k, L.PY_VISCOUS, j] * move * move / dt
+        if played and bodies.row[c] == LET_GO:
+            cylinders.state[k, L.SY_SIDE, j] = 0.0
     bodies.heat[b, j] += heat
 
 
@@ -346,8 +475,13 @@ def stand(bodies, cylinders):
             for i in range(n):
                 bodies.q[i] = bodies.state[first + i, L.SJ_POSITION, j]
             levers(bodies.table[b, L.B_KIND], bodies.par, b, j, bodies.q, bodies.x, bodies.lever)
+            played = has_play(b, j, bodies)
+            if played:
+                stay_within(b, j, bodies, cylinders)
             for c in range(places):
                 k = bodies.driven_by[place + c]
+                if played and bodies.loose[c] == LOOSE:
+                    continue
                 speed = 0.0
                 for i in range(n):
                     speed += bodies.lever[c, i] * bodies.state[first + i, L.SJ_VELOCITY, j]

@@ -110,6 +110,8 @@ class Cylinder(Part):
         stop_stiffness_n_m: Of both end stops.
         stop_damping_n_s_m: Of both end stops.
         start_m: Extension at which it stands, where no body says so.
+        loose_kg: Mass of what moves by itself within the play of a joint: piston, rod, clevis (or
+            kg m^2 of a rotary one). Where there is no play it is part of the body's inertia.
     """
 
     bore_m: Positive | None = None
@@ -130,6 +132,7 @@ class Cylinder(Part):
     stop_stiffness_n_m: Positive = 2e7
     stop_damping_n_s_m: NonNegative = 5000.0
     start_m: NonNegative = 0.0
+    loose_kg: Positive = 0.1
 
     @model_validator(mode="after")
     def _check(self) -> "Cylinder":

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Backlash: a joint has play between what drives it and itself."""
+
+from typing import ClassVar
+
+from pneu_sim.effects.base import Effect, EffectParameter
+from pneu_sim.effects.places import driven_joints, joint_at
+from pneu_sim.rig.schema import Rig
+
+
+class Backlash(Effect):
+    """Width of the play, added to the rig's."""
+
+    name: ClassVar[str] = "backlash"
+    title: ClassVar[str] = "play of a joint"
+    where: ClassVar[str] = "joint"
+    formula: ClassVar[str] = (
+        "the joint moves by up to width without what drives it; both meet without rebound"
+    )
+    source: ClassVar[str] = (
+        "Nordin and Gutman 2002, Automatica 38(10), doi:10.1016/S0005-1098(02)00047-X (dead"
+        " zone without a mass between)"
+    )
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter("width", "rad or m", 0.0, 0.0, 0.5, 0.01, 3e-4),
+    )
+    order: ClassVar[int] = 6
+    curved: ClassVar[bool] = True
+    next_experiment: ClassVar[str] = (
+        "Hold the pressures, push the link to and fro by hand within its play and read the"
+        " encoder; or reverse slowly at low load: the angle stands still while the piston"
+        " moves."
+    )
+
+    def places(self, rig: Rig) -> list[str]:
+        return driven_joints(rig)
+
+    def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
+        joint_at(rig, place).play += values["width"]

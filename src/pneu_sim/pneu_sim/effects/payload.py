@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Payload: a link carries something that the rig does not say."""
+
+from typing import ClassVar
+
+from pneu_sim.effects.base import Effect, EffectParameter
+from pneu_sim.effects.places import joints
+from pneu_sim.rig.schema import Rig
+
+
+class Payload(Effect):
+    """A point mass on what a joint moves."""
+
+    name: ClassVar[str] = "payload"
+    title: ClassVar[str] = "load that a link carries"
+    where: ClassVar[str] = "joint"
+    formula: ClassVar[str] = (
+        "M = M_rig + mass_kg distance_m^2, and its weight at that distance from a rotary joint"
+    )
+    source: ClassVar[str] = "Newton's second law"
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter("mass_kg", "kg", 0.0, 0.0, 50.0, 0.15, 3e-3),
+        EffectParameter("distance_m", "m", 0.2, 0.02, 1.0, 0.2, 0.01, fitted=True),
+    )
+    order: ClassVar[int] = 6
+    next_experiment: ClassVar[str] = (
+        "Hold the joint at several angles, and swing it fast: the pressures that hold it tell"
+        " mass times distance, those that swing it mass times distance squared."
+    )
+
+    def places(self, rig: Rig) -> list[str]:
+        return [name for name, (body, field) in joints(rig).items() if field in body.loaded]
+
+    def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
+        body, field = joints(rig)[place]
+        body.carry(field, values["mass_kg"], values["distance_m"])
