@@ -247,7 +247,8 @@ PY_ROOM_P: Final = 24  # Pa
 PY_ROOM_T: Final = 25  # K
 PY_START: Final = 26  # extension at the start, m
 PY_MASS: Final = 27  # of what moves by itself where a joint has play, kg
-CYLINDER_PARAMS: Final = 28
+PY_CREEP: Final = 28  # speed over which dry friction develops, m/s
+CYLINDER_PARAMS: Final = 29
 
 # --- cylinder state rows --------------------------------------------------------------------------
 SY_EXTENSION: Final = 0  # m, or rad of a rotary one
@@ -290,7 +291,9 @@ PJ_START: Final = 7
 PJ_PLAY: Final = 8  # between what turns it and itself, rad or m
 PJ_SPRING: Final = 9  # rate of a spring, N m/rad or N/m ...
 PJ_REST: Final = 10  # ... and where it is at rest
-JOINT_PARAMS: Final = 11
+PJ_HOLD: Final = 11  # what of a force its stops keep that holds it back as it leaves
+PJ_CREEP: Final = 12  # speed over which its dry friction develops, rad/s or m/s
+JOINT_PARAMS: Final = 13
 
 # --- joint state rows -----------------------------------------------------------------------------
 SJ_POSITION: Final = 0

@@ -18,6 +18,7 @@ Positive = Annotated[Number, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[Number, Field(ge=0.0, allow_inf_nan=False)]
 Finite = Annotated[Number, Field(allow_inf_nan=False)]
 Ratio = Annotated[Number, Field(ge=0.0, lt=1.0)]
+Share = Annotated[Number, Field(ge=0.0, le=1.0)]
 
 
 class Part(BaseModel):

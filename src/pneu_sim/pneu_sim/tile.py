@@ -688,6 +688,7 @@ def _bodies(tile: Tile) -> kernel.Bodies:
         np.zeros((n + places, n)),
         np.zeros(n + places),
         np.zeros(n + places),
+        np.zeros(n + places),
         np.zeros(places),
         np.zeros(places),
         np.zeros(n),

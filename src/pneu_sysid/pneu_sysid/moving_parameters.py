@@ -15,6 +15,12 @@ MOST_DRAG, USUAL_DRAG = 1.0, 0.1
 MOST_HOLD, USUAL_HOLD = 0.2, 0.01
 """Friction of a joint, of the greatest torque of the cylinder that turns it, likewise; viscous
 friction at 1 rad/s."""
+MOST_COVER, USUAL_COVER = 1.0, 0.05
+"""Heat conductance of a side that the piston's way does not change, W/K, likewise."""
+MOST_CREEP, USUAL_CREEP = 0.01, 5e-4
+"""Speed over which dry friction develops, m/s, likewise."""
+STRIBECK = 10.0
+"""The speed over which breakaway friction vanishes is known to within this factor."""
 STOPS = 30.0
 """Stiffness and damping of a joint's stops are known to within this factor at the worst."""
 MOST_FILM, USUAL_FILM = 200.0, 20.0
@@ -67,6 +73,7 @@ def moving_parameters(rig: Rig) -> Iterator[FitParameter]:
                 )
             if joint.lower is not None or joint.upper is not None:
                 yield from _of_stops(f"{base}.{field}.", joint.stop_stiffness, joint.stop_damping)
+                yield FitParameter(path=f"{base}.{field}.stop_hold", lower=0.0, upper=1.0, std=0.5)
 
 
 def _of_cylinder(base: str, cylinder: Cylinder, force: float) -> Iterator[FitParameter]:
@@ -80,6 +87,12 @@ def _of_cylinder(base: str, cylinder: Cylinder, force: float) -> Iterator[FitPar
             std=0.5 * value,
             log=True,
         )
+        yield FitParameter(
+            path=f"{base}.{side_name}.heat_w_per_k",
+            lower=0.0,
+            upper=max(MOST_COVER, 4.0 * side.heat_w_per_k),
+            std=max(USUAL_COVER, 0.5 * side.heat_w_per_k),
+        )
     if cylinder.rotary is None:
         usual = max(USUAL_FILM, 0.5 * cylinder.heat_w_m2_k)
         yield FitParameter(
@@ -88,7 +101,20 @@ def _of_cylinder(base: str, cylinder: Cylinder, force: float) -> Iterator[FitPar
             upper=max(MOST_FILM, 4.0 * cylinder.heat_w_m2_k),
             std=usual,
         )
+    yield FitParameter(
+        path=f"{base}.friction.stribeck_m_s",
+        lower=cylinder.friction.stribeck_m_s / STRIBECK,
+        upper=cylinder.friction.stribeck_m_s * STRIBECK,
+        std=cylinder.friction.stribeck_m_s,
+        log=True,
+    )
     friction = cylinder.friction
+    yield FitParameter(
+        path=f"{base}.friction.creep_m_s",
+        lower=0.0,
+        upper=max(MOST_CREEP, 5.0 * friction.creep_m_s),
+        std=max(USUAL_CREEP, friction.creep_m_s),
+    )
     for number, most, usual, value in (
         ("coulomb_n", MOST_GRIP, USUAL_GRIP, friction.coulomb_n),
         ("breakaway_n", MOST_GRIP, USUAL_GRIP, friction.breakaway_n),

@@ -158,6 +158,7 @@ def calibrated_parameters(rig: Rig) -> list[FitParameter]:
         around(f"orifices.{name}.conductance_m3_s_pa", 3.0, 0.3)
         add(f"orifices.{name}.critical_ratio", 0.02, 0.7, 0.1)
         add(f"orifices.{name}.laminar_ratio", 0.85, 0.9995, 0.02)
+    vessels = {*rig.chambers, *(s.node for c in rig.cylinders.values() for s in c.sides.values())}
     met: dict[str, int] = {}
     for pipe in rig.pipes.values():
         for node in (pipe.from_node, pipe.to_node):
@@ -168,8 +169,8 @@ def calibrated_parameters(rig: Rig) -> list[FitParameter]:
         for end, node in (("from", pipe.from_node), ("to", pipe.to_node)):
             if node == CLOSED or node in rig.reservoirs:
                 continue
-            joined = met[node] > 1 and node not in rig.chambers
-            if joined or node in rig.chambers:
+            joined = met[node] > 1 and node not in vessels
+            if joined or node in vessels:
                 add(f"pipes.{name}.loss_{end}", 0.0, 4.0, 0.3)
             path = f"pipes.{name}.volume_{end}_m3"
             if joined and node not in volumes and path not in listed:

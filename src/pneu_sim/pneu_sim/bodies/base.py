@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from pneu_sim.parts import Finite, NonNegative, Part, Positive
+from pneu_sim.parts import Finite, NonNegative, Part, Positive, Share
 
 Floats = NDArray[np.float64]
 
@@ -26,10 +26,14 @@ class Joint(Part):
         held: Whether it is clamped there.
         viscous: Friction per speed, N m s/rad, or N s/m.
         dry_friction: Dry friction, N m or N, whatever the speed.
+        creep: Speed over which that develops, rad/s or m/s; 0 holds the joint until it slides.
         lower: Where its lower stop begins; None has none.
         upper: Where its upper stop begins; None has none.
         stop_stiffness: Of both stops, N m/rad or N/m.
         stop_damping: Of both stops, N m s/rad or N s/m.
+        stop_hold: What is left of the force of a stop while it would hold the joint back that leaves
+            it: 0 of a bare stop, which only pushes; 1 of a bumper that sticks (Kelvin and Voigt's
+            spring and damper).
         spring: Rate of a spring that draws it to a position, N m/rad or N/m.
         spring_at: That position, rad or m.
         play: Way that it can move without what drives it, from one face of the backlash to the
@@ -41,10 +45,12 @@ class Joint(Part):
     held: bool = False
     viscous: NonNegative = 0.0
     dry_friction: NonNegative = 0.0
+    creep: NonNegative = 0.0
     lower: Finite | None = None
     upper: Finite | None = None
     stop_stiffness: Positive = 1e4
     stop_damping: NonNegative = 10.0
+    stop_hold: Share = 0.0
     spring: NonNegative = 0.0
     spring_at: Finite = 0.0
     play: NonNegative = 0.0

@@ -200,6 +200,7 @@ class Bodies(NamedTuple):
         answer: (rows, joints) velocity per impulse along those.
         most: (rows,) greatest impulses.
         impulse: (rows,) impulses.
+        creep: (rows,) speeds over which friction develops.
         loose: (cylinders,) whether each has play, and leans or is loose, see ``play``.
         row: (cylinders,) which of those directions is its own, or -1.
         there_q: (joints,) positions at a face of the play ...
@@ -223,6 +224,7 @@ class Bodies(NamedTuple):
     answer: Floats
     most: Floats
     impulse: Floats
+    creep: Floats
     loose: Floats
     row: Floats
     there_q: Floats

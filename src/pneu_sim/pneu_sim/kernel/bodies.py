@@ -12,8 +12,11 @@ import math
 from pneu_sim import layout as L
 from pneu_sim.compiling import branching, folded
 from pneu_sim.kernel.equations.kinds import levers, mechanics
-from pneu_sim.kernel.play import LEANS, LOOSE, glide, has_play, lean, look_from, stay_within
+from pneu_sim.kernel.play import LEANS, LOOSE, has_play, lean, look_from, stay_within
 
+HOLD_STEPS, HELD = 30, 1e-12
+"""Of Newton's method for friction that creeps, at most; the share of the greatest impulse to which
+it is found."""
 SWEEPS = 12
 """Of Gauss-Seidel, for bodies of several joints; one joint needs two."""
 LET_GO = -2.0
@@ -81,28 +84,54 @@ def _grip(k, j, speed, cylinders):
 
 
 @folded
-def _stop(x, v, now, dt, lower, upper, stiffness, damping):
-    """Force of two stops, away from them only, and by how much they stiffen the equations.
+def _touch(depth, closing, dt):
+    """Part of a step in which a stop is touched, and how deep on the mean of the whole step.
+
+    Where it begins or ends within the step that part is counted, so that what a stop does changes
+    smoothly with where and when it was met.
+
+    Args:
+        depth: How deep the body is in it at the beginning; negative outside.
+        closing: How fast that grows.
+        dt: Step, s.
+    """
+    after = depth + dt * closing
+    if depth >= 0.0 and after >= 0.0:
+        return 1.0, 0.5 * (depth + after)
+    inner = max(depth, after)
+    if inner <= 0.0:
+        return 0.0, 0.0
+    share = inner / abs(after - depth)
+    return share, 0.5 * share * inner
+
+
+@folded
+def _stop(x, v, now, dt, lower, upper, stiffness, damping, hold):
+    """Force of two stops, and by how much they stiffen the equations.
 
     Implicit in the motion as a spring is, so that a hard stop asks for no short step: the force
     is that without the step's acceleration, and what that changes stands with the mass.
 
     Args:
-        x: Position at the middle of the step.
-        v: Velocity there.
+        x: Position at the beginning of the step.
+        v: Velocity foreseen at its middle.
         now: Velocity at its beginning.
         dt: Step, s.
         lower: Where the lower stop begins.
         upper: Where the upper one begins.
         stiffness: Of both.
         damping: Of both.
+        hold: What of a force is left that would hold the body back as it leaves.
     """
     stiff = 0.5 * dt * damping + 0.25 * dt * dt * stiffness
-    if x < lower:
-        if stiffness * (lower - x) - damping * v > 0.0:
-            return stiffness * (lower - x) - damping * now, stiff
-    elif x > upper and stiffness * (upper - x) - damping * v < 0.0:
-        return stiffness * (upper - x) - damping * now, stiff
+    share, deep = _touch(lower - x, -now, dt)
+    if share > 0.0:
+        left = 1.0 if stiffness * deep - share * damping * v > 0.0 else hold
+        return left * (stiffness * deep - share * damping * now), left * share * stiff
+    share, deep = _touch(x - upper, now, dt)
+    if share > 0.0:
+        left = 1.0 if -stiffness * deep - share * damping * v < 0.0 else hold
+        return left * (-stiffness * deep - share * damping * now), left * share * stiff
     return 0.0, 0.0
 
 
@@ -115,7 +144,7 @@ def _load_joints(b, j, dt, bodies):
         p = first + i
         v = bodies.state[p, L.SJ_VELOCITY, j]
         push, stiff = _stop(
-            bodies.state[p, L.SJ_POSITION, j] + 0.5 * dt * v,
+            bodies.state[p, L.SJ_POSITION, j],
             bodies.v[i],
             v,
             dt,
@@ -123,6 +152,7 @@ def _load_joints(b, j, dt, bodies):
             par[p, L.PJ_UPPER, j],
             par[p, L.PJ_STOP, j],
             par[p, L.PJ_STOP_DAMPING, j],
+            par[p, L.PJ_HOLD, j],
         )
         damping, rate = par[p, L.PJ_DAMPING, j], par[p, L.PJ_SPRING, j]
         # implicit: the mean of a spring's force before and after is that at the mean position
@@ -147,7 +177,7 @@ def _push(k, j, speed, now, dt, cylinders):
     # implicit: the mean of a spring's force before and after is that at the mean position
     at = cylinders.state[k, L.SY_EXTENSION, j] + 0.5 * dt * now
     push, stiff = _stop(
-        at,
+        cylinders.state[k, L.SY_EXTENSION, j],
         speed,
         now,
         dt,
@@ -155,6 +185,7 @@ def _push(k, j, speed, now, dt, cylinders):
         par[k, L.PY_STROKE, j],
         par[k, L.PY_STOP, j],
         par[k, L.PY_STOP_DAMPING, j],
+        0.0,
     )
     rate, viscous = par[k, L.PY_SPRING, j], par[k, L.PY_VISCOUS, j]
     push += cylinders.state[k, L.SY_FORCE, j]
@@ -240,6 +271,7 @@ def _grips(b, j, dt, played, bodies, cylinders):
                 held = bodies.joint[first + i, L.PJ_HELD, j] > 0.0
                 bodies.along[rows, i] = 0.0 if held else bodies.lever[c, i]
             bodies.most[rows] = dt * grip
+            bodies.creep[rows] = cylinders.par[k, L.PY_CREEP, j]
             bodies.row[c] = rows
             rows += 1
     for i in range(n):
@@ -248,8 +280,40 @@ def _grips(b, j, dt, played, bodies, cylinders):
             for m in range(n):
                 bodies.along[rows, m] = 1.0 if m == i else 0.0
             bodies.most[rows] = dt * grip
+            bodies.creep[rows] = bodies.joint[first + i, L.PJ_CREEP, j]
             rows += 1
     return rows
+
+
+@folded
+def hold(free, give, most, creep):
+    """Impulse of dry friction along one direction.
+
+    Args:
+        free: Speed after the step without it.
+        give: Speed per impulse.
+        most: Greatest impulse.
+        creep: Speed over which friction develops, by a hyperbolic tangent; 0 holds until it slides.
+    """
+    if creep <= 0.0:
+        return min(max(-free / give, -most), most)
+    # The speed after the step decides (implicit), so that a small one asks for no short step.
+    low, high = -most, most
+    impulse = min(max(-free / (give + creep / most), low), high)
+    for _ in range(HOLD_STEPS):
+        t = math.tanh((free + give * impulse) / creep)
+        wrong = impulse + most * t
+        if wrong > 0.0:
+            high = impulse
+        else:
+            low = impulse
+        better = impulse - wrong / (1.0 + most * give / creep * (1.0 - t * t))
+        if not low < better < high:
+            better = 0.5 * (low + high)
+        if abs(better - impulse) <= HELD * most:
+            return better
+        impulse = better
+    return impulse
 
 
 @folded
@@ -272,7 +336,7 @@ def _hold_back(n, rows, bodies):
             if give <= 0.0:
                 continue
             old = bodies.impulse[r]
-            new = min(max(old - speed / give, -bodies.most[r]), bodies.most[r])
+            new = hold(speed - give * old, give, bodies.most[r], bodies.creep[r])
             bodies.impulse[r] = new
             for i in range(n):
                 bodies.v[i] += (new - old) * bodies.answer[r, i]
@@ -346,7 +410,11 @@ def _move_loose(b, j, dt, bodies, cylinders):
         k = bodies.driven_by[place + c]
         now = state[k, L.SY_SPEED, j]
         push, stiff = _push(k, j, now + 0.5 * dt * state[k, L.SY_PUSH, j], now, dt, cylinders)
-        new = glide(k, j, dt, push, stiff, _grip(k, j, now, cylinders), cylinders)
+        give = 1.0 / (par[k, L.PY_MASS, j] + stiff)
+        new = now + dt * push * give
+        most = dt * _grip(k, j, now, cylinders)
+        if most > 0.0:
+            new += give * hold(new, give, most, par[k, L.PY_CREEP, j])
         at = state[k, L.SY_EXTENSION, j] + 0.5 * dt * (now + new)
         side = 1.0 if at > look_from(b, j, c, 1.0, bodies) else 0.0
         if side == 0.0 and at < look_from(b, j, c, -1.0, bodies):

@@ -7,8 +7,6 @@ back it is loose, and moves by its own mass until it meets a face, where its spe
 body is lost (an inelastic impact). The force is that of the last step.
 """
 
-import math
-
 from pneu_sim import layout as L
 from pneu_sim.compiling import folded
 from pneu_sim.kernel.equations.kinds import levers
@@ -116,22 +114,3 @@ def stay_within(b, j, bodies, cylinders):
         x = cylinders.state[k, L.SY_EXTENSION, j]
         cylinders.state[k, L.SY_EXTENSION, j] = min(max(x, low), high)
     lean(b, j, bodies, cylinders)
-
-
-@folded
-def glide(k, j, dt, push, stiff, grip, cylinders):
-    """Speed of a loose piston after a step.
-
-    Args:
-        k: Which cylinder.
-        j: Which lane.
-        dt: Step, s.
-        push: Force on it but dry friction, N.
-        stiff: By how much what holds it stiffens the equation.
-        grip: Dry friction, at most, N.
-        cylinders: Cylinders.
-    """
-    mass = cylinders.par[k, L.PY_MASS, j] + stiff
-    speed = cylinders.state[k, L.SY_SPEED, j] + dt * push / mass
-    most = dt * grip / mass
-    return math.copysign(max(abs(speed) - most, 0.0), speed)

@@ -23,6 +23,9 @@ class Friction(Part):
         breakaway_n: By how much more it holds at rest.
         stribeck_m_s: Speed over which that vanishes (Stribeck).
         viscous_n_s_m: Friction per speed, N s/m.
+        creep_m_s: Speed over which the first three develop, by tanh(v / creep): seals of rubber
+            creep under less force than moves them (Andersson and others 2007,
+            doi:10.1016/j.triboint.2005.10.009). 0 holds the piston until it slides.
     """
 
     coulomb_n: NonNegative = 0.0
@@ -30,6 +33,7 @@ class Friction(Part):
     breakaway_n: NonNegative = 0.0
     stribeck_m_s: Positive = 0.01
     viscous_n_s_m: NonNegative = 0.0
+    creep_m_s: NonNegative = 0.0
 
 
 class Cushion(Part):

@@ -210,6 +210,7 @@ def _fill_row(row: Floats, cylinder: Cylinder) -> None:
     row[L.PY_STOP] = cylinder.stop_stiffness_n_m
     row[L.PY_STOP_DAMPING] = cylinder.stop_damping_n_s_m
     row[L.PY_START] = cylinder.start_m
+    row[L.PY_CREEP] = friction.creep_m_s
     row[L.PY_MASS] = cylinder.loose_kg
     for s, side_name in enumerate(SIDES):
         area = cylinder.areas[s]
@@ -256,6 +257,8 @@ def body_rows(rig: Rig) -> tuple[Floats, Floats]:
                 joint.play,
                 joint.spring,
                 joint.spring_at,
+                joint.stop_hold,
+                joint.creep,
             )
             for joint in body.joints
         ]
