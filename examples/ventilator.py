@@ -85,7 +85,7 @@ def main() -> None:
     for column in ("recording", "noise", "as described", "fitted", "fitted, held out"):
         table.add_column(column, justify="left" if column == "recording" else "right")
     for result, held in (
-        (out.compared, f"{out.fit.held_out_rmse_pa['airway']:.1f}"),
+        (out.compared, f"{out.fit.held_out_rmse['airway']:.1f}"),
         (out.elsewhere, "all of it"),
     ):
         errors = [f"{model.taps['airway'].rmse_pa:.1f}" for model in result.models]

@@ -26,6 +26,7 @@ from pneu_sysid.fit import fit_rig
 from pneu_sysid.learn import learn
 from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import record_for
+from pneu_sysid.sensor_units import unit_of
 from studies.confusion import (
     STRENGTH_WITHIN,
     Found,
@@ -118,7 +119,7 @@ def thin_plate(rig: Rig, bag: Path) -> Rig:
 
 
 def healthy_lines(letter: str, folder: Path, rig: Rig) -> list[str]:
-    """Error on the second healthy bag of a rig, per tap; beside the thin-plate model's on a line.
+    """Error on the second healthy bag of a rig, per sensor; beside a thin-plate model's on a line.
 
     Args:
         letter: What the names of its bags begin with.
@@ -129,14 +130,17 @@ def healthy_lines(letter: str, folder: Path, rig: Rig) -> list[str]:
     if not bag.exists():
         return []
     models: list[tuple[str, Rig, None]] = [("pde", rig, None)]
-    if not rig.chambers:
+    if not rig.chambers and not rig.bodies:
         models.append(("thin plate", thin_plate(rig, folder / f"{letter}_healthy_1"), None))
     result = compare(record_for(rig, str(bag)), models, refine=False)
-    lines = [f"| {bag.name} | " + " | ".join(result.taps) + " |"]
-    lines += ["|---" * (len(result.taps) + 1) + "|"]
+    units = {name: unit_of(name, result.encoders) for name in result.sensors}
+    heads = [f"{n}, {units[n].told}" if n in result.encoders else n for n in result.sensors]
+    lines = [f"| {bag.name} | " + " | ".join(heads) + " |"]
+    lines += ["|---" * (len(heads) + 1) + "|"]
     for model in result.models:
         cells = [
-            f"{e.rmse_pa or 0.0:.0f} ({e.times_noise or 0.0:.2f})" for e in model.taps.values()
+            f"{units[n].figure(e.rmse or 0.0)} ({e.times_noise or 0.0:.2f})"
+            for n, e in model.sensors.items()
         ]
         lines += [f"| {model.name} | " + " | ".join(cells) + " |"]
     return [*lines, ""]

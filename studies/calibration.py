@@ -180,8 +180,8 @@ def true_value(truth: Rig, fitted: Rig, path: str) -> float | None:
 
 def row_of(name: str, done: Calibrated) -> str:
     """A line of the table."""
-    noise = done.outcome.rig.calibration.noise_floor_pa  # type: ignore[union-attr]
-    here = " ".join(f"{v / noise[t]:.2f}" for t, v in done.outcome.rmse_pa.items())
+    noise = done.outcome.rig.calibration.noise  # type: ignore[union-attr]
+    here = " ".join(f"{v / noise[t]:.2f}" for t, v in done.outcome.rmse.items())
     aside = " ".join(f"{v:.2f}" for v in done.aside)
     short = "" if done.outcome.shortfall is None else ", ".join(done.outcome.shortfall.by_tap)
     met = max(done.aside) <= MOST_TIMES_NOISE or bool(short)

@@ -191,7 +191,7 @@ def test_fit():
     listed = [FitParameter(path=path, lower=1.234e-9, upper=1.234e-7) for path in PATHS]
     check(drawn(_parameter_list(rig, listed)), [*PATHS, "m^3/(s Pa)"])
     errors = {name: {tap: 123456.0 for tap in TAPS} for name in ("noise", "fitted", "held out")}
-    check(drawn(_error_table("error per tap", errors)), [*TAPS, "held out, Pa"])
+    check(drawn(_error_table("error per tap", errors, {})), [*TAPS, "held out, Pa"])
 
 
 def test_diagnose():
@@ -235,7 +235,7 @@ def test_learn(count):
         for k, (added, place) in enumerate(((None, None), *zip(EFFECTS, PLACES, strict=True)))
     ]
     labels = [f"{effect}@{place}" for effect, place in zip(EFFECTS, PLACES, strict=True)]
-    check(drawn(step_table(steps)), [*taps, *labels, "49.87"])
+    check(drawn(step_table(steps, {})), [*taps, *labels, "49.87"])
 
 
 def test_effects(monkeypatch):

@@ -5,7 +5,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -277,6 +277,10 @@ class Prediction:
         flows: (n_models, ticks, n_ports) port flows, kg/s; empty where not asked for.
         chambers: (n_models, ticks, n_chambers) pressures, Pa; likewise.
         taps: (n_models, ticks, n_taps) pressures of the gas at the taps, Pa; likewise.
+        joints: (n_models, ticks, n_joints, 2) positions and velocities of joints; likewise, and
+            empty of models in which nothing moves.
+        cylinders: (n_models, ticks, n_cylinders, 3) extensions, m, their speeds, m/s, and forces of
+            gas and room on pistons, N (rad, rad/s and N m of rotary ones); likewise.
     """
 
     readings: Floats
@@ -284,6 +288,8 @@ class Prediction:
     flows: Floats
     chambers: Floats
     taps: Floats
+    joints: Floats = field(default_factory=lambda: np.empty((0, 0, 0, 2)))
+    cylinders: Floats = field(default_factory=lambda: np.empty((0, 0, 0, 3)))
 
 
 class RunOptions(NamedTuple):
@@ -293,7 +299,7 @@ class RunOptions(NamedTuple):
         workers: Threads; None is one per core.
         progress: Called with the fraction done.
         strict: Whether an unstable run is an error; else its predictions are not finite.
-        flows: Whether flows, chamber and tap pressures are kept from tick to tick.
+        flows: Whether flows, chamber and tap pressures, and what moves, are kept from tick to tick.
     """
 
     workers: int | None = None
@@ -351,6 +357,8 @@ def predict(
                 np.empty((count, kept, plan.ports.shape[0])),
                 np.empty((count, kept, len(plan.chambers))),
                 np.empty((count, kept, len(plan.taps))),
+                np.empty((count, kept, len(plan.joints), 2)),
+                np.empty((count, kept, len(plan.cylinders), 3)),
             )
         )
     tasks = [(c, part) for c in range(len(courses)) for part in shares(count, threads)]
@@ -460,7 +468,7 @@ def _pass(
     like = [valves.index(of) for of in valves]
     ticks = course.ticks
     wrong = np.zeros(len(models), dtype=bool)
-    for kept in (out.flows, out.chambers, out.taps):
+    for kept in (out.flows, out.chambers, out.taps, out.joints, out.cylinders):
         kept[rows] = np.nan
     for first in range(0, ticks - 1, CHUNK):
         count = min(CHUNK, ticks - 1 - first)
@@ -489,6 +497,8 @@ def _pass(
                 (out.flows, series.flows),
                 (out.chambers, series.chambers),
                 (out.taps, series.taps),
+                (out.joints, series.joints),
+                (out.cylinders, series.cylinders),
             ):
                 kept[rows, span] = np.moveaxis(found, -1, 0)
         wrong |= ~finite_lanes(series.taps) | np.isnan(tile.work[L.W_P]).any(axis=0)

@@ -6,7 +6,7 @@ The numerics are imported by the command that uses them: `pneu --help` does with
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -123,17 +123,21 @@ def _titled(recordings: "Sequence[Recording]") -> str:
     return ", ".join(recording.name for recording in recordings)
 
 
-def _error_table(title: str, columns: dict[str, dict[str, float | None]]) -> NamedTable:
-    """Errors per tap side by side, Pa."""
-    numbers = [Column(f"{name}, Pa", "number") for name in columns]
-    table = NamedTable(title, [Column("tap"), *numbers])
-    taps = list(next(iter(columns.values())))
-    for tap in taps:
-        cells = []
-        for values in columns.values():
-            value = values.get(tap)
-            cells.append("-" if value is None else f"{value:.0f}")
-        table.add_row(tap, *cells)
+def _error_table(
+    title: str, columns: dict[str, dict[str, float | None]], encoders: Mapping[str, str]
+) -> NamedTable:
+    """Errors per sensor side by side; the unit in the headings, or in a column where it differs."""
+    from pneu_sysid.sensor_units import shared, unit_of
+
+    sensors = list(next(iter(columns.values())))
+    one = shared(encoders, sensors)
+    heads = [Column(f"{name}, {one.told}" if one else name, "number") for name in columns]
+    names = [Column("sensor" if encoders else "tap"), *([] if one else [Column("unit")])]
+    table = NamedTable(title, [*names, *heads])
+    for sensor in sensors:
+        unit = unit_of(sensor, encoders)
+        cells = [unit.figure(values.get(sensor)) for values in columns.values()]
+        table.add_row(sensor, *([] if one else [unit.told]), *cells)
     return table
 
 
@@ -192,14 +196,16 @@ def fit(
     save_rig(outcome.rig, output)
     result = fit_result(str(rig), str(output), recordings, outcome, time.monotonic() - begun)
     console.print(_fitted_table(f"{start.name} fitted to {_titled(recordings)}", result))
-    columns = {"noise": result.noise_floor_pa, "fitted": result.rmse_pa}
-    if result.held_out_rmse_pa:
-        columns["held out"] = result.held_out_rmse_pa
-    console.print(_error_table("error per tap", columns))
+    columns = {"noise": result.noise_of, "fitted": result.rmse_of}
+    if result.held_out_rmse_of:
+        columns["held out"] = result.held_out_rmse_of
+    title = "error per sensor" if result.encoders else "error per tap"
+    console.print(_error_table(title, columns, result.encoders))
     for warning in outcome.warnings:
         console.print(warning, style="yellow")
     if outcome.shortfall is None:
-        console.print(f"Every tap is expected to be within {ENOUGH:g} times its noise.")
+        every = "sensor" if result.encoders else "tap"
+        console.print(f"Every {every} is expected to be within {ENOUGH:g} times its noise.")
     else:
         for k, line in enumerate(outcome.shortfall.lines):
             console.print(line, style="bold red" if k == 0 else "yellow")
@@ -274,6 +280,7 @@ def fit_result(
         FittedParameter,
         pneu_version,
     )
+    from pneu_sysid.sensor_units import encoder_units
     from pneu_sysid.uncertainty import pairs_above
 
     known = outcome.known
@@ -303,7 +310,9 @@ def fit_result(
         recordings=[recording.name for recording in recordings],
         rigs=[outcome.rig.name],
         taps=list(outcome.rig.taps),
+        encoders=encoder_units(outcome.rig),
         noise_floor_pa=dict(calibration.noise_floor_pa),
+        noise_floor=dict(calibration.noise_floor),
         findings=read_findings(recordings),
         rig=rig,
         output=output,
@@ -322,8 +331,10 @@ def fit_result(
             where=short.where,
             help=short.help,
         ),
-        rmse_pa=dict(outcome.rmse_pa),
-        held_out_rmse_pa=dict(outcome.held_out_rmse_pa),
+        rmse_pa=dict(calibration.rmse_pa),
+        held_out_rmse_pa=dict(calibration.held_out_rmse_pa),
+        rmse=dict(calibration.rmse),
+        held_out_rmse=dict(calibration.held_out_rmse),
         history=list(outcome.estimate.history),
         seconds=seconds,
     )
@@ -452,6 +463,7 @@ def add(
     from pneu_sysid.learn import add_effect
     from pneu_sysid.problem import make_problem
     from pneu_sysid.results import LearnResult, write_json
+    from pneu_sysid.sensor_units import encoder_units
 
     console = _console()
     for path in (output, json_path):
@@ -468,14 +480,14 @@ def add(
     recordings = _read(bag, loaded, console)
     better, before, after = add_effect(loaded, recordings, name, place or None, at, workers)
     save_rig(better, output)
-    console.print(step_table([before, after]))
+    console.print(step_table([before, after], encoder_units(better)))
     console.print(f"wrote {output}")
     if json_path is not None:
         problem = make_problem(better, recordings)
         write_json(
             json_path,
             LearnResult(
-                **heading(problem, loaded.name, read_findings(recordings)),
+                **heading(problem, better, loaded.name, read_findings(recordings)),
                 steps=[before, after],
                 verdict="effect",
                 sentence=f"{name} added at {after.place}.",
@@ -484,19 +496,24 @@ def add(
         )
 
 
-def step_table(steps: "list[Step]") -> NamedTable:
+def step_table(steps: "list[Step]", encoders: Mapping[str, str]) -> NamedTable:
     """Errors after every added effect, held-out part, as a table.
 
     Args:
         steps: The steps.
+        encoders: What the rig's encoders read.
     """
-    taps = steps[0].held_out_rmse_pa or steps[0].rmse_pa
-    numbers = [Column(name, "number") for name in (*taps, "times noise")]
+    from pneu_sysid.sensor_units import shared, unit_of
+
+    sensors = list(steps[0].errors)
+    one = shared(encoders, sensors)
+    heads = sensors if one else [f"{s}, {unit_of(s, encoders).told}" for s in sensors]
+    numbers = [Column(name, "number") for name in (*heads, "times noise")]
     table = NamedTable(
-        "held-out error per tap, Pa", [Column("added"), Column("strength", "words"), *numbers]
+        f"held-out error per tap, {one.told}" if one else "held-out error per sensor",
+        [Column("added"), Column("strength", "words"), *numbers],
     )
     for step in steps:
-        errors = step.held_out_rmse_pa or step.rmse_pa
         name = "nothing yet" if step.added is None else f"{step.added}@{step.place}"
         strength = ""
         if step.strength is not None:
@@ -504,7 +521,7 @@ def step_table(steps: "list[Step]") -> NamedTable:
         table.add_row(
             name,
             strength,
-            *("-" if v is None else f"{v:.0f}" for v in errors.values()),
+            *(unit_of(name, encoders).figure(v) for name, v in step.errors.items()),
             "-" if step.held_out_times_noise is None else f"{step.held_out_times_noise:.2f}",
         )
     return table
@@ -529,6 +546,7 @@ def learn(
     from pneu_sysid.problem import make_problem
     from pneu_sysid.report import write_report
     from pneu_sysid.results import write_json
+    from pneu_sysid.sensor_units import encoder_units
 
     console = _console()
     check_output(json_path, force)
@@ -537,7 +555,7 @@ def learn(
     recordings = _read(bag, loaded, console)
     with progress("learning") as tell:
         learned = run_learn(loaded, recordings, out=output, workers=workers, progress=tell)
-    console.print(step_table(learned.steps))
+    console.print(step_table(learned.steps, encoder_units(learned.rig)))
     console.print(learned.sentence, style="bold")
     problem = make_problem(learned.rig, recordings)
     findings = read_findings(recordings)

@@ -3,10 +3,12 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from pneu_sysid.problem import Problem
 from pneu_sysid.spectrum import lines_of
 from pneu_sysid.thresholds import Thresholds
+from pneu_sysid.ticks import STILL
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -15,6 +17,8 @@ BINS = 16
 FOLDS = 4
 TOGETHER_S = 0.25
 """Times that are no further apart are told as one."""
+SMOOTHING_S = 0.02
+"""Positions are averaged over this time before they are differentiated."""
 
 
 def _variables(problem: Problem, tap: int, predicted: Floats) -> dict[str, Floats]:
@@ -28,6 +32,10 @@ def _variables(problem: Problem, tap: int, predicted: Floats) -> dict[str, Float
             rate[:, 1:-1] = (predicted[:, 2:] - predicted[:, :-2]) / (time[:, 2:] - time[:, :-2])
             rate[:, 0] = (predicted[:, 1] - predicted[:, 0]) / (time[:, 1] - time[:, 0])
     out = {"pressure": predicted, "rate of pressure": rate}
+    if any(problem.taps[tap] in recording.encoders for recording in problem.recordings):
+        out = {}  # its own position and speed are among those of all encoders
+    for encoder in dict.fromkeys(e for r in problem.recordings for e in r.encoders):
+        out |= _motion(problem, encoder, time)
     for name in problem.recordings[0].commands:
         value, since = np.full(time.shape, np.nan), np.full(time.shape, np.nan)
         for c, recording in enumerate(problem.recordings):
@@ -45,13 +53,34 @@ def _variables(problem: Problem, tap: int, predicted: Floats) -> dict[str, Float
     return out
 
 
+def _motion(problem: Problem, encoder: str, time: Floats) -> dict[str, Floats]:
+    """(n_stretches, horizon) what an encoder tells of the motion at the readings of a sensor."""
+    names = [f"{what} of {encoder}" for what in ("position", "speed", "direction")]
+    out = {name: np.full(time.shape, np.nan) for name in names}
+    for c, recording in enumerate(problem.recordings):
+        signal = recording.encoders.get(encoder)
+        if signal is None or len(signal) < 3:
+            continue
+        period = float(np.median(np.diff(signal.time_s)))
+        width = max(3, round(SMOOTHING_S / period))
+        smooth = uniform_filter1d(signal.values, width, mode="nearest")
+        speed = np.gradient(smooth, signal.time_s)
+        still = STILL * float(np.percentile(np.abs(speed), 99))
+        direction = np.sign(np.where(np.abs(speed) > still, speed, 0.0))
+        mine = (problem.of == c)[:, None] & np.isfinite(time)
+        for name, values in zip(names, (signal.values, speed, direction), strict=True):
+            out[name][mine] = np.interp(time[mine], signal.time_s, values)
+    out[names[2]] = np.round(out[names[2]])
+    return out
+
+
 def dependences(
     problem: Problem, residual: Floats, thresholds: Thresholds
 ) -> list[tuple[str, str, float]]:
     """Names the variables that predict a residual on stretches kept aside.
 
-    For each tap and variable, the mean residual in quantile bins of the variable is learnt on some
-    stretches and tried on the others; the gain is the fraction of squared residual it removes
+    For each sensor and variable, the mean residual in quantile bins of the variable is learnt on
+    some stretches and tried on the others; the gain is the fraction of squared residual it removes
     there.
 
     Args:
@@ -60,7 +89,7 @@ def dependences(
         thresholds: What decides.
 
     Returns:
-        (variable, tap, gain), largest first; only gains worth naming.
+        (variable, sensor, gain), largest first; only gains worth naming.
     """
     r = residual.reshape(problem.measured.shape)
     fold = np.arange(problem.stretches) % FOLDS

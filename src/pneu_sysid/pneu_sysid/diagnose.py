@@ -15,7 +15,7 @@ from pneu_sysid.bench import Bench, bench_of
 from pneu_sysid.candidates import Score, best_per_place, residual_matrix, scores_of, to_refit
 from pneu_sysid.dependence import dependences, seldom
 from pneu_sysid.evidence import lead
-from pneu_sysid.fit import tap_rmse
+from pneu_sysid.fit import sensor_rmse
 from pneu_sysid.heading import heading
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
@@ -27,6 +27,7 @@ from pneu_sysid.results import (
     Numerics,
     Verdict,
 )
+from pneu_sysid.sensor_units import apart
 from pneu_sysid.standing import Standing, against_noise, since_calibration, standing_of
 from pneu_sysid.thresholds import Thresholds
 from pneu_sysid.together import each_of
@@ -46,7 +47,7 @@ class Diagnosis:
         believed: How many are.
         tied: For each finalist the labels of those that this recording cannot tell from it.
         scores: All candidates by their score, one per effect and place.
-        rmse_pa: Error per tap before anything is added.
+        rmse: Error per tap and encoder before anything is added, each in its unit.
         depends_on: Variables the residual depends on, for ``unknown``.
         excess: Held-out squared residual over the floor, as a ratio.
         left_over: The same after the best candidate.
@@ -62,7 +63,7 @@ class Diagnosis:
     believed: int
     tied: list[list[str]]
     scores: list[Score]
-    rmse_pa: dict[str, float]
+    rmse: dict[str, float]
     depends_on: list[tuple[str, str, float]]
     excess: float
     left_over: float
@@ -344,7 +345,7 @@ def _judge(
         believed=len(believed),
         tied=tied,
         scores=scores,
-        rmse_pa=tap_rmse(problem, readings, np.ones(problem.stretches, dtype=bool)),
+        rmse=sensor_rmse(problem, readings, np.ones(problem.stretches, dtype=bool)),
         depends_on=[],
         excess=before / max(floor, 1e-300),
         left_over=left / max(floor, 1e-300),
@@ -436,14 +437,16 @@ def result_of_diagnosis(name: str, found: Diagnosis, findings: list[str]) -> Dia
             )
         )
     problem = found.problem
+    rmse_pa, of_encoders = apart(found.rmse, found.bench.rig.encoders)
     return DiagnoseResult(
-        **heading(problem, name, findings),
+        **heading(problem, found.bench.rig, name, findings),
         verdict=found.verdict,
         sentence=found.sentence,
         statements=found.statements,
         unchanged=found.unchanged,
         times_noise=found.standing.times_noise,
-        rmse_pa=dict(found.rmse_pa),
+        rmse_pa=dict(rmse_pa),
+        rmse=dict(of_encoders),
         candidates=candidates,
         depends_on=[
             Dependence(variable=v, tap=tap, gain=gain) for v, tap, gain in found.depends_on

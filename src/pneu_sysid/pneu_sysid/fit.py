@@ -25,6 +25,7 @@ from pneu_sysid.parameters import (
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.scale import off_scale, rescaled
+from pneu_sysid.sensor_units import apart
 from pneu_sysid.shortfall import ENOUGH, Shortfall, effects_that_help, shortfall_of
 from pneu_sysid.spool_position import fit_spools
 from pneu_sysid.spool_starts import try_limits, try_spools
@@ -81,8 +82,8 @@ class FitOutcome:
         warnings: What the recordings cannot tell or never visit, and recordings that differ, in
             plain words.
         shortfall: Where the fitted rig stops short of the noise; None where it does not.
-        rmse_pa: Residual per tap on the part used.
-        held_out_rmse_pa: Residual per tap on the part kept aside.
+        rmse: Residual per tap and encoder on the part used, each in its unit.
+        held_out_rmse: The same on the part kept aside.
     """
 
     rig: Rig
@@ -94,12 +95,12 @@ class FitOutcome:
     estimate: Estimate
     warnings: list[str]
     shortfall: Shortfall | None
-    rmse_pa: dict[str, float]
-    held_out_rmse_pa: dict[str, float]
+    rmse: dict[str, float]
+    held_out_rmse: dict[str, float]
 
 
-def tap_rmse(problem: Problem, readings: Floats, chosen: Mask) -> dict[str, float]:
-    """Root mean square error per tap over chosen stretches, Pa.
+def sensor_rmse(problem: Problem, readings: Floats, chosen: Mask) -> dict[str, float]:
+    """Root mean square error per tap and encoder over chosen stretches, each in its unit.
 
     Args:
         problem: The problem.
@@ -442,8 +443,8 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
         problem = problem.with_grid(now.grid.dx_m)
     out = problem.simulate([now], flows=True)
     used = job.used(problem)
-    rmse = tap_rmse(problem, out.readings[0], used)
-    held_rmse = tap_rmse(problem, out.readings[0], ~used)
+    rmse = sensor_rmse(problem, out.readings[0], used)
+    held_rmse = sensor_rmse(problem, out.readings[0], ~used)
     known = known_of(
         every,
         fitted,
@@ -466,15 +467,21 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
     openings = words_on_openings(now, job.recordings)
     warnings = warnings_of(listed, known) + ([openings] if openings else [])
     noise = {tap: float(n) for tap, n in zip(problem.taps, problem.noise_pa, strict=True)}
+    (rmse_pa, noise_pa, held_pa), of_encoders = zip(
+        *(apart(values, now.encoders) for values in (rmse, noise, held_rmse)), strict=True
+    )
     now = now.model_copy(
         update={
             "fit": now.fit.model_copy(update={"parameters": joined(listed), "add": []}),
             "calibration": Calibration(
                 recording=job.recordings[0].name,
                 recordings=[r.name for r in job.recordings],
-                rmse_pa=rmse,
-                noise_floor_pa=noise,
-                held_out_rmse_pa=held_rmse,
+                rmse_pa=rmse_pa,
+                noise_floor_pa=noise_pa,
+                held_out_rmse_pa=held_pa,
+                rmse=of_encoders[0],
+                noise_floor=of_encoders[1],
+                held_out_rmse=of_encoders[2],
             ),
         }
     )
@@ -490,8 +497,8 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
         estimate=last.estimate,
         warnings=warnings + _strangers(problem, out.readings[0]),
         shortfall=shortfall,
-        rmse_pa=rmse,
-        held_out_rmse_pa=held_rmse,
+        rmse=rmse,
+        held_out_rmse=held_rmse,
     )
 
 

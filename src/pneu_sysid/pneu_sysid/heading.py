@@ -4,24 +4,32 @@
 from collections.abc import Sequence
 from typing import Any
 
+from pneu_sim.rig.schema import Rig
 from pneu_sysid.problem import Problem
 from pneu_sysid.results import pneu_version
+from pneu_sysid.sensor_units import apart, encoder_units
 
 
-def heading(problem: Problem, rig: str, findings: Sequence[str]) -> dict[str, Any]:
+def heading(problem: Problem, rig: Rig, name: str, findings: Sequence[str]) -> dict[str, Any]:
     """The fields of `results.Head`.
 
     Args:
         problem: The problem.
-        rig: Name of the rig.
+        rig: The rig.
+        name: Its name.
         findings: What was wrong with the recordings.
     """
+    encoders = {n: unit for n, unit in encoder_units(rig).items() if n in problem.taps}
+    noise = dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True))
+    of_taps, of_encoders = apart(noise, encoders)
     return {
         "pneu_version": pneu_version(),
         "recording": problem.name,
         "recordings": [recording.name for recording in problem.recordings],
-        "rigs": [rig],
-        "taps": problem.taps,
-        "noise_floor_pa": dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True)),
+        "rigs": [name],
+        "taps": list(of_taps),
+        "encoders": encoders,
+        "noise_floor_pa": of_taps,
+        "noise_floor": of_encoders,
         "findings": list(findings),
     }

@@ -20,7 +20,7 @@ from pneu_sysid.candidates import best_per_place, residual_matrix, scores_of, se
 from pneu_sysid.compare import findings_of
 from pneu_sysid.diagnose import Diagnosis, diagnose_apart, look
 from pneu_sysid.evidence import lead
-from pneu_sysid.fit import fit_rig, tap_rmse
+from pneu_sysid.fit import fit_rig, sensor_rmse
 from pneu_sysid.gauss_newton import Estimate
 from pneu_sysid.heading import heading
 from pneu_sysid.parameters import default_parameters
@@ -28,6 +28,7 @@ from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.refits import effect_variables, refit_effects
 from pneu_sysid.results import LearnResult, Step, Verdict, write_json
+from pneu_sysid.sensor_units import apart
 from pneu_sysid.sites import all_sites
 from pneu_sysid.thresholds import Thresholds
 from pneu_sysid.words import strength_in_words
@@ -67,10 +68,14 @@ class Learned:
 def _errors(
     problem: Problem, rig: Rig, readings: Floats | None = None
 ) -> tuple[Floats, dict[str, float], dict[str, float]]:
-    """Residual, and error per tap on the used and on the held-out part."""
+    """Residual, and error per sensor on the used and on the held-out part."""
     y = problem.predict([rig])[0] if readings is None else readings
     used = ~problem.held_out
-    return residual_matrix(problem, y), tap_rmse(problem, y, used), tap_rmse(problem, y, ~used)
+    return (
+        residual_matrix(problem, y),
+        sensor_rmse(problem, y, used),
+        sensor_rmse(problem, y, ~used),
+    )
 
 
 def _rms(problem: Problem, residual: Floats, chosen: NDArray[np.bool_]) -> float:
@@ -155,6 +160,8 @@ def _step(
     if added is not None and effect is not None:
         strength = added.parameters.get(effect.strength.name)
     used, kept = ~problem.held_out, problem.held_out
+    rmse_pa, of_encoders = apart(rmse, rig.encoders)
+    held_pa, held_encoders = apart(held, rig.encoders)
     return Step(
         step=number,
         added=added.effect if added is not None else None,
@@ -163,8 +170,10 @@ def _step(
         unit=effect.strength.unit if effect is not None else None,
         std_error=None if std_errors is None else float(std_errors[0]),
         position_error_m=_position_error(rig, added, std_errors, untold_m),
-        rmse_pa=dict(rmse),
-        held_out_rmse_pa=dict(held),
+        rmse_pa=dict(rmse_pa),
+        held_out_rmse_pa=dict(held_pa),
+        rmse=dict(of_encoders),
+        held_out_rmse=dict(held_encoders),
         total_times_noise=_rms(problem, residual, used),
         held_out_times_noise=_rms(problem, residual, kept),
     )
@@ -487,7 +496,7 @@ def result_of_learning(
         output: Folder of the results.
     """
     return LearnResult(
-        **heading(problem, name, findings),
+        **heading(problem, learned.rig, name, findings),
         steps=learned.steps,
         verdict=learned.verdict,
         sentence=learned.sentence,

@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a rig was doing at each sample: flow direction, choking, valve opening, pressure, time."""
+"""What a rig was doing at each sample: flow direction, choking, valve opening, pressure, time.
+
+Where it moves, also how: see ``motion``.
+"""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +20,11 @@ from pneu_sim.rig.plan import Plan, plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import TICK_S, initial_field
 from pneu_sim.valve import evenly_open
+from pneu_sysid.motion import motion_sets
 from pneu_sysid.problem import Problem, Rollouts
 from pneu_sysid.results import RegimeKind
+from pneu_sysid.sensor_units import encoder_units
+from pneu_sysid.ticks import STILL, Ticks
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -26,8 +33,6 @@ SHUT = 0.005
 """A valve open by less counts as closed."""
 OPENING_EDGES = ((SHUT, "closed"), (0.1, "below 10 % open"), (0.5, "10-50 % open"))
 WIDE_OPEN = "above 50 % open"
-STILL = 0.02
-"""A flow (or rate of change) below this part of its 99th percentile counts as none."""
 SMOOTHING_S = 0.02
 LEVELS = 3
 FREQUENCY_EDGES_HZ = (0.0, 5.0, 20.0, 60.0, 150.0)
@@ -40,13 +45,14 @@ FEWEST = 5
 
 @dataclass(frozen=True)
 class SampleSet:
-    """The readings of one tap in one regime.
+    """The readings of one sensor in one regime.
 
     Attributes:
         kind: By what the readings are divided.
         label: Which part this is.
         mask: (n_stretches, horizon) which readings belong to it.
-        of: The valve, port or recording that it is about; empty where it is the tap itself.
+        of: The valve, port, cylinder, joint or recording that it is about; empty where it is the
+            sensor itself.
         lower: Where the part begins on its scale (opening, Pa, s); None where it has none.
         upper: Where it ends.
     """
@@ -60,40 +66,19 @@ class SampleSet:
 
 
 @dataclass(frozen=True)
-class Ticks:
-    """Something that is so or not at every tick of every recording.
-
-    Attributes:
-        kind: By what the ticks are divided.
-        label: Which part this is.
-        masks: Per recording (ticks,) which belong to it.
-        of: The valve, port or recording that it is about; empty where it is the tap itself.
-        lower: Where the part begins on its scale (opening, Pa, s); None where it has none.
-        upper: Where it ends.
-    """
-
-    kind: RegimeKind
-    label: str
-    masks: list[Mask]
-    of: str = ""
-    lower: float | None = None
-    upper: float | None = None
-
-
-@dataclass(frozen=True)
 class Operation:
     """What a rig did along its recordings.
 
     Attributes:
-        time_s: (n_stretches, horizon, n_taps) time of each reading; NaN where there is none.
-        by_tap: Sets of readings of each tap.
+        time_s: (n_stretches, horizon, n_sensors) time of each reading; NaN where there is none.
+        by_tap: Sets of readings of each sensor.
     """
 
     time_s: Floats
     by_tap: dict[str, list[SampleSet]]
 
     def sets(self, tap: str) -> list[SampleSet]:
-        """All sets of a tap.
+        """All sets of a sensor.
 
         Args:
             tap: Its name.
@@ -118,6 +103,7 @@ def operation(problem: Problem, rig: Rig, out: Rollouts) -> Operation:
         opened.append(evenly_open(model, recording.commands, float(tick_s[0]), TICK_S, tick_s.size))
     common = _opening_sets(plan, opened)
     common += _choked_sets(rigs, plan, opened, [along.taps[0] for along in out.along])
+    common += motion_sets(rig, out.along)
     seen = np.isfinite(problem.measured)
     tick = _tick_of(problem, out)
 
@@ -128,7 +114,8 @@ def operation(problem: Problem, rig: Rig, out: Rollouts) -> Operation:
             mask[mine] = of_ticks[tick[mine, :, t]]
         return np.asarray(mask & seen[:, :, t])
 
-    directions = _directions(problem, rig, out)
+    directions = _directions(rig, out)
+    units = encoder_units(rig)
     several = len(problem.recordings) > 1
     by_tap = {}
     for t, tap in enumerate(problem.taps):
@@ -136,7 +123,7 @@ def operation(problem: Problem, rig: Rig, out: Rollouts) -> Operation:
             SampleSet(s.kind, s.label, at(s.masks, t), s.of, s.lower, s.upper)
             for s in directions.get(tap, []) + common
         ]
-        sets += _level_sets(problem, t)
+        sets += _level_sets(problem, t, units.get(tap))
         time = problem.time_s[:, :, t]
         for c, recording in enumerate(problem.recordings):
             mine = seen[:, :, t] & (problem.of == c)[:, None]
@@ -217,7 +204,7 @@ def _choked_sets(
     return sets
 
 
-def _directions(problem: Problem, rig: Rig, out: Rollouts) -> dict[str, list[Ticks]]:
+def _directions(rig: Rig, out: Rollouts) -> dict[str, list[Ticks]]:
     """Flow direction per tap: filling and exhausting of the closed volume it sees.
 
     That is the volume the tap sits in, or, where this is open to a reservoir, the closed volumes
@@ -261,26 +248,32 @@ def _rise(pressure: Floats) -> Floats:
     return np.asarray(np.gradient(uniform_filter1d(pressure, width, mode="nearest"), TICK_S))
 
 
-def _level_sets(problem: Problem, tap: int) -> list[SampleSet]:
-    """Equal bands of the measured pressure; none for a tap that stands still."""
-    measured = problem.target()[:, :, tap]
+def _level_sets(problem: Problem, sensor: int, unit: str | None) -> list[SampleSet]:
+    """Equal bands of what was measured; none for a sensor that stands still.
+
+    Args:
+        problem: The problem.
+        sensor: Number of the sensor.
+        unit: The unit of an encoder; None is a tap.
+    """
+    measured = problem.target()[:, :, sensor]
     good = np.isfinite(measured)
     if not good.any():
         return []
     low, high = np.percentile(measured[good], [1.0, 99.0])
-    if high - low < 20.0 * problem.noise_pa[tap]:
+    if high - low < 20.0 * problem.noise_pa[sensor]:
         return []
     edges = np.linspace(low, high, LEVELS + 1)
     band = np.digitize(np.nan_to_num(measured, nan=low), edges[1:-1])
     return [
         SampleSet(
-            "pressure",
-            f"{edges[k] / 1e5:.2f}-{edges[k + 1] / 1e5:.2f} bar",
+            "pressure" if unit is None else "position",
+            f"{a / 1e5:.2f}-{b / 1e5:.2f} bar" if unit is None else f"{a:.3g} to {b:.3g} {unit}",
             good & (band == k),
-            lower=float(edges[k]),
-            upper=float(edges[k + 1]),
+            lower=float(a),
+            upper=float(b),
         )
-        for k in range(LEVELS)
+        for k, (a, b) in enumerate(pairwise(edges.tolist()))
     ]
 
 

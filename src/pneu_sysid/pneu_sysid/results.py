@@ -19,6 +19,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
 from pneu_common.validation import sentence
+from pneu_sysid.sensor_units import EncoderUnit
 
 
 def _finite(value: Any) -> Any:
@@ -55,10 +56,24 @@ class Head(Result):
     """Names of the rigs."""
     taps: list[str]
     """Taps that are compared."""
+    encoders: dict[str, EncoderUnit] = {}
+    """Encoders that are compared, and the unit of all that is told of each."""
     noise_floor_pa: dict[str, Perhaps]
     """Per tap the sensor's white noise with quantisation, one sigma."""
+    noise_floor: dict[str, Perhaps] = {}
+    """The same per encoder, in its unit."""
     findings: list[str] = []
     """What was wrong with the recording and how it was handled."""
+
+    @property
+    def sensors(self) -> list[str]:
+        """Taps, then encoders."""
+        return [*self.taps, *self.encoders]
+
+    @property
+    def noise_of(self) -> dict[str, float | None]:
+        """The noise of every sensor, each in its unit: Pa, rad or m."""
+        return {**self.noise_floor_pa, **self.noise_floor}
 
 
 # ---- compare -------------------------------------------------------------------------------
@@ -75,6 +90,26 @@ class Stretch(Result):
     """End."""
     rmse_pa: Number
     """Error within it."""
+    doing: str = ""
+    """What the valve was doing."""
+
+    @property
+    def rmse(self) -> float:
+        """Error within it, Pa."""
+        return self.rmse_pa
+
+
+class EncoderStretch(Result):
+    """A stretch of time in which one encoder is predicted worst."""
+
+    recording: str | None = None
+    """Which recording it is in, where there are several."""
+    start_s: Number
+    """Begin, from the start of the recording."""
+    end_s: Number
+    """End."""
+    rmse: Number
+    """Error within it, in the encoder's unit."""
     doing: str = ""
     """What the valve was doing."""
 
@@ -102,8 +137,54 @@ class TapError(Result):
     worst: list[Stretch]
     """Worst stretches, worst first."""
 
+    @property
+    def rmse(self) -> float | None:
+        """Root mean square of measured minus model, Pa."""
+        return self.rmse_pa
 
-RegimeKind = Literal["flow_direction", "choked", "opening", "pressure", "frequency", "time"]
+    @property
+    def bias(self) -> float | None:
+        """Mean of measured minus model, Pa."""
+        return self.bias_pa
+
+
+class EncoderError(Result):
+    """Error of one model at one encoder, over all stretches, in the encoder's unit."""
+
+    unit: EncoderUnit
+    """Unit of the errors and the noise."""
+    rmse: Perhaps
+    """Root mean square of measured minus model."""
+    normalised: Perhaps
+    """RMSE over the standard deviation of what was measured."""
+    times_noise: Perhaps
+    """RMSE over the noise floor; 1 is as good as the sensor can tell."""
+    bias: Perhaps
+    """Mean of measured minus model: positive where the sensor reads above the model."""
+    lag_s: Perhaps
+    """How much later the measurement is than the model, by the time shift that fits best; null
+    where the joint moves too little to tell."""
+    gain: Perhaps
+    """Measured change per predicted change, at that shift; null likewise."""
+    noise_floor: Perhaps
+    """The sensor's noise."""
+    worst: list[EncoderStretch]
+    """Worst stretches, worst first."""
+
+
+RegimeKind = Literal[
+    "flow_direction",
+    "choked",
+    "opening",
+    "pressure",
+    "frequency",
+    "time",
+    "position",
+    "motion",
+    "speed",
+    "load",
+    "stop",
+]
 
 
 def regime_order(regime: Mapping[str, Any]) -> tuple[Any, ...]:
@@ -151,9 +232,11 @@ class Regime(Result):
     label: str
     """Which part of them this is."""
     of: str = ""
-    """The valve, port or recording that it is about; empty where it is the tap itself."""
+    """The valve, port, joint, cylinder or recording that it is about; empty where it is the tap
+    itself."""
     lower: Perhaps = None
-    """Where the part begins on its scale: opening as a fraction, Pa, Hz or s; null without one."""
+    """Where the part begins on its scale: opening as a fraction, Pa, Hz, s, rad/s or m/s, N m or N;
+    null without one."""
     upper: Perhaps = None
     """Where it ends; null where it is open to that side."""
     tap: str
@@ -169,6 +252,55 @@ class Regime(Result):
     times_noise: Perhaps
     """RMSE over what sensor noise alone gives in the regime."""
 
+    @property
+    def sensor(self) -> str:
+        """The tap."""
+        return self.tap
+
+    @property
+    def rmse(self) -> float:
+        """Error within the regime, Pa."""
+        return self.rmse_pa
+
+    @property
+    def bias(self) -> float | None:
+        """Mean of measured minus model within it, Pa."""
+        return self.bias_pa
+
+
+class EncoderRegime(Result):
+    """Error of one model at one encoder in one regime of operation, in the encoder's unit."""
+
+    kind: RegimeKind
+    """By what the samples are divided."""
+    label: str
+    """Which part of them this is."""
+    of: str = ""
+    """The valve, port, joint, cylinder or recording that it is about; empty where it is the encoder
+    itself."""
+    lower: Perhaps = None
+    """Where the part begins on its scale: opening as a fraction, rad or m, Hz, s, rad/s or m/s, N m
+    or N; null without one."""
+    upper: Perhaps = None
+    """Where it ends; null where it is open to that side."""
+    encoder: str
+    """The encoder."""
+    rmse: Number
+    """Error within the regime (for a frequency band, of the error's part in that band)."""
+    bias: Perhaps = None
+    """Mean of measured minus model within it; null for a frequency band."""
+    share: Number
+    """Share of the encoder's squared error."""
+    samples: int
+    """Samples in the regime."""
+    times_noise: Perhaps
+    """RMSE over what sensor noise alone gives in the regime."""
+
+    @property
+    def sensor(self) -> str:
+        """The encoder."""
+        return self.encoder
+
 
 class ModelError(Result):
     """How one model does."""
@@ -181,15 +313,29 @@ class ModelError(Result):
     """Rig file."""
     taps: dict[str, TapError]
     """Error per tap."""
+    encoders: dict[str, EncoderError] = {}
+    """Error per encoder."""
     regimes: list[Regime]
     """Where it fails: by kind, then by valve, port or recording, then as their numbers rise, and
     then by tap."""
+    encoder_regimes: list[EncoderRegime] = []
+    """The same of the encoders."""
     rmse_pa: Perhaps
     """Root mean square over the taps."""
     times_noise: Perhaps
-    """Root mean square of the taps' ``times_noise``."""
+    """Root mean square of the taps' and the encoders' ``times_noise``."""
     by_recording: dict[str, Perhaps] = {}
     """The same for each recording."""
+
+    @property
+    def sensors(self) -> dict[str, TapError | EncoderError]:
+        """Error per sensor: taps, then encoders."""
+        return {**self.taps, **self.encoders}
+
+    @property
+    def all_regimes(self) -> list[Regime | EncoderRegime]:
+        """Regimes of taps, then of encoders."""
+        return [*self.regimes, *self.encoder_regimes]
 
 
 class Numerics(Result):
@@ -201,6 +347,8 @@ class Numerics(Result):
     """Cell length of the second run; null where none was made."""
     change_pa: dict[str, Perhaps]
     """Per tap the root mean square change of the prediction."""
+    change: dict[str, Perhaps] = {}
+    """The same per encoder, in its unit."""
     discretisation: bool
     """Whether the error is mostly one of the grid rather than of the physics."""
     sentence: str
@@ -218,8 +366,12 @@ class Series(Result):
     """Per tap the readings, Pa; null where the tap was not read at that time."""
     model: dict[str, dict[str, list[Perhaps]]]
     """Per model and tap the predicted readings, Pa."""
+    measured_encoders: dict[str, list[Perhaps]] = {}
+    """Per encoder the readings, in its unit; null likewise."""
+    model_encoders: dict[str, dict[str, list[Perhaps]]] = {}
+    """Per model and encoder the predicted readings, in its unit."""
     gap_s: dict[str, Perhaps] = {}
-    """Per tap how far apart readings are that have a gap between them, s."""
+    """Per tap and encoder how far apart readings are that have a gap between them, s."""
     begins_s: list[Number] = []
     """When each recording begins on these times, which run through all of them, s."""
     segments: list[tuple[Number, Number]]
@@ -285,7 +437,7 @@ class FitShortfall(Result):
     """Where a calibration stops short of the noise."""
 
     times_noise: dict[str, Number]
-    """Times the noise at each tap where that is more than twice."""
+    """Times the noise at each tap and encoder where that is more than twice."""
     sentence: str
     """That it stops short."""
     where: list[str]
@@ -312,11 +464,26 @@ class FitResult(Head):
     warnings: list[str]
     """What the recording cannot identify, in plain words."""
     shortfall: FitShortfall | None = None
-    """Where the fit stops short of the noise; null where every tap is within twice its noise."""
+    """Where the fit stops short of the noise; null where every sensor is within twice its noise."""
     rmse_pa: dict[str, Perhaps]
     """Per tap the error on the part that was used."""
     held_out_rmse_pa: dict[str, Perhaps]
     """Per tap the error on the part kept aside; empty where none was."""
+    rmse: dict[str, Perhaps] = {}
+    """Per encoder the error on the part that was used, in its unit."""
+    held_out_rmse: dict[str, Perhaps] = {}
+    """Per encoder the error on the part kept aside; empty where none was."""
+
+    @property
+    def rmse_of(self) -> dict[str, float | None]:
+        """Error of every sensor on the part that was used, each in its unit."""
+        return {**self.rmse_pa, **self.rmse}
+
+    @property
+    def held_out_rmse_of(self) -> dict[str, float | None]:
+        """The same on the part kept aside."""
+        return {**self.held_out_rmse_pa, **self.held_out_rmse}
+
     history: list[Perhaps]
     """Cost after each iteration of the last step, its start first."""
     seconds: Perhaps = None
@@ -367,9 +534,9 @@ class Dependence(Result):
     """A variable that an unexplained residual depends on."""
 
     variable: str
-    """Flow direction, opening, pressure, frequency, time or another tap."""
+    """Flow direction, opening, pressure, position, speed, frequency, time or another tap."""
     tap: str
-    """Tap whose residual depends on it."""
+    """Tap or encoder whose residual depends on it."""
     gain: Perhaps
     """Share of that residual's variance it explains."""
 
@@ -390,9 +557,12 @@ class DiagnoseResult(Head):
     unchanged: list[str] = []
     """Recordings that the verdict is not about."""
     times_noise: Perhaps = None
-    """Error of the rig as it is over the noise, root mean square over taps and recordings."""
+    """Error of the rig as it is over the noise, root mean square over taps, encoders and
+    recordings."""
     rmse_pa: dict[str, Perhaps]
     """Per tap the error of the rig as it is."""
+    rmse: dict[str, Perhaps] = {}
+    """The same per encoder, in its unit."""
     candidates: list[Candidate]
     """Candidates, best first."""
     depends_on: list[Dependence] = []
@@ -425,10 +595,19 @@ class Step(Result):
     """Per tap the error on the part that was used."""
     held_out_rmse_pa: dict[str, Perhaps]
     """Per tap the error on the part kept aside."""
+    rmse: dict[str, Perhaps] = {}
+    """Per encoder the error on the part that was used, in its unit."""
+    held_out_rmse: dict[str, Perhaps] = {}
+    """Per encoder the error on the part kept aside."""
     total_times_noise: Perhaps
-    """Error over noise, root mean square over taps, on the part used."""
+    """Error over noise, root mean square over taps and encoders, on the part used."""
     held_out_times_noise: Perhaps
     """The same on the part kept aside."""
+
+    @property
+    def errors(self) -> dict[str, float | None]:
+        """Error of every sensor on the part kept aside, or, where none is, on the part used."""
+        return {**self.held_out_rmse_pa, **self.held_out_rmse} or {**self.rmse_pa, **self.rmse}
 
 
 class LearnResult(Head):
@@ -506,9 +685,10 @@ _PAGE = """\
 
 `--json FILE` of `pneu compare`, `fit`, `diagnose` and `learn` writes one object as below. All
 quantities are SI, pressures absolute pascals, times from the start of the recording; the unit is in
-a key's name (`rmse_pa`). There is never NaN or infinity: where a number does not exist, `null`
-stands. `schema` names the command and the version; the version rises when a key changes its meaning
-or goes away, not when one is added.
+a key's name (`rmse_pa`). Encoders stand apart from taps: their keys have no unit in their names
+(`rmse`), and `encoders` says of each whether it is rad or m. There is never NaN or infinity: where
+a number does not exist, `null` stands. `schema` names the command and the version; the version
+rises when a key changes its meaning or goes away, not when one is added.
 
 Residuals are measured minus model everywhere: `bias_pa` is positive where the sensor reads above
 the model. `lag_s` is positive where the measurement is later than the model.

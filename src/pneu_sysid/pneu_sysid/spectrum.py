@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sysid.problem import Problem
+from pneu_sysid.records import Recording
 
 Floats = NDArray[np.float64]
 
@@ -22,6 +23,9 @@ STANDS_OUT = 16.0
 exponential: among some thousand frequencies one of e^-16 comes up in one of thousands of cases."""
 NEAR = 40
 """What is near: so many widths of a line on either side."""
+DRIVEN = 0.01
+"""Share of a command's and of a position's variance at a frequency at which a rig is made to move:
+what is wrong with its motion pulsates there too, and nothing has a frequency of its own."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,8 @@ class Line:
 def lines_of(problem: Problem, residual: Floats) -> list[Line]:
     """The strongest line at each tap, where one stands out; the largest share first.
 
-    The periodogram of readings at their own times, along the longest recording.
+    The periodogram of readings at their own times, along the longest recording. Where the rig is
+    made to swing at a line's frequency, it is none.
 
     Args:
         problem: The problem.
@@ -74,6 +79,29 @@ def lines_of(problem: Problem, residual: Floats) -> list[Line]:
         best = int(np.argmax(power))
         around = np.abs(frequency - frequency[best])
         near = (around > 1.5 * width) & (around < NEAR * width)
-        if power[best] > STANDS_OUT * float(power[near].mean()):
+        stands_out = power[best] > STANDS_OUT * float(power[near].mean())
+        if stands_out and not _is_driven(problem.recordings[recording], float(frequency[best])):
             out.append(Line(tap, float(frequency[best]), float(power[best])))
     return sorted(out, key=lambda line: -line.share)
+
+
+def _is_driven(recording: Recording, frequency_hz: float) -> bool:
+    """Whether commands make what encoders watch swing at a frequency."""
+    if not recording.encoders:
+        return False
+    begin, end = recording.start_s, recording.end_s
+    time = np.arange(begin, end, 4.0 * TICK_S)
+    commands = [signal.held(time) for signal in recording.commands.values()]
+    positions = [np.interp(time, s.time_s, s.values) for s in recording.encoders.values() if len(s)]
+
+    def swings(values: Floats) -> bool:
+        centred = values - values.mean()
+        total = float(np.sum(centred**2))
+        if total <= 0.0:
+            return False
+        around = frequency_hz + np.linspace(-1.5, 1.5, 4 * FINER) / (end - begin)
+        wave = np.exp(-2j * np.pi * np.outer(around, time - begin))
+        share = 2.0 * np.abs(wave @ centred) ** 2 / (time.size * total)
+        return bool(share.max() > DRIVEN)
+
+    return any(map(swings, commands)) and any(map(swings, positions))

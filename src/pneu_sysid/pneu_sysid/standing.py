@@ -20,7 +20,7 @@ class Standing:
     Attributes:
         own: Whether one of the recordings is one that it was calibrated on.
         calibrated: Whether it was calibrated at all.
-        floor: (n_taps,) error that it cannot be blamed for, in noise deviations: what its
+        floor: (n_sensors,) error that it cannot be blamed for, in noise deviations: what its
             calibration left, or the noise alone where the recording is the calibration's own.
         excess: (n_recordings,) squared error over that floor.
         times_noise: Root mean square error in noise deviations, over all taps and recordings.
@@ -40,7 +40,7 @@ class Standing:
 
 
 def floor_of(rig: Rig, problem: Problem) -> Floats:
-    """(n_taps,) what the model cannot be blamed for, in noise units: noise, or calibration's rest.
+    """(n_sensors,) what the model cannot be blamed for, over the noise: 1, or what a fit left.
 
     On a recording that it was calibrated on, nothing but the noise excuses it: what was fitted
     there should have left no more.
@@ -52,7 +52,7 @@ def floor_of(rig: Rig, problem: Problem) -> Floats:
     floor = np.ones(len(problem.taps))
     if rig.calibration is not None and not is_own(rig, problem):
         for k, tap in enumerate(problem.taps):
-            left = rig.calibration.rmse_pa.get(tap)
+            left = rig.calibration.left.get(tap)
             if left is not None:
                 floor[k] = max(1.0, left / problem.noise_pa[k])
     return floor

@@ -11,6 +11,7 @@ from pneu_common.errors import InputError
 from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
+from pneu_sysid.encoder_check import checked_encoders
 from pneu_sysid.records import Finding, Recording
 
 Floats = NDArray[np.float64]
@@ -40,13 +41,16 @@ SLOW_S, LONG_S = 0.25, 1800.0
 def checked(rig: Rig, path: str, recording: Recording) -> Recording:
     """The recording without the marks of readings that failed, if its units are the rig's.
 
+    Encoders that began again at a whole turn are made continuous.
+
     Args:
         rig: The rig.
         path: Where the recording was read from, for messages.
         recording: The recording.
 
     Raises:
-        InputError: Pressures, commands or times are in another unit, as far as the rig tells.
+        InputError: Pressures, positions, commands or times are in another unit, as far as the rig
+            tells.
     """
     room = rig.ambient.pressure_pa
     sources = [room, *(r.pressure_pa for r in rig.reservoirs.values())]
@@ -62,6 +66,8 @@ def checked(rig: Rig, path: str, recording: Recording) -> Recording:
             recording.pressures[tap] = kept
             recording.report.append(finding)
         _check_pressure(path, tap, kept.values, low, high, room)
+    if recording.encoders:
+        checked_encoders(rig, path, recording)
     return recording
 
 
@@ -145,7 +151,7 @@ def _check_time(rig: Rig, path: str, recording: Recording) -> None:
             f"{path}: lasts {recording.end_s:.4g} s, allowed are {LONGEST_S:g}; a stamp is wrong,"
             " or text.time_scale"
         )
-    steps = [float(np.median(np.diff(s.time_s))) for s in recording.pressures.values()]
+    steps = [float(np.median(np.diff(s.time_s))) for s in recording.readings.values()]
     period = min(steps)
     if not kind_of(rig).along_lines or period < SLOW_S or recording.end_s < LONG_S:
         return

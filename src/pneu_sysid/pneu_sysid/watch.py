@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A model run alongside incoming commands and taps: what it leaves unexplained, window by window.
+"""A model run alongside incoming commands and readings: what it leaves unexplained, by windows.
 
 Each window is one stretch as in identification: the model runs along the readings at their own
 times, its gas drawn slowly to the taps, and is compared after a warm-up. So the residual does not
@@ -17,6 +17,7 @@ from pneu_common.errors import InputError
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.problem import make_problem, pull_of
 from pneu_sysid.records import Recording, Signal
+from pneu_sysid.sensor_units import apart
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +29,7 @@ quite as often as was told."""
 EARLIER_S = 1.0
 """Commands from this long before a window still matter to its spools."""
 LEAST = 0.5
-"""A window in which every tap lacks more than this share of its readings is not judged."""
+"""A window in which every sensor lacks more than this share of its readings is not judged."""
 
 
 @dataclass(frozen=True)
@@ -38,32 +39,33 @@ class Window:
     Attributes:
         end_s: Time of its last sample, s.
         length_s: Its length, s.
-        taps: Names.
-        residual_pa: Newest measured minus model per tap, Pa; NaN where there is no reading.
-        rms_pa: Root mean square per tap, Pa; NaN where there is no reading.
-        noise_pa: Noise of the sensors, Pa; NaN where it is not known.
-        expected_pa: Error that the model had where it was calibrated, noise included, Pa.
+        sensors: Names of the taps, then of the encoders; of the former all is in Pa, of the latter
+            in rad or m.
+        residual: Newest measured minus model of each; NaN where there is no reading.
+        rms: Root mean square of each; NaN where there is no reading.
+        noise: Noise of each; NaN where it is not known.
+        expected: Error that the model had where it was calibrated, noise included.
     """
 
     end_s: float
     length_s: float
-    taps: list[str]
-    residual_pa: Floats
-    rms_pa: Floats
-    noise_pa: Floats
-    expected_pa: Floats
+    sensors: list[str]
+    residual: Floats
+    rms: Floats
+    noise: Floats
+    expected: Floats
 
     @property
     def times_expected(self) -> float:
-        """Error over that expected, at the tap where it is largest; NaN without any reading."""
-        ratio = self.rms_pa / self.expected_pa
+        """Error over that expected, at the sensor where it is largest; NaN without any reading."""
+        ratio = self.rms / self.expected
         return float(np.nanmax(ratio)) if np.isfinite(ratio).any() else math.nan
 
     @property
-    def worst_tap(self) -> str:
-        """The tap where the error is largest beside that expected."""
-        ratio = np.nan_to_num(self.rms_pa / self.expected_pa, nan=-1.0)
-        return self.taps[int(np.argmax(ratio))]
+    def worst(self) -> str:
+        """The sensor where the error is largest beside that expected."""
+        ratio = np.nan_to_num(self.rms / self.expected, nan=-1.0)
+        return self.sensors[int(np.argmax(ratio))]
 
 
 class _Trace:
@@ -100,7 +102,7 @@ class Watch:
 
         Args:
             rig: The model.
-            rate_hz: Rate at which taps are read, Hz; of faster ones readings are left out.
+            rate_hz: Rate at which sensors are read, Hz; of faster ones readings are left out.
             window_s: Length of what is compared, s; None is the horizon of the rig's fit.
             dx_m: Cell length that replaces the rig's.
 
@@ -121,20 +123,21 @@ class Watch:
         fit = {"horizon_s": self._window_s, "nudge_s": pull_of(rig)}
         # One window is one stretch; the gas is drawn to the taps as in the fit.
         self._model = rig.model_copy(update={"fit": rig.fit.model_copy(update=fit)})
-        self._noise = np.array([tap.noise_pa for tap in rig.taps.values()])
+        noise = [tap.noise_pa for tap in rig.taps.values()]
+        self._noise = np.array(noise + [encoder.noise for encoder in rig.encoders.values()])
         self._noise[self._noise == 0.0] = np.nan
-        self._floor = np.full(len(rig.taps), np.nan)
+        self._floor = np.full(self._noise.size, np.nan)
         calibration = rig.calibration
         if calibration is not None:
-            for t, name in enumerate(rig.taps):
-                self._noise[t] = calibration.noise_floor_pa.get(name, self._noise[t])
-                self._floor[t] = calibration.rmse_pa.get(name, np.nan)
+            for t, name in enumerate((*rig.taps, *rig.encoders)):
+                self._noise[t] = calibration.noise.get(name, self._noise[t])
+                self._floor[t] = calibration.left.get(name, np.nan)
         self.clear()
 
     def clear(self) -> None:
         """Forgets all samples, as after a jump of time."""
         self._commands = {name: _Trace() for name in self._rig.commands}
-        self._taps = {name: _Trace() for name in self._rig.taps}
+        self._sensors = {name: _Trace() for name in (*self._rig.taps, *self._rig.encoders)}
         self._judged_s = -math.inf
         self._latest_s = -math.inf
 
@@ -149,29 +152,29 @@ class Watch:
         if math.isfinite(volts) and name in self._commands:
             self._commands[name].add(time_s, volts)
 
-    def reading(self, name: str, time_s: float, pressure_pa: float) -> None:
-        """Notes a reading; one from before the latest of its tap makes a new start.
+    def reading(self, name: str, time_s: float, value: float) -> None:
+        """Notes a reading; one from before the latest of its sensor makes a new start.
 
         Args:
-            name: Tap.
+            name: Tap or encoder.
             time_s: When it was taken, s.
-            pressure_pa: Its value, Pa; what is not finite is ignored.
+            value: Its value, Pa, rad or m; what is not finite is ignored.
         """
-        if not math.isfinite(pressure_pa) or name not in self._taps:
+        if not math.isfinite(value) or name not in self._sensors:
             return
-        trace = self._taps[name]
+        trace = self._sensors[name]
         if trace.times and time_s <= trace.times[-1]:
             if time_s > trace.times[-1] - 1.0 / self._rate_hz:
                 return  # the same reading twice
             self.clear()
-            trace = self._taps[name]
+            trace = self._sensors[name]
         if not trace.times or time_s - trace.times[-1] > CLOSE / self._rate_hz:
-            trace.add(time_s, pressure_pa)
+            trace.add(time_s, value)
         self._latest_s = max(self._latest_s, time_s)
 
     def is_full(self) -> bool:
         """Whether a new window can be judged."""
-        begins = [t.times[0] for t in self._taps.values() if t.times]
+        begins = [t.times[0] for t in self._sensors.values() if t.times]
         length = self._warm_up_s + self._window_s + (1.0 + MARGIN) / self._rate_hz
         return (
             bool(begins)
@@ -197,21 +200,26 @@ class Watch:
         self._judged_s = end
         for trace in self._commands.values():
             trace.drop_before(begin - EARLIER_S)
-        for trace in self._taps.values():
+        for trace in self._sensors.values():
             trace.drop_before(begin)
         commands = {name: trace.since(begin) for name, trace in self._commands.items()}
-        pressures = {
+        readings = {
             name: trace.since(begin).within(0.0, end - begin)
-            for name, trace in self._taps.items()
+            for name, trace in self._sensors.items()
             if trace.times
         }
         enough = LEAST * self._rate_hz * (end - begin)
-        pressures = {name: signal for name, signal in pressures.items() if len(signal)}
-        if max((len(signal) for signal in pressures.values()), default=0) < enough:
+        readings = {name: signal for name, signal in readings.items() if len(signal)}
+        if max((len(signal) for signal in readings.values()), default=0) < enough:
             return None
+        pressures, encoders = apart(readings, self._rig.encoders)
         try:
             problem = make_problem(
-                self._model, Recording("live", commands, pressures), None, self._dx_m, workers=1
+                self._model,
+                Recording("live", commands, pressures, encoders=encoders),
+                None,
+                self._dx_m,
+                workers=1,
             )
         except InputError:
             return None  # the readings of this window end before it does
@@ -221,13 +229,13 @@ class Watch:
         number = present.sum(axis=(0, 1))
         rms = np.sqrt(squares.sum(axis=(0, 1)) / np.maximum(number, 1))
         rms[number == 0] = np.nan
-        newest = np.full(len(self._taps), np.nan)
+        newest = np.full(len(self._sensors), np.nan)
         for t in range(newest.size):
             if number[t]:
                 newest[t] = error[:, :, t][present[:, :, t]][-1]
         noise = np.where(np.isfinite(self._noise), self._noise, problem.noise_pa)
         expected = np.fmax(self._floor, noise)
-        return Window(end, self._window_s, list(self._taps), newest, rms, noise, expected)
+        return Window(end, self._window_s, list(self._sensors), newest, rms, noise, expected)
 
 
 class Verdict:

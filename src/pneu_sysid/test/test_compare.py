@@ -195,7 +195,7 @@ def test_a_model_that_reads_too_low_leaves_a_positive_residual(
 
     page = write_report(tmp_path / "report.html", compare=data).read_text(encoding="utf-8")
     assert "measured minus model" in page and "model minus measured" not in page
-    assert "measured − model, kPa" in page and "model − measured" not in page
+    assert "`measured − model, ${data.unit" in page and "model − measured" not in page
     assert "mean +4" in page or "mean +3.9" in page
     # What the page itself forms of the readings it holds.
     block = re.search(r'id="viewer-data">(.*?)</script>', page)

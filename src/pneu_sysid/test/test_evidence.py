@@ -9,6 +9,7 @@ from pneu_sysid.candidates import Score, scores_of, to_refit
 from pneu_sysid.candidates import Sensitivity as Known
 from pneu_sysid.evidence import lead, share_explained
 from pneu_sysid.problem import Problem
+from pneu_sysid.records import Recording
 from pneu_sysid.sites import Site
 from pneu_sysid.spectrum import lines_of
 from pneu_sysid.thresholds import Thresholds
@@ -96,7 +97,7 @@ def pulsating(frequency_hz: float, amplitude: float) -> tuple[Problem, np.ndarra
     r = rng.normal(size=time.shape) + slow
     r += amplitude * np.sin(2.0 * np.pi * frequency_hz * time + 0.7)
     problem = Problem(
-        recordings=[],
+        recordings=[Recording("made", {}, {})],
         taps=["end"],
         time_s=time,
         measured=np.ones_like(time),

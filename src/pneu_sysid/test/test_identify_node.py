@@ -11,8 +11,9 @@ from tests.live_graph import own_domain, running_graph, wait_for  # isort: skip
 from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticStatus
 from pneu_msgs.action import Identify
-from pneu_msgs.msg import TapResiduals, ValveCommand
+from pneu_msgs.msg import EncoderResiduals, TapResiduals, ValveCommand
 from rclpy.action import ActionClient
+from std_msgs.msg import Float64
 
 from pneu_graph.nodes import common
 from pneu_sim.nodes.simulator import SimulatorNode
@@ -131,3 +132,30 @@ def test_the_watch_tells_a_changed_rig_from_the_one_it_knows(graph, tmp_path, le
     wait_for(lambda: graph.status("model lab").level == level, 10.0)
     message = graph.status("model lab").message
     assert ("does not describe the rig" if leak_m2 else "as expected") in message
+
+
+def test_the_watch_follows_a_joint_by_its_name(graph):
+    """A robot that sways: its angle's residual is told in rad, apart from the taps' in Pa."""
+    path = str(LAB.with_name("kokoro.yaml"))
+    rig = load_rig(path)
+    angles = graph.listen(EncoderResiduals, "encoders/residuals", 10)
+    pressures = graph.listen(TapResiduals, "taps/residuals", 10)
+    graph.add(SimulatorNode, rig=path, publish_rate_hz=250.0)
+    graph.add(IdentifyNode, watch_rig=path)
+    count = iter(range(1_000_000))
+    publishers = {
+        name: graph.probe.create_publisher(Float64, command.channel.topic, common.COMMAND_QOS)
+        for name, command in rig.commands.items()
+    }
+
+    def command():
+        swing = 0.3 if next(count) % 16 < 8 else -0.3
+        publishers["head"].publish(Float64(data=5.0 + swing))
+        publishers["rod"].publish(Float64(data=5.0 - swing))
+
+    graph.probe.create_timer(0.02, command)
+    wait_for(lambda: len(angles) >= 2 and len(pressures) >= 2, 20.0)
+    newest = angles[-1]
+    assert list(newest.name) == ["elbow"] and list(newest.unit) == ["rad"]
+    assert 0.0 <= newest.rms[0] < 2.0 and abs(newest.residual[0]) < 4.0
+    assert list(pressures[-1].name) == list(rig.taps)

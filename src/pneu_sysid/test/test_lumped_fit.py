@@ -10,7 +10,7 @@ import pytest
 
 from pneu_sim.rig.schema import Rig
 from pneu_sim.run import add_noise, run_rig
-from pneu_sysid.fit import fit_rig, tap_rmse
+from pneu_sysid.fit import fit_rig, sensor_rmse
 from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import make_problem
 from pneu_sysid.records import Recording, even_recording
@@ -61,9 +61,9 @@ def test_fit_of_a_lumped_model_reduces_its_error(recording: Recording, model: st
     problem = make_problem(rig, recording)
     held_out = problem.held_out
     assert held_out.any()
-    before = tap_rmse(problem, problem.predict([rig])[0], held_out)["end"]
+    before = sensor_rmse(problem, problem.predict([rig])[0], held_out)["end"]
     outcome = fit_rig(rig, recording, hold_out=True)
-    assert outcome.held_out_rmse_pa["end"] < 0.6 * before
+    assert outcome.held_out_rmse["end"] < 0.6 * before
     assert outcome.rig.model == model
 
 

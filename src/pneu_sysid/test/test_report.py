@@ -211,7 +211,7 @@ def fit_result() -> dict:
             ),
         ],
         "shortfall": {
-            "by_tap": {"end": 2.4},
+            "times_noise": {"end": 2.4},
             "sentence": "The calibration stops short: where it has not been fitted it is to be"
             " expected to leave more than 2 times the noise at end 2.4 (times).",
             "where": ["end: most with valve above 50 % open (4.7 times, 53 % of it)"],

@@ -217,6 +217,9 @@ class Calibration(Part):
         rmse_pa: Residual left per tap.
         noise_floor_pa: Sensor noise per tap.
         held_out_rmse_pa: Residual on the part kept aside.
+        rmse: Residual left per encoder, rad or m.
+        noise_floor: Noise per encoder, likewise.
+        held_out_rmse: Residual per encoder on the part kept aside, likewise.
     """
 
     recording: str
@@ -224,6 +227,19 @@ class Calibration(Part):
     rmse_pa: dict[str, float]
     noise_floor_pa: dict[str, float]
     held_out_rmse_pa: dict[str, float] = {}
+    rmse: dict[str, float] = {}
+    noise_floor: dict[str, float] = {}
+    held_out_rmse: dict[str, float] = {}
+
+    @property
+    def left(self) -> dict[str, float]:
+        """Residual left per tap and encoder, each in its own unit."""
+        return {**self.rmse_pa, **self.rmse}
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Noise per tap and encoder, each in its own unit."""
+        return {**self.noise_floor_pa, **self.noise_floor}
 
 
 class Lumped(Part):

@@ -16,6 +16,7 @@ from pneu_sim.rig.schema import Rig
 from pneu_sysid.gross.guesses import Guess
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
+from pneu_sysid.sensor_units import encoder_units, unit_of
 
 Floats = NDArray[np.float64]
 
@@ -105,7 +106,7 @@ class Bench:
     Attributes:
         rig: The structure.
         problem: It and the recordings, without fits of how they begin.
-        noise_pa: (n_taps,) noise.
+        noise_pa: (n_sensors,) noise of each, Pa, rad or m; of encoders the others are no Pa either.
         seen: (n_stretches, horizon, n_taps) readings that count.
         count: (n_taps,) how many they are.
         spread_pa: (n_taps,) how far they spread.
@@ -121,10 +122,13 @@ class Bench:
             like: A problem whose noise and cells are taken.
         """
         self.rig = rig.model_copy(deep=True)
-        for t, name in enumerate(like.taps):
-            self.rig.taps[name] = self.rig.taps[name].model_copy(
-                update={"noise_pa": float(like.noise_pa[t]), "quantum_pa": 0.0}
-            )
+        for name, noise in zip(like.taps, like.noise_pa.tolist(), strict=True):
+            if name in self.rig.taps:
+                told: dict[str, float] = {"noise_pa": noise, "quantum_pa": 0.0}
+                self.rig.taps[name] = self.rig.taps[name].model_copy(update=told)
+            else:
+                told = {"noise": noise, "quantum": 0.0}
+                self.rig.encoders[name] = self.rig.encoders[name].model_copy(update=told)
         self.problem = make_problem(self.rig, recordings, PULL_S, like.dx_m, like.workers)
         self.noise_pa = self.problem.noise_pa
         measured, time = self.problem.measured, self.problem.time_s
@@ -136,7 +140,10 @@ class Bench:
         spread = np.sqrt(np.sum(np.where(self.seen, values - mean, 0.0) ** 2, axis=(0, 1)))
         spread /= np.sqrt(self.count)
         # (a supply hardly moves: what is a small part of all motion is not looked at more closely)
-        self.spread_pa = np.maximum(spread, 0.3 * spread.max())
+        units = encoder_units(self.rig)
+        kind = np.array([unit_of(name, units).si for name in self.problem.taps])
+        most = np.array([spread[kind == one].max() for one in kind])  # of all in one unit
+        self.spread_pa = np.maximum(spread, 0.3 * most)
         self.floor_pa = np.hypot(NOISE_FLOOR * self.noise_pa, SPREAD_FLOOR * self.spread_pa)
 
     def left(self, rigs: Sequence[Rig]) -> Floats:

@@ -45,7 +45,7 @@ def wrong_reservoirs(rig: Rig, problem: Problem) -> tuple[list[GrossError], Rig]
             if node in rig.reservoirs and node != name
         }
         levels = {}
-        for tap in problem.taps:
+        for tap in rig.taps:
             if volume_of_tap(volume, rig.taps[tap]) not in fed - others:
                 continue
             values = np.concatenate([r.pressures[tap].values for r in problem.recordings])

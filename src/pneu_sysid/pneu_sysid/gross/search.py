@@ -109,7 +109,7 @@ def gross_errors(rig: Rig, problem: Problem) -> list[GrossError]:
 
 def _liveliest(recording: Recording, seconds: float) -> Recording:
     """The part of a recording in which its commands move most."""
-    first = min(float(s.time_s[0]) for s in recording.pressures.values() if len(s))
+    first = recording.start_s
     begins = np.arange(first, max(recording.end_s - seconds, first) + 1e-9, 0.5 * seconds)
 
     def motion(begin: float) -> float:
@@ -117,12 +117,15 @@ def _liveliest(recording: Recording, seconds: float) -> Recording:
         return sum(float(np.sum(np.abs(np.diff(s.values)))) for s in signals)
 
     begin = max(begins, key=motion)
-    pressures = {
-        name: part
-        for name, s in recording.pressures.items()
-        if len(part := s.within(begin, begin + seconds)) > 1
-    }
-    return replace(recording, pressures=pressures)
+    pressures, encoders = (
+        {
+            name: part
+            for name, s in signals.items()
+            if len(part := s.within(begin, begin + seconds)) > 1
+        }
+        for signals in (recording.pressures, recording.encoders)
+    )
+    return replace(recording, pressures=pressures, encoders=encoders)
 
 
 def _begin(bench: Bench, guess: Guess) -> Settled:

@@ -2,7 +2,7 @@
 """The identification node: fit, compare, diagnose and learn as an action, and a live watch.
 
 Each goal runs in a process of its own, which a cancel ends for good. With the parameter
-``watch_rig`` the node also runs that model alongside the incoming commands and taps and publishes
+``watch_rig`` the node also runs that model alongside the incoming commands and readings, publishing
 what it leaves unexplained. Parameters and topics: see ``ros_ws/README.md``.
 """
 
@@ -16,7 +16,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from pneu_msgs.action import Identify
-from pneu_msgs.msg import TapResiduals
+from pneu_msgs.msg import EncoderResiduals, TapResiduals
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
@@ -27,11 +27,14 @@ from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_sim import topics
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
+from pneu_sysid.nodes.encoder_topics import EncoderTopic, encoder_topics
 from pneu_sysid.nodes.process import TaskProcess
 from pneu_sysid.nodes.tasks import Outcome, Request, check
+from pneu_sysid.sensor_units import encoder_units
 from pneu_sysid.watch import Verdict, Watch, Window
 
 RESIDUALS_TOPIC = "taps/residuals"
+ENCODER_RESIDUALS_TOPIC = "encoders/residuals"
 LOOK_S = 0.02
 """How often the watch looks for new samples."""
 AHEAD_S, BEHIND_S = 0.02, 0.2
@@ -219,11 +222,18 @@ class Watcher:
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
         self._publisher = node.create_publisher(TapResiduals, RESIDUALS_TOPIC, 10)
-        for topic in topics.tap_topics(rig):
+        self._units = encoder_units(rig)
+        self._encoder_publisher: Any = None
+        if rig.encoders:
+            self._encoder_publisher = node.create_publisher(
+                EncoderResiduals, ENCODER_RESIDUALS_TOPIC, 10
+            )
+        read: list[topics.Topic | EncoderTopic] = [*topics.tap_topics(rig), *encoder_topics(rig)]
+        for topic in read:
             node.create_subscription(
                 topics.message_class(topic.type),
                 topic.name,
-                lambda message, topic=topic: self._on_taps(topic, message),
+                lambda message, topic=topic: self._on_readings(topic, message),
                 qos_profile_sensor_data,
             )
         # What took effect, and when, tells more than what was asked for.
@@ -257,16 +267,16 @@ class Watcher:
         if self._failure:
             return common.status(DiagnosticStatus.ERROR, name, self._failure, {}, self._rig.name)
         if window is None or level < 0:
-            text = "too few samples of taps and commands to judge the model yet"
+            text = "too few samples of sensors and commands to judge the model yet"
             return common.status(DiagnosticStatus.STALE, name, text, {}, self._rig.name)
         times = self._verdict.times_expected
         text = f"as expected: {times:.2g} times the error known from its calibration"
         if level > 0:
             what = "worse than expected" if level == 1 else "the model does not describe the rig"
-            text = f"{what}: {times:.2g} times the expected error, most at {window.worst_tap}"
+            text = f"{what}: {times:.2g} times the expected error, most at {window.worst}"
         values = {
-            f"rms {tap} (Pa)": float(rms)
-            for tap, rms in zip(window.taps, window.rms_pa, strict=True)
+            f"rms {name} ({self._units.get(name, 'Pa')})": float(rms)
+            for name, rms in zip(window.sensors, window.rms, strict=True)
         }
         return common.status(LEVELS[level], name, text, values, self._rig.name)
 
@@ -275,7 +285,7 @@ class Watcher:
         stamp_ns = common.from_stamp(header.stamp) if header is not None else 0
         return (stamp_ns or self._node.get_clock().now().nanoseconds) * 1e-9
 
-    def _on_taps(self, topic: topics.Topic, message: Any) -> None:
+    def _on_readings(self, topic: topics.Topic | EncoderTopic, message: Any) -> None:
         time_s = self._latest_s = self._time_s(message)
         for name, value in topic.read(message).items():
             self._arrived.append((False, name, time_s, value))
@@ -306,16 +316,36 @@ class Watcher:
                 self._publish(window)
 
     def _publish(self, window: Window) -> None:
-        message = TapResiduals(
-            window_s=window.length_s,
-            name=window.taps,
-            residual_pa=window.residual_pa.tolist(),
-            rms_pa=window.rms_pa.tolist(),
-            noise_floor_pa=window.noise_pa.tolist(),
+        taps = len(self._rig.taps)
+        self._send(
+            self._publisher,
+            window,
+            TapResiduals(
+                window_s=window.length_s,
+                name=window.sensors[:taps],
+                residual_pa=window.residual[:taps].tolist(),
+                rms_pa=window.rms[:taps].tolist(),
+                noise_floor_pa=window.noise[:taps].tolist(),
+            ),
         )
+        if self._encoder_publisher is not None:
+            self._send(
+                self._encoder_publisher,
+                window,
+                EncoderResiduals(
+                    window_s=window.length_s,
+                    name=window.sensors[taps:],
+                    unit=[self._units[name] for name in window.sensors[taps:]],
+                    residual=window.residual[taps:].tolist(),
+                    rms=window.rms[taps:].tolist(),
+                    noise_floor=window.noise[taps:].tolist(),
+                ),
+            )
+
+    def _send(self, publisher: Any, window: Window, message: Any) -> None:
         message.header.stamp = common.to_stamp(round(window.end_s * 1e9))
         message.header.frame_id = self._rig.name
-        self._publisher.publish(message)
+        publisher.publish(message)
 
 
 def main(args: list[str] | None = None) -> None:

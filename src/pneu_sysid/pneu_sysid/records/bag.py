@@ -134,7 +134,9 @@ def read_bag(
             topic = _find_topic(path, name, channel, topics)
             where = f"{path}: channel '{name}': topic '{topic.name}' ({topic.msgtype})"
             store = _typestore(where, topic, name, findings)
-            of_joint = topic.msgtype == JOINT_STATE and channel.field in OF_JOINTS
+            of_joint = (
+                role == "encoder" and topic.msgtype == JOINT_STATE and channel.field in OF_JOINTS
+            )
             if not of_joint:
                 _check_number(where, store, topic.msgtype, channel.field)
             key = (topic.name, topic.msgtype)

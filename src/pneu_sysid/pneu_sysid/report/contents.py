@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
 from pneu_common.errors import InputError
+from pneu_sysid.sensor_units import Unit, shared, unit_of
 
 Result: TypeAlias = dict[str, Any]
 _T = TypeVar("_T", bound=Hashable)
@@ -32,23 +33,63 @@ class Contents:
         """Names of the pressure taps in the order of the first result that has them."""
         return unique(tap for result in self.present for tap in result.get("taps") or [])
 
-    def taps_of(self, result: Result | None) -> list[str]:
-        """Return the taps of one result, or all taps where it does not name its own.
+    @property
+    def encoders(self) -> dict[str, str]:
+        """What each encoder reads, in the order of the first result that has them."""
+        units: dict[str, str] = {}
+        for result in self.present:
+            units = {**(result.get("encoders") or {}), **units}
+        return units
+
+    @property
+    def sensors(self) -> list[str]:
+        """Taps, then encoders."""
+        return [*self.taps, *self.encoders]
+
+    def sensors_of(self, result: Result | None) -> list[str]:
+        """Return taps and encoders of one result, or all where it does not name its own.
 
         Args:
             result: The result of one command.
         """
-        return list((result or {}).get("taps") or self.taps)
+        own = [*((result or {}).get("taps") or []), *((result or {}).get("encoders") or {})]
+        return own or self.sensors
 
     @property
-    def noise_floor_pa(self) -> dict[str, float]:
-        """Sensor noise of each tap for which any result knows it."""
+    def noise_floor(self) -> dict[str, float]:
+        """Noise of each sensor for which any result knows it, in its own unit."""
         floors: dict[str, float] = {}
         for result in self.present:
-            for tap, floor in (result.get("noise_floor_pa") or {}).items():
+            for sensor, floor in both(result, "noise_floor").items():
                 if floor:
-                    floors.setdefault(tap, floor)
+                    floors.setdefault(sensor, floor)
         return floors
+
+    def unit(self, sensor: str) -> Unit:
+        """Return the unit of a sensor.
+
+        Args:
+            sensor: Its name.
+        """
+        return unit_of(sensor, self.encoders)
+
+    def headed(self, name: str) -> str:
+        """Return a heading with the unit of all sensors, or without where they differ.
+
+        Args:
+            name: The heading.
+        """
+        one = shared(self.encoders, self.sensors)
+        return f"{name}, {one.drawn}" if one else name
+
+    def named(self, sensor: str) -> str:
+        """Return a sensor's name, with its unit where headings cannot tell it.
+
+        Args:
+            sensor: Its name.
+        """
+        one = shared(self.encoders, self.sensors)
+        return sensor if one or not self.sensors else f"{sensor}, {self.unit(sensor).drawn}"
 
     @property
     def findings(self) -> list[str]:
@@ -99,6 +140,47 @@ def read_contents(results: Mapping[str, Mapping[str, Any] | None]) -> Contents:
                 f"this version of pneu reads {wanted!r}."
             )
     return Contents(**{command: _finite(result) for command, result in results.items()})
+
+
+def both(result: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """Return what a result says per tap and per encoder, each in its own unit.
+
+    Args:
+        result: A result, or a part of one.
+        key: The key of the encoders; that of the taps ends in ``_pa`` besides.
+    """
+    return {**(result.get(f"{key}_pa") or {}), **(result.get(key) or {})}
+
+
+def errors_of(model: Result) -> dict[str, Result]:
+    """Return the errors of a model per tap and encoder, under the keys that encoders have.
+
+    Args:
+        model: A compared model.
+    """
+    return {
+        sensor: _alike(entry or {})
+        | {"worst": [_alike(s) for s in (entry or {}).get("worst") or []]}
+        for key in ("taps", "encoders")
+        for sensor, entry in (model.get(key) or {}).items()
+    }
+
+
+def regimes_of(model: Result) -> list[Result]:
+    """Return the regimes of a model, taps' and encoders', under the keys that encoders have.
+
+    Args:
+        model: A compared model.
+    """
+    return [
+        _alike(regime) | {"encoder": str(regime.get("encoder", regime.get("tap")))}
+        for key in ("regimes", "encoder_regimes")
+        for regime in model.get(key) or []
+    ]
+
+
+def _alike(entry: Result) -> Result:
+    return {key.removesuffix("_pa"): value for key, value in entry.items()}
 
 
 def unique(items: Iterable[_T]) -> list[_T]:

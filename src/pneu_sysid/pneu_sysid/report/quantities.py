@@ -3,6 +3,8 @@
 
 import math
 
+from pneu_sysid.sensor_units import PASCAL, Unit
+
 NONE = "–"
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -82,9 +84,20 @@ def kilopascal(pressure_pa: float | None, *, signed: bool = False) -> str:
         pressure_pa: The difference, Pa.
         signed: Whether a positive one gets its sign.
     """
-    if pressure_pa is None:
+    return amount(pressure_pa, PASCAL, signed=signed)
+
+
+def amount(error: float | None, unit: Unit, *, signed: bool = False) -> str:
+    """Return an error of a sensor, without its unit, to three digits or more.
+
+    Args:
+        error: The error, in SI.
+        unit: The sensor's unit.
+        signed: Whether a positive one gets its sign.
+    """
+    if error is None:
         return NONE
-    value = pressure_pa / 1000.0
+    value = error * unit.drawn_scale
     text = _fixed(value, 3 if abs(value) < 9.9995 else 2 if abs(value) < 99.995 else 1)
     return f"+{text}" if signed and value > 0 else text
 

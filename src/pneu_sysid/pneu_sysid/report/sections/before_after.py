@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error of each tap before the first effect was added and after the last."""
+"""Error of each sensor before the first effect was added and after the last."""
 
 from pneu_sysid.report import quantities as q
-from pneu_sysid.report.contents import Contents, ratio
+from pneu_sysid.report.contents import Contents, both, ratio
 from pneu_sysid.report.heat import heat_class
 from pneu_sysid.report.markup import Markup, join, tag
 
 ID = "before-after"
 TITLE = "Before and after"
 
-_PARTS = (("rmse_pa", "Training"), ("held_out_rmse_pa", "Held-out"))
+_PARTS = (("rmse", "Training"), ("held_out_rmse", "Held-out"))
 
 
 def render(contents: Contents) -> Markup:
@@ -22,28 +22,29 @@ def render(contents: Contents) -> Markup:
     if len(steps) < 2:
         return Markup()
     first, last = steps[0], steps[-1]
-    floors = contents.noise_floor_pa
-    parts = [(key, name) for key, name in _PARTS if first.get(key) or last.get(key)]
+    floors = contents.noise_floor
+    parts = [(key, name) for key, name in _PARTS if both(first, key) or both(last, key)]
     rows = []
-    for tap in contents.taps_of(contents.learn):
-        cells = []
+    for tap in contents.sensors_of(contents.learn):
+        cells, unit = [], contents.unit(tap)
         for key, _ in parts:
-            before, after = ((step.get(key) or {}).get(tap) for step in (first, last))
+            before, after = (both(step, key).get(tap) for step in (first, last))
             for value in (before, after):
                 times = ratio(value, floors.get(tap))
-                cells.append(tag("td", q.kilopascal(value), class_="num"))
+                cells.append(tag("td", q.amount(value, unit), class_="num"))
                 cells.append(tag("td", q.times(times), class_=f"num cell {heat_class(times)}"))
             fall = ratio(before, after)
             cells.append(tag("td", q.number(fall) if fall else q.NONE, class_="num strong"))
-        floor = tag("td", q.kilopascal(floors.get(tap)), class_="num")
-        rows.append(tag("tr", tag("th", tap, scope="row"), floor, cells))
+        floor = tag("td", q.amount(floors.get(tap), unit), class_="num")
+        rows.append(tag("tr", tag("th", contents.named(tap), scope="row"), floor, cells))
     upper = tag(
         "tr",
-        tag("th", "Tap", rowspan=2, scope="col"),
-        tag("th", "Sensor noise, kPa", rowspan=2, scope="col", class_="num"),
+        tag("th", "Sensor" if contents.encoders else "Tap", rowspan=2, scope="col"),
+        tag("th", contents.headed("Sensor noise"), rowspan=2, scope="col", class_="num"),
         [tag("th", name, colspan=5, scope="colgroup", class_="group") for _, name in parts],
     )
-    names = ("before, kPa", "over noise", "after, kPa", "over noise", "falls by factor")
+    before_, after_ = contents.headed("before"), contents.headed("after")
+    names = (before_, "over noise", after_, "over noise", "falls by factor")
     lower = tag(
         "tr", [[tag("th", name, scope="col", class_="num") for name in names] for _ in parts]
     )

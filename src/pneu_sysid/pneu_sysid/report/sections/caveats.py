@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was not tested, so that silence is not read as absence."""
 
-from pneu_sysid.report.contents import Contents, Result
+from pneu_sysid.report.contents import Contents, Result, both
 from pneu_sysid.report.markup import Markup, join, tag
 
 ID = "caveats"
@@ -33,9 +33,9 @@ def render(contents: Contents) -> Markup:
     ):
         lines.append(join("No candidate was tested on held-out data."))
     steps = (contents.learn or {}).get("steps") or []
-    if steps and not any(step.get("held_out_rmse_pa") for step in steps):
+    if steps and not any(both(step, "held_out_rmse") for step in steps):
         lines.append(join("The learned rig was not tested on held-out data."))
-    if contents.fit is not None and not contents.fit.get("held_out_rmse_pa"):
+    if contents.fit is not None and not both(contents.fit, "held_out_rmse"):
         lines.append(join("The fit was not tested on held-out data."))
     weak = [
         str(p.get("path"))
@@ -50,7 +50,7 @@ def render(contents: Contents) -> Markup:
                 "; their values are not measurements.",
             )
         )
-    silent = [tap for tap in contents.taps if tap not in contents.noise_floor_pa]
+    silent = [name for name in contents.sensors if name not in contents.noise_floor]
     if silent:
         lines.append(
             join(

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error of every compared model at every tap, against the sensor noise."""
+"""Error of every compared model at every sensor, against the sensor noise."""
 
 import math
 
 from pneu_sysid.report import quantities as q
-from pneu_sysid.report.contents import Contents, Result, ratio
+from pneu_sysid.report.contents import Contents, Result, both, errors_of, ratio
 from pneu_sysid.report.markup import Markup, join, table, tag
 
 ID = "errors"
-TITLE = "Error per tap and model"
+TITLE = "Error per sensor and model"
 
 _BAR_PX = 150
 
@@ -22,50 +22,62 @@ def render(contents: Contents) -> Markup:
     models = contents.models
     if not models:
         return Markup()
-    floors = contents.noise_floor_pa
-    ratios = [
-        _times(model, tap, floors) or 0.0
-        for model in models
-        for tap in contents.taps_of(contents.compare)
-    ]
+    floors = contents.noise_floor
+    sensors = contents.sensors_of(contents.compare)
+    ratios = [_times(model, name, floors) or 0.0 for model in models for name in sensors]
     longest = max([*ratios, *(m.get("times_noise") or 0.0 for m in models), 2.0])
 
     rows = [
         tag(
             "tr",
-            tag("th", "all taps", rowspan=len(models), scope="rowgroup") if i == 0 else None,
+            tag(
+                "th",
+                "all sensors" if contents.encoders else "all taps",
+                rowspan=len(models),
+                scope="rowgroup",
+            )
+            if i == 0
+            else None,
             tag("td", rowspan=len(models)) if i == 0 else None,
             _name(model, i),
-            tag("td", q.kilopascal(model.get("rmse_pa")), class_="num"),
+            tag(
+                "td",
+                None if contents.encoders else q.kilopascal(model.get("rmse_pa")),
+                class_="num",
+            ),
             tag("td", colspan=4),
             tag("td", _bar(model.get("times_noise"), longest, i)),
             class_="first total" if i == 0 else "total",
         )
         for i, model in enumerate(models)
     ]
-    for tap in contents.taps_of(contents.compare):
+    for tap in sensors:
+        unit = contents.unit(tap)
         for i, model in enumerate(models):
-            entry = (model.get("taps") or {}).get(tap) or {}
+            entry = errors_of(model).get(tap) or {}
             rows.append(
                 tag(
                     "tr",
-                    tag("th", tap, rowspan=len(models), scope="rowgroup") if i == 0 else None,
-                    tag("td", q.kilopascal(floors.get(tap)), rowspan=len(models), class_="num")
+                    tag("th", contents.named(tap), rowspan=len(models), scope="rowgroup")
+                    if i == 0
+                    else None,
+                    tag("td", q.amount(floors.get(tap), unit), rowspan=len(models), class_="num")
                     if i == 0
                     else None,
                     _name(model, i),
-                    tag("td", q.kilopascal(entry.get("rmse_pa")), class_="num"),
+                    tag("td", q.amount(entry.get("rmse"), unit), class_="num"),
                     tag("td", q.number(entry.get("rmse_atm"), 2), class_="num"),
                     tag("td", q.percent(entry.get("normalised")), class_="num"),
-                    tag("td", q.kilopascal(entry.get("bias_pa"), signed=True), class_="num"),
+                    tag("td", q.amount(entry.get("bias"), unit, signed=True), class_="num"),
                     tag("td", q.milliseconds(entry.get("lag_s"), signed=True), class_="num"),
                     tag("td", _bar(_times(model, tap, floors), longest, i)),
                     class_="first" if i == 0 else None,
                 )
             )
-    numeric = ("noise, kPa", "", "RMS, kPa", "RMS, atm", "of signal std", "bias, kPa", "lag, ms")
+    noise, rms, bias = map(contents.headed, ("noise", "RMS", "bias"))
+    numeric = (noise, "", rms, "RMS, atm", "of signal std", bias, "lag, ms")
     header = [
-        "Tap",
+        "Sensor" if contents.encoders else "Tap",
         *(
             tag("th", name or "Model", scope="col", class_="num" if name else None)
             for name in numeric
@@ -77,9 +89,9 @@ def render(contents: Contents) -> Markup:
 
 
 def _times(model: Result, tap: str, floors: dict[str, float]) -> float | None:
-    entry = (model.get("taps") or {}).get(tap) or {}
+    entry = errors_of(model).get(tap) or {}
     given = entry.get("times_noise")
-    return given if given is not None else ratio(entry.get("rmse_pa"), floors.get(tap))
+    return given if given is not None else ratio(entry.get("rmse"), floors.get(tap))
 
 
 def _name(model: Result, index: int) -> Markup:
@@ -124,17 +136,17 @@ def _numerics(contents: Contents) -> Markup | None:
         if not numerics:
             continue
         change = {
-            tap: value
-            for tap, value in (numerics.get("change_pa") or {}).items()
-            if value is not None
+            tap: value for tap, value in both(numerics, "change").items() if value is not None
         }
+        floors = contents.noise_floor
         detail = ""
         if change and numerics.get("dx_m") and numerics.get("refined_dx_m"):
-            most = max(change, key=lambda tap: change[tap])
+            most = max(change, key=lambda tap: change[tap] / floors.get(tap, 1.0))
+            unit = contents.unit(most)
             detail = (
                 f" Cells of {q.number(1e3 * numerics['dx_m'])} mm against "
-                f"{q.number(1e3 * numerics['refined_dx_m'])} mm change the pressures by "
-                f"{q.kilopascal(change[most])} kPa RMS at most, at {most}."
+                f"{q.number(1e3 * numerics['refined_dx_m'])} mm change the predictions by "
+                f"{q.amount(change[most], unit)} {unit.drawn} RMS at most, at {most}."
             )
         return tag(
             "p",

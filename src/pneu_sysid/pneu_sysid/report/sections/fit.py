@@ -2,7 +2,7 @@
 """Fitted parameters: where they stop short, values, errors, what cannot be told, correlations."""
 
 from pneu_sysid.report import quantities as q
-from pneu_sysid.report.contents import Contents, Result, ratio, unique
+from pneu_sysid.report.contents import Contents, Result, both, ratio, unique
 from pneu_sysid.report.heat import heat_class
 from pneu_sysid.report.markup import Markup, join, table, tag
 
@@ -159,22 +159,22 @@ def _correlations(correlations: list[Result]) -> Markup | None:
 
 def _errors(fit: Result, contents: Contents) -> Markup | None:
     parts = [
-        (fit.get("rmse_pa") or {}, "training"),
-        (fit.get("held_out_rmse_pa") or {}, "held-out"),
+        (both(fit, "rmse"), "training"),
+        (both(fit, "held_out_rmse"), "held-out"),
     ]
     parts = [(errors, name) for errors, name in parts if errors]
     if not parts:
         return None
     rows = []
-    for tap in contents.taps_of(contents.fit):
+    for tap in contents.sensors_of(contents.fit):
         cells = []
         for errors, _ in parts:
-            times = ratio(errors.get(tap), contents.noise_floor_pa.get(tap))
-            cells.append(tag("td", q.kilopascal(errors.get(tap)), class_="num"))
+            times = ratio(errors.get(tap), contents.noise_floor.get(tap))
+            cells.append(tag("td", q.amount(errors.get(tap), contents.unit(tap)), class_="num"))
             cells.append(tag("td", q.times(times), class_=f"num cell {heat_class(times)}"))
-        rows.append(tag("tr", tag("th", tap, scope="row"), cells))
-    header = ["Tap"]
+        rows.append(tag("tr", tag("th", contents.named(tap), scope="row"), cells))
+    header: list[str | Markup] = ["Sensor" if contents.encoders else "Tap"]
     for _, name in parts:
-        header.append(tag("th", f"{name}, kPa", scope="col", class_="num"))
+        header.append(tag("th", contents.headed(name), scope="col", class_="num"))
         header.append(tag("th", "over noise", scope="col", class_="num"))
-    return join(tag("h3", "Error of the fit"), table("RMS error per tap", header, rows))
+    return join(tag("h3", "Error of the fit"), table("RMS error per sensor", header, rows))

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured and modelled pressure of each tap over time, to zoom into."""
+"""What each sensor measured and models predict over time, to zoom into."""
 
 from typing import Any
 
 import numpy as np
 
 from pneu_sysid.report import quantities as q
-from pneu_sysid.report.contents import Contents
+from pneu_sysid.report.contents import Contents, errors_of, ratio
 from pneu_sysid.report.embed import json_block, packed
 from pneu_sysid.report.markup import Markup, join, tag
 
@@ -25,11 +25,17 @@ def render(contents: Contents) -> Markup:
     """
     series = (contents.compare or {}).get("series") or {}
     time_s = np.asarray(series.get("time_s") or [], dtype=np.float64)
-    measured = series.get("measured") or {}
+    measured = {**(series.get("measured") or {}), **(series.get("measured_encoders") or {})}
     if time_s.size < 2 or not measured:
         return Markup()
-    taps = [tap for tap in contents.taps_of(contents.compare) if tap in measured] or list(measured)
-    models = series.get("model") or {}
+    taps = [tap for tap in contents.sensors_of(contents.compare) if tap in measured] or list(
+        measured
+    )
+    of_encoders = series.get("model_encoders") or {}
+    models = {
+        name: {**(values or {}), **(of_encoders.get(name) or {})}
+        for name, values in (series.get("model") or {}).items()
+    }
     commands = series.get("command") or {}
 
     count = len(taps) * (1 + len(models)) + len(commands)
@@ -49,7 +55,9 @@ def render(contents: Contents) -> Markup:
         "time": packed(time_s[kept], "<f8"),
         "taps": taps,
         "gap": [stride * ((series.get("gap_s") or {}).get(tap) or 0.0) for tap in taps],
-        "noise": [contents.noise_floor_pa.get(tap) for tap in taps],
+        "noise": [contents.noise_floor.get(tap) for tap in taps],
+        "unit": [contents.unit(tap).drawn for tap in taps],
+        "scale": [contents.unit(tap).drawn_scale for tap in taps],
         "measured": [thinned(measured[tap]) for tap in taps],
         "models": [
             {"name": name, "taps": [thinned(values.get(tap)) for tap in taps]}
@@ -61,14 +69,14 @@ def render(contents: Contents) -> Markup:
     hint = (
         "Drag across a stretch to zoom in, Shift-drag to move, click and turn the wheel to zoom, "
         "double-click for all. Keys: ← → + − 0. Each stretch of the recording is one band; below "
-        "each tap is measured minus model, with twice the sensor noise shaded."
+        "each sensor is measured minus model, with twice the sensor noise shaded."
     )
     thinning = f" Every {stride}th sample is shown." if stride > 1 else ""
     figure = tag(
         "figure",
         tag(
             "div",
-            _switches("Taps", "tap", taps),
+            _switches("Sensors" if contents.encoders else "Taps", "tap", taps),
             _switches("Lines", "model", list(models)),
             tag(
                 "fieldset",
@@ -90,10 +98,10 @@ def render(contents: Contents) -> Markup:
         ),
         tag(
             "canvas",
-            "Measured and modelled pressure over time; the tables give the errors.",
+            "Measured and modelled readings over time; the tables give the errors.",
             tabindex=0,
             role="img",
-            aria_label="Measured and modelled pressure of each tap over time",
+            aria_label="Measured and modelled readings of each sensor over time",
         ),
         tag("figcaption", hint, thinning),
         id="viewer",
@@ -123,12 +131,22 @@ def _switches(title: str, kind: str, names: list[str]) -> Markup:
 
 def _worst(contents: Contents) -> list[Markup]:
     """Buttons for the stretches where the models err most, for the eye to go there first."""
+    floors = contents.noise_floor
     found = [
-        (stretch["rmse_pa"], str(model.get("name")), tap, stretch["start_s"], stretch["end_s"])
+        (
+            # kPa and mrad are compared by what the sensors can tell
+            ratio(stretch["rmse"], floors.get(tap)) or 0.0
+            if contents.encoders
+            else stretch["rmse"],
+            str(model.get("name")),
+            f"{tap}: {q.amount(stretch['rmse'], contents.unit(tap))} {contents.unit(tap).drawn}",
+            stretch["start_s"],
+            stretch["end_s"],
+        )
         for model in contents.models
-        for tap, entry in (model.get("taps") or {}).items()
-        for stretch in (entry or {}).get("worst") or []
-        if None not in (stretch.get("rmse_pa"), stretch.get("start_s"), stretch.get("end_s"))
+        for tap, entry in errors_of(model).items()
+        for stretch in entry["worst"]
+        if None not in (stretch.get("rmse"), stretch.get("start_s"), stretch.get("end_s"))
     ]
     # The two worst of each model: the worse model would else take every button.
     chosen: list[tuple[float, str, str, float, float]] = []
@@ -138,10 +156,10 @@ def _worst(contents: Contents) -> list[Markup]:
     return [
         tag(
             "button",
-            f"{name}, {tap}: {q.kilopascal(rmse)} kPa at {q.seconds(start)}–{q.seconds(end)} s",
+            f"{name}, {error} at {q.seconds(start)}–{q.seconds(end)} s",
             type="button",
             title=f"Worst stretches of {name}",
             data_span=f"{start},{end}",
         )
-        for rmse, name, tap, start, end in chosen
+        for _, name, error, start, end in chosen
     ]

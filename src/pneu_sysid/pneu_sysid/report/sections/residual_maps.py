@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the models fail: error over sensor noise by tap and regime, and by tap and time."""
+"""Where the models fail: error over sensor noise by sensor and regime, and by sensor and time."""
 
 import numpy as np
 
 from pneu_sysid.report import quantities as q
-from pneu_sysid.report.contents import Contents, Result, ratio, unique
+from pneu_sysid.report.contents import Contents, Result, ratio, regimes_of, unique
 from pneu_sysid.report.heat import heat_class, legend
 from pneu_sysid.report.markup import Markup, join, tag
 from pneu_sysid.results import regime_order
+from pneu_sysid.sensor_units import Unit
 
 ID = "residual-maps"
 TITLE = "Where the models fail"
@@ -21,6 +22,11 @@ _NAMES = {
     "pressure": "Pressure level",
     "frequency": "Frequency band",
     "time": "Time",
+    "position": "Position",
+    "motion": "Motion",
+    "speed": "Speed",
+    "load": "Load",
+    "stop": "Ends of the way",
 }
 _MAP_WIDTH, _ROW_PX = 1120, 20
 _CHARACTER_PX, _LONGEST_LABEL = 7.4, 32
@@ -33,7 +39,7 @@ def render(contents: Contents) -> Markup:
         contents: The results to report.
     """
     over_time = [_time_map(model, contents) for model in contents.models]
-    together = max(1, _MAX_COLUMNS // max(1, len(contents.taps_of(contents.compare))))
+    together = max(1, _MAX_COLUMNS // max(1, len(contents.sensors_of(contents.compare))))
     regimes = [
         _regime_map(contents.models[i : i + together], contents)
         for i in range(0, len(contents.models), together)
@@ -42,9 +48,9 @@ def render(contents: Contents) -> Markup:
         return Markup()
     return join(
         legend(),
-        tag("h3", "By tap and regime") if any(regimes) else None,
+        tag("h3", "By sensor and regime") if any(regimes) else None,
         regimes,
-        tag("h3", "By tap and time") if any(over_time) else None,
+        tag("h3", "By sensor and time") if any(over_time) else None,
         over_time,
         tag("p", "Click a cell to see that stretch above. Grey: no samples.", class_="note")
         if any(over_time)
@@ -53,12 +59,12 @@ def render(contents: Contents) -> Markup:
 
 
 def _regime_map(models: list[Result], contents: Contents) -> Markup:
-    taps, floors = contents.taps_of(contents.compare), contents.noise_floor_pa
+    taps, floors = contents.sensors_of(contents.compare), contents.noise_floor
     cells: dict[tuple[str, str], dict[tuple[int, str], Result]] = {}
     for index, model in enumerate(models):
-        for regime in model.get("regimes") or []:
+        for regime in regimes_of(model):
             key = (str(regime.get("kind")), str(regime.get("label")))
-            cells.setdefault(key, {})[index, str(regime.get("tap"))] = regime
+            cells.setdefault(key, {})[index, str(regime.get("encoder"))] = regime
     if not cells:
         return Markup()
     kinds = [k for k in _NAMES if any(key[0] == k for key in cells)]
@@ -75,7 +81,10 @@ def _regime_map(models: list[Result], contents: Contents) -> Markup:
             found = found_of[label]
             row = [
                 (
-                    [_cell(found.get((index, tap)), floors.get(tap)) for tap in taps],
+                    [
+                        _cell(found.get((index, tap)), floors.get(tap), contents.unit(tap))
+                        for tap in taps
+                    ],
                     tag("td", class_="gap"),
                 )
                 for index in range(len(models))
@@ -106,14 +115,14 @@ def _tap_header(tap: str) -> Markup:
     return tag("th", parts, scope="col", class_="num")
 
 
-def _cell(regime: Result | None, floor: float | None) -> Markup:
+def _cell(regime: Result | None, floor: float | None, unit: Unit) -> Markup:
     regime = regime or {}
-    times = ratio(regime.get("rmse_pa"), floor)
-    rmse, bias = regime.get("rmse_pa"), regime.get("bias_pa")
-    mean = "" if bias is None else f"mean {q.kilopascal(bias, signed=True)} kPa, "
+    times = ratio(regime.get("rmse"), floor)
+    rmse, bias = regime.get("rmse"), regime.get("bias")
+    mean = "" if bias is None else f"mean {q.amount(bias, unit, signed=True)} {unit.drawn}, "
     hint = (
-        f"measured minus model: {q.kilopascal(rmse)} kPa RMS, {mean}"
-        f"{q.percent(regime.get('share'))} of the tap's squared error, "
+        f"measured minus model: {q.amount(rmse, unit)} {unit.drawn} RMS, {mean}"
+        f"{q.percent(regime.get('share'))} of the sensor's squared error, "
         f"{regime.get('samples') or 'no'} samples"
     )
     return tag("td", q.number(times, 2), class_=f"num cell {heat_class(times)}", title=hint)
@@ -121,11 +130,14 @@ def _cell(regime: Result | None, floor: float | None) -> Markup:
 
 def _time_map(model: Result, contents: Contents) -> Markup:
     series = (contents.compare or {}).get("series") or {}
-    predicted = (series.get("model") or {}).get(str(model.get("name"))) or {}
-    measured = series.get("measured") or {}
+    name = str(model.get("name"))
+    predicted: dict[str, list[float]] = {}
+    for key in ("model", "model_encoders"):
+        predicted |= (series.get(key) or {}).get(name) or {}
+    measured = {**(series.get("measured") or {}), **(series.get("measured_encoders") or {})}
     time_s = np.asarray(series.get("time_s") or [], dtype=np.float64)
     taps = [
-        tap for tap in contents.taps_of(contents.compare) if tap in predicted and tap in measured
+        tap for tap in contents.sensors_of(contents.compare) if tap in predicted and tap in measured
     ]
     if time_s.size < 2 or not taps:
         return Markup()
@@ -154,7 +166,7 @@ def _time_map(model: Result, contents: Contents) -> Markup:
                     y=row * _ROW_PX,
                     width=round(step + 0.1, 2),
                     height=_ROW_PX - 1,
-                    class_=heat_class(ratio(rmse, contents.noise_floor_pa.get(tap))),
+                    class_=heat_class(ratio(rmse, contents.noise_floor.get(tap))),
                     data_span=f"{edges[i]:.4g},{edges[i + 1]:.4g}",
                 )
             )
@@ -170,7 +182,7 @@ def _time_map(model: Result, contents: Contents) -> Markup:
         tag("figcaption", name),
         tag(
             "svg",
-            tag("title", f"Error of {name} by tap and time"),
+            tag("title", f"Error of {name} by sensor and time"),
             drawn,
             viewBox=f"0 0 {_MAP_WIDTH + 16} {bottom + 20}",
             role="img",

@@ -4,6 +4,7 @@
 from pneu_sysid.report import quantities as q
 from pneu_sysid.report.contents import Contents, Result
 from pneu_sysid.report.markup import Markup, join, tag
+from pneu_sysid.sensor_units import Unit
 
 ID = "verdict"
 TITLE = "Verdict"
@@ -65,7 +66,7 @@ def _own_sentence(contents: Contents) -> str:
         return sentence + (f", {', '.join(others)}." if others else ".")
     if contents.fit:
         if short := contents.fit.get("shortfall"):
-            taps = ", ".join(f"{q.times(v)} at {tap}" for tap, v in short["by_tap"].items())
+            taps = ", ".join(f"{q.times(v)} at {tap}" for tap, v in short["times_noise"].items())
             return f"The calibration stops short: it leaves more than the noise, {taps}."
         parameters = _not_held(contents.fit)
         good = sum(bool(p.get("identified")) for p in parameters)
@@ -155,7 +156,10 @@ def _compared(contents: Contents) -> list[Markup]:
         _tile(
             q.times(model.get("times_noise")),
             f"{model.get('name')}: error over sensor noise",
-            f"{q.kilopascal(model.get('rmse_pa'))} kPa RMS",
+            ""
+            if contents.encoders and model.get("rmse_pa") is None
+            else f"{q.kilopascal(model.get('rmse_pa'))} kPa RMS"
+            + (" at the taps" if contents.encoders else ""),
         )
         for model in contents.models[:4]
     ]
@@ -171,16 +175,19 @@ def _fitted(fit: Result | None) -> list[Markup]:
 
 
 def _sources(contents: Contents) -> Markup:
-    floors = list(contents.noise_floor_pa.values())
-    spread = ""
-    if floors:
-        low, high = q.number(min(floors)), q.number(max(floors))
-        spread = f"{low} Pa" if low == high else f"{low} to {high} Pa"
+    noise: dict[Unit, list[float]] = {}
+    for sensor, floor in contents.noise_floor.items():
+        noise.setdefault(contents.unit(sensor), []).append(floor)
+    spreads = []
+    for unit, floors in noise.items():
+        low, high = (q.number(unit.scale * end(floors)) for end in (min, max))
+        spreads.append(f"{low} {unit.told}" if low == high else f"{low} to {high} {unit.told}")
     entries = {
         "Recording": ", ".join(contents.head("recording")),
         "Rig": ", ".join(contents.head("rig", "rigs", "rig(s)")),
         "Taps": ", ".join(contents.taps),
-        "Sensor noise": spread,
+        "Encoders": ", ".join(contents.encoders),
+        "Sensor noise": ", ".join(spreads),
         "Written to": ", ".join(contents.head("output")),
     }
     return tag(

@@ -4,7 +4,7 @@
 import math
 
 from pneu_sysid.report import quantities as q
-from pneu_sysid.report.contents import Contents, Result, ratio
+from pneu_sysid.report.contents import Contents, Result, both, ratio
 from pneu_sysid.report.heat import heat_class
 from pneu_sysid.report.markup import Markup, join, table, tag
 
@@ -129,22 +129,29 @@ def _label(step: Result) -> list[str]:
 
 
 def _per_tap(steps: list[Result], contents: Contents) -> Markup:
-    floors = contents.noise_floor_pa
+    floors = contents.noise_floor
     header = [
         "Step",
-        *(tag("th", tap, scope="col", class_="num") for tap in contents.taps_of(contents.learn)),
+        *(
+            tag("th", contents.named(tap), scope="col", class_="num")
+            for tap in contents.sensors_of(contents.learn)
+        ),
     ]
     rows = []
     for step in steps:
-        for key, part in (("rmse_pa", "training"), ("held_out_rmse_pa", "held-out")):
-            errors = step.get(key)
+        for key, part in (("rmse", "training"), ("held_out_rmse", "held-out")):
+            errors = both(step, key)
             if not errors:
                 continue
             cells = []
-            for tap in contents.taps_of(contents.learn):
+            for tap in contents.sensors_of(contents.learn):
                 times = ratio(errors.get(tap), floors.get(tap))
                 cells.append(
-                    tag("td", q.kilopascal(errors.get(tap)), class_=f"num cell {heat_class(times)}")
+                    tag(
+                        "td",
+                        q.amount(errors.get(tap), contents.unit(tap)),
+                        class_=f"num cell {heat_class(times)}",
+                    )
                 )
             name = _label(step)[0]
             rows.append(tag("tr", tag("th", f"{name}, {part}", scope="row"), cells))
@@ -152,6 +159,10 @@ def _per_tap(steps: list[Result], contents: Contents) -> Markup:
         return Markup()
     return tag(
         "details",
-        tag("summary", "Error of each tap after each step"),
-        table("RMS error, kPa; coloured by its ratio to the sensor noise", header, rows),
+        tag("summary", "Error of each sensor after each step"),
+        table(
+            f"{contents.headed('RMS error')}; coloured by its ratio to the sensor noise",
+            header,
+            rows,
+        ),
     )

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The time plot: measured and modelled pressure per tap, residual strips, valve command.
+// The time plot: measured and modelled readings per sensor, residual strips, valve command.
 
 const DASHES = [[], [7, 4], [2, 3], [9, 3, 2, 3]];
 const MARGIN = { left: 64, right: 12, top: 6, bottom: 26 };
@@ -67,6 +67,8 @@ function readSeries(packed) {
     time: unpack(packed.time, Float64Array),
     taps: packed.taps,
     noise: packed.noise,
+    unit: packed.unit,
+    scale: packed.scale,
     gap: packed.gap ?? [],
     segments: packed.segments,
     measured,
@@ -183,8 +185,8 @@ function createViewer(figure, packed) {
   }
 
   function drawPanel(panel, first, last, colours, xTicks) {
-    const pressure = panel.kind !== "command";
-    const scale = pressure ? 1e-3 : 1; // pascals are shown as kPa
+    const sensed = panel.kind !== "command";
+    const scale = sensed ? data.scale[panel.tap] : 1; // pascals are shown as kPa
     const [low, high] = range(panel, first, last);
     const noise = data.noise[panel.tap];
     const bent = panel.kind === "residual" && logarithmic && noise > 0;
@@ -253,8 +255,8 @@ function createViewer(figure, packed) {
         pen.fillRect(MARGIN.left - 4, Math.round(y), 4, 1);
       }
     }
-    const label = panel.kind === "tap" ? `${data.taps[panel.tap]}, kPa`
-      : panel.kind === "residual" ? "measured − model, kPa" : `${panel.command.name}, V`;
+    const label = panel.kind === "tap" ? `${data.taps[panel.tap]}, ${data.unit[panel.tap]}`
+      : panel.kind === "residual" ? `measured − model, ${data.unit[panel.tap]}` : `${panel.command.name}, V`;
     pen.textAlign = "left";
     pen.font = (panel.kind === "residual" ? "11px " : "600 12px ") + fontFamily;
     pen.fillStyle = panel.kind === "residual" ? colours.soft : colours.ink;
