@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measurements of others: a leak named and sized, a ventilator fitted, a cylinder's shots made."""
+"""Measurements of others: leaks and seals named and sized, a ventilator, a cylinder's shots."""
 
 import dataclasses
 import json
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples import closed_chambers, cylinder_shots, ventilator
+from examples import closed_chambers, cylinder_shots, seal_friction, ventilator
 from numpy.typing import NDArray
 
 from pneu_sim.rig import load_rig
@@ -17,6 +17,8 @@ from pneu_sysid.learn import add_effect
 from pneu_sysid.problem import make_problem, record_for
 from pneu_sysid.records import Recording, Signal
 from pneu_sysid.results import result_of, write_json
+from pneu_sysid.seals.identify import common_terms
+from pneu_sysid.seals.words import base_and_growth, statements_of
 
 VERDICTS = {"nothing_missing", "effect", "ambiguous", "unknown"}
 LEAKS = {"chamber_leak", "leak", "chamber_porous_leak", "porous_leak"}
@@ -168,3 +170,51 @@ def test_what_carries_the_sinking_mass() -> None:
     assert friction < 5.0
     assert head > 8.0
     assert rod < 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "halves"), [("O-ring, 25.7 mm", (4.8, 5.9, 7.3, 8.0)), ("KDN, 25 mm", None)]
+)
+def test_friction_of_a_seal(name: str, halves: tuple[float, ...] | None) -> None:
+    found = seal_friction.study(name)
+
+    assert found.verdict == "effect" and found.best.law == ("constant", "pressure")
+    assert "pressure" in common_terms(found.best, found.alike)
+    assert found.times_noise > 3.0  # more is missing besides, and is said to be
+    errors = [step.judged_n for step in found.steps]
+    assert errors[0] > 100.0 * found.noise_n and errors[2] < errors[1] < 0.25 * errors[0]
+    known = base_and_growth(found)
+    assert known is not None
+    (base, base_error), (growth, growth_error) = known
+    assert 0.0 < base_error < 0.1 * base and 3.0 * growth_error < growth
+
+    # By no code of this repository: the middle of the stroke, halfway between force in and out,
+    # of whole files at once.
+    bore = 0.0257 if halves else 0.025
+    begins = seal_friction.SEALS[name][1]
+    plain = []
+    for bar in seal_friction.BARS:
+        rows = np.loadtxt(seal_friction.DATA / f"{begins}_{bar}bar.csv", skiprows=15)
+        rest = rows[:, 6] - 0.25 * np.pi * bore**2 * 1e5 * rows[:, 5]
+        ahead = np.roll(rows[:, 4], -20) - np.roll(rows[:, 4], 20)
+        middle = (rows[:, 4] > 8.0) & (rows[:, 4] < 28.0)
+        ways = [np.median(rest[middle & (s * ahead > 0.5)]) for s in (1.0, -1.0)]
+        plain.append(0.5 * (ways[0] - ways[1]))
+    slope, start = np.polyfit(seal_friction.BARS, plain, 1)
+    assert base == pytest.approx(start, abs=3.0 * base_error)
+    assert growth == pytest.approx(slope, abs=3.0 * growth_error)
+    for k, spread in enumerate(np.std(h, ddof=1) for h in found.pieces.cycle_friction()):
+        half = found.pieces.cycle_friction()[k].mean()
+        assert half == pytest.approx(plain[k], abs=max(2.0 * spread, 0.25))
+        if halves:  # as they are known
+            assert half == pytest.approx(halves[k], abs=1.5 * spread)
+    if halves:
+        line = np.polyfit(seal_friction.BARS, halves, 1)
+        assert growth == pytest.approx(line[0], abs=2.0 * growth_error)
+        assert base == pytest.approx(line[1], abs=2.0 * base_error)
+
+
+def test_one_pressure_cannot_tell_growth() -> None:
+    found = seal_friction.study("KDN, 25 mm", (5,))
+    assert found.best.law == ("constant",) and base_and_growth(found) is None
+    assert "whether friction grows with it cannot be told" in " ".join(statements_of(found))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subcommands of `pneu` that work on a recording: fit, compare, diagnose, add, learn.
+"""Subcommands of `pneu` that work on a recording: fit, compare, diagnose, add, learn, friction.
 
 The numerics are imported by the command that uses them: `pneu --help` does without.
 """
@@ -59,6 +59,7 @@ def register(app: typer.Typer) -> None:
     app.command("diagnose")(diagnose)
     app.command("add")(add)
     app.command("learn")(learn)
+    app.command("friction")(friction)
 
 
 def _console() -> Console:
@@ -579,6 +580,63 @@ def learn(
         title=f"{loaded.name}: {_titled(recordings)}",
     )
     console.print(f"report: {path}")
+
+
+def friction(
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="Drag tests of one cylinder: text files or bags."),
+    ],
+    rig: RigPath,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Write a rig file with it.", show_default=False),
+    ] = None,
+    json_path: JsonPath = None,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", help="Draw it (.png, .svg).", show_default=False)
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Name the friction of a cylinder's seals, from force, position and pressure of drag tests."""
+    from pneu_sim.rig import save_rig
+    from pneu_sysid.results import write_json
+    from pneu_sysid.seals.figures import check_figure, draw_friction
+    from pneu_sysid.seals.identify import identify, with_friction
+    from pneu_sysid.seals.reading import DragTest, read_drag
+    from pneu_sysid.seals.words import result_of_friction, tables_of
+
+    console = _console()
+    for path in (output, json_path, figure):
+        check_output(path, force)
+    check_figure(figure)
+    loaded = _load(rig, None)
+    tests: list[DragTest] = []
+    for path in files:
+        if any(path.resolve() == other.resolve() for other in files[: len(tests)]):
+            raise InputError(f"{path}: was given twice; each recording is needed once")
+        tests.append(read_drag(loaded, path))
+    with progress("finding friction"):
+        found = identify(loaded, tests)
+    result = result_of_friction(
+        loaded, str(rig), None if output is None else str(output), tests, found
+    )
+    for finding in result.findings:
+        console.print(finding, style="yellow")
+    for table in tables_of(found):
+        console.print(table)
+    console.print(result.sentence, style="bold")
+    for statement in result.statements:
+        console.print(statement)
+    if output is not None:
+        save_rig(with_friction(loaded, found), output)
+        console.print(f"wrote {output}")
+    if figure is not None:
+        draw_friction([(loaded.name, found)], figure)
+        console.print(f"wrote {figure}")
+    if json_path is not None:
+        write_json(json_path, result)
+        console.print(f"wrote {json_path}")
 
 
 def _finish(

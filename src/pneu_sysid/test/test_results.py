@@ -92,7 +92,8 @@ def test_an_unwritable_place_is_named(tmp_path: Path) -> None:
 
 def test_schemas_are_named_after_their_command() -> None:
     names = [kind.model_fields["schema_"].default for kind in RESULTS]
-    assert names == ["pneu.compare/1", "pneu.fit/1", "pneu.diagnose/1", "pneu.learn/1"]
+    commands = ("compare", "fit", "diagnose", "learn", "friction")
+    assert names == [f"pneu.{command}/1" for command in commands]
 
 
 def test_regimes_are_sorted_as_numbers() -> None:

@@ -31,7 +31,7 @@ class Joint(Part):
         upper: Where its upper stop begins; None has none.
         stop_stiffness: Of both stops, N m/rad or N/m.
         stop_damping: Of both stops, N m s/rad or N s/m.
-        stop_hold: What is left of the force of a stop while it would hold the joint back that leaves
+        stop_hold: What is left of a stop's force while it would hold back the joint that leaves
             it: 0 of a bare stop, which only pushes; 1 of a bumper that sticks (Kelvin and Voigt's
             spring and damper).
         spring: Rate of a spring that draws it to a position, N m/rad or N/m.

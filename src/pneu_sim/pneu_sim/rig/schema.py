@@ -19,6 +19,7 @@ from pneu_sim.channels import Channel, TextFormat
 from pneu_sim.mechanism.settings import MechanismSettings
 from pneu_sim.parts import Finite, NonNegative, Part, Positive
 from pneu_sim.rig.cylinder import Cylinder
+from pneu_sim.rig.drag import Drag
 from pneu_sim.rig.encoder import Encoder as Encoder
 from pneu_sim.rig.kinds import checked
 from pneu_sim.rig.valves import AnyValve as AnyValve
@@ -284,6 +285,7 @@ class Rig(Part):
         commands: What the valves follow.
         taps: Pressure sensors.
         encoders: Position sensors, of joints and pistons.
+        drag: A machine that drags a cylinder, and what it reads.
         text: Layout of text recordings.
         rate_hz: Most readings a second that are used of each tap; None uses all.
         effects: Attached effects.
@@ -310,6 +312,7 @@ class Rig(Part):
     commands: dict[str, Command] = {}
     taps: dict[str, Tap] = {}
     encoders: dict[str, Encoder] = {}
+    drag: Drag | None = None
     text: TextFormat | None = None
     rate_hz: Positive | None = None
     effects: list[AttachedEffect] = []
@@ -344,6 +347,11 @@ def check_network(rig: Rig) -> None:
     if not (rig.taps or rig.cylinders):
         raise ValueError("taps: found none, and no cylinders; there is nothing to see")
     vessels = _check_cylinders(rig)
+    if rig.drag is not None and rig.drag.cylinder not in rig.cylinders:
+        raise ValueError(
+            f"drag.cylinder: found {rig.drag.cylinder!r}, which is not among cylinders"
+            f" ({', '.join(rig.cylinders) or 'none declared'})"
+        )
     ends: dict[str, int] = {}
     for name, pipe in rig.pipes.items():
         for node in (pipe.from_node, pipe.to_node):
