@@ -247,8 +247,9 @@ PY_ROOM_P: Final = 24  # Pa
 PY_ROOM_T: Final = 25  # K
 PY_START: Final = 26  # extension at the start, m
 PY_MASS: Final = 27  # of what moves by itself where a joint has play, kg
-PY_CREEP: Final = 28  # speed over which dry friction develops, m/s
-CYLINDER_PARAMS: Final = 29
+PY_SOFT: Final = 28  # deflection of the seals per force before they slide, m/N
+PY_SOFT_DAMPING: Final = 29  # force per rate of that, N s/m
+CYLINDER_PARAMS: Final = 30
 
 # --- cylinder state rows --------------------------------------------------------------------------
 SY_EXTENSION: Final = 0  # m, or rad of a rotary one
@@ -259,7 +260,8 @@ SY_COUNT_ROD: Final = 4
 SY_IMPULSE: Final = 5  # of gas and room on the piston since it was last asked for, N s
 SY_FORCE: Final = 6  # of gas and room on the piston, at the last step, N
 SY_SIDE: Final = 7  # 1: leans on its body that it pushes, -1: that it pulls, 0: is loose between
-CYLINDER_STATE: Final = 8
+SY_BENT: Final = 8  # deflection of its seals, m
+CYLINDER_STATE: Final = 9
 
 # --- cylinder work rows ---------------------------------------------------------------------------
 WY_SPEED: Final = 0  # foreseen at the middle of the step, m/s
@@ -292,8 +294,7 @@ PJ_PLAY: Final = 8  # between what turns it and itself, rad or m
 PJ_SPRING: Final = 9  # rate of a spring, N m/rad or N/m ...
 PJ_REST: Final = 10  # ... and where it is at rest
 PJ_HOLD: Final = 11  # what of a force its stops keep that holds it back as it leaves
-PJ_CREEP: Final = 12  # speed over which its dry friction develops, rad/s or m/s
-JOINT_PARAMS: Final = 13
+JOINT_PARAMS: Final = 12
 
 # --- joint state rows -----------------------------------------------------------------------------
 SJ_POSITION: Final = 0

@@ -689,6 +689,8 @@ def _bodies(tile: Tile) -> kernel.Bodies:
         np.zeros(n + places),
         np.zeros(n + places),
         np.zeros(n + places),
+        np.zeros(n + places),
+        np.zeros(n + places),
         np.zeros(places),
         np.zeros(places),
         np.zeros(n),

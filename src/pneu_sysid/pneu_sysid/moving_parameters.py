@@ -17,8 +17,8 @@ MOST_HOLD, USUAL_HOLD = 0.2, 0.01
 friction at 1 rad/s."""
 MOST_COVER, USUAL_COVER = 1.0, 0.05
 """Heat conductance of a side that the piston's way does not change, W/K, likewise."""
-MOST_CREEP, USUAL_CREEP = 0.01, 5e-4
-"""Speed over which dry friction develops, m/s, likewise."""
+USUAL_BENT_M = 1e-4
+"""Seals give way by so much before they slide, m, one sigma."""
 STRIBECK = 10.0
 """The speed over which breakaway friction vanishes is known to within this factor."""
 STOPS = 30.0
@@ -109,11 +109,18 @@ def _of_cylinder(base: str, cylinder: Cylinder, force: float) -> Iterator[FitPar
         log=True,
     )
     friction = cylinder.friction
+    softest = USUAL_BENT_M / (USUAL_GRIP * force)
     yield FitParameter(
-        path=f"{base}.friction.creep_m_s",
+        path=f"{base}.friction.presliding_m_n",
         lower=0.0,
-        upper=max(MOST_CREEP, 5.0 * friction.creep_m_s),
-        std=max(USUAL_CREEP, friction.creep_m_s),
+        upper=max(10.0 * softest, 5.0 * friction.presliding_m_n),
+        std=max(softest, friction.presliding_m_n),
+    )
+    yield FitParameter(
+        path=f"{base}.friction.presliding_n_s_m",
+        lower=0.0,
+        upper=max(10.0 * force, 5.0 * friction.presliding_n_s_m),
+        std=max(2.0 * force, friction.presliding_n_s_m),
     )
     for number, most, usual, value in (
         ("coulomb_n", MOST_GRIP, USUAL_GRIP, friction.coulomb_n),

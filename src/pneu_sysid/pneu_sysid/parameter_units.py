@@ -27,6 +27,7 @@ SUFFIXES = (
     ("_m3_rad", "m^3/rad"),
     ("_n_per_pa", "N/Pa"),
     ("_n_s_m", "N s/m"),
+    ("_m_n", "m/N"),
     ("_kg_m2", "kg m^2"),
     ("_w_m2_k", "W/(m^2 K)"),
     ("_m_s2", "m/s^2"),

@@ -352,7 +352,9 @@ class Problem:
         before = self._left(model, ready, course, c, until)
         doubt = doubt_of(before, course.time_s[:, : before.shape[1]] > course.begin_s + remembered)
         for again in range(LOOKS):
-            wanted = modes_of(rig, ready.plan, course.start, self.taps, self.noise_pa)
+            wanted = modes_of(
+                rig, ready.plan, course.start, self.taps, self.noise_pa, self.recordings[c]
+            )
             short = first_part(course, course.begin_s + remembered)
             starts = [course.start, *(mode.start for mode in wanted)]
             options = RunOptions(self.workers, strict=False)

@@ -111,6 +111,11 @@ def steps_of(rig: Rig, approach: bool, iterations: int) -> list[Step]:
     few = max(1, iterations // 4)
     out.append(Step("fast: spools and waves", coarse, None, few, part=True, tries=True))
     out.append(Step("fast: limits of spools", coarse, None, few, limits=True))
+    if rig.moves and pull is not None and pull > 1.5 * SLOW_PULL_S:
+        # What moves bounces and sticks: far ahead a prediction is anything but linear in it.
+        out.append(Step("all, a little ahead", coarse, SLOW_PULL_S, few + 1, corrected=True))
+        middle = float(np.sqrt(SLOW_PULL_S * pull))
+        out.append(Step("all, further ahead", coarse, middle, few, corrected=True))
     out.append(Step("all", coarse, None, few, corrected=True))
     late = "limits of spools that were not seen before"
     out.append(Step(late, coarse, None, 1, corrected=True, limits=True, again=True))

@@ -19,6 +19,8 @@ EARLIEST_S = 10.0
 """Commands from before the first reading count this far back."""
 FIRST_S, FEWEST_FIRST = 0.03, 5
 """Over this time, and of so many readings at least, an encoder tells how fast its joint moves."""
+SPEED_SHARE = 0.2
+"""... which is uncertain by this share of how fast it moves in the recording, one sigma."""
 TEMPERATURE_K = 30.0
 """How far gas in motion may be from the room's temperature, one sigma."""
 POSSIBLE_K = (150.0, 600.0)
@@ -146,10 +148,13 @@ def moved(
     pressure, chamber = start.pressure.copy(), start.chamber_pressure.copy()
     warm = np.full(pressure.size, room_k) if start.temperature is None else start.temperature.copy()
     heat = walls_k.copy() if start.chamber_temperature is None else start.chamber_temperature.copy()
+    joints = None if start.joints is None else start.joints.copy()
     for mode, amount in zip(wanted, amounts, strict=True):
         share = amount * mode.std / mode.step
         pressure += share * (mode.start.pressure - start.pressure)
         chamber += share * (mode.start.chamber_pressure - start.chamber_pressure)
+        if joints is not None and mode.start.joints is not None and start.joints is not None:
+            joints += share * (mode.start.joints - start.joints)
         if mode.start.temperature is not None:
             warm += share * (mode.start.temperature - _or(start.temperature, room_k, warm.size))
         if mode.start.chamber_temperature is not None:
@@ -163,6 +168,7 @@ def moved(
         chamber_pressure=np.maximum(chamber, 0.1 * start.chamber_pressure),
         temperature=np.clip(warm, *POSSIBLE_K),
         chamber_temperature=np.clip(heat, *POSSIBLE_K),
+        joints=joints,
     )
 
 
@@ -283,15 +289,18 @@ def remembered_s(rig: Rig, start: Start) -> float:
     return float(np.clip(REMEMBERED * slowest, *REMEMBERED_S))
 
 
-def modes_of(rig: Rig, plan: Plan, start: Start, taps: list[str], noise_pa: Floats) -> list[Mode]:
-    """What is not known of a beginning: temperatures, and the pressure of each closed volume.
+def modes_of(
+    rig: Rig, plan: Plan, start: Start, taps: list[str], noise_pa: Floats, recording: Recording
+) -> list[Mode]:
+    """What is not known of a beginning: temperatures, pressures of closed volumes, joints' speeds.
 
     Args:
         rig: The rig.
         plan: Its grid.
         start: The beginning.
-        taps: Names of the taps, which others may follow.
-        noise_pa: (n_taps,) their noise, Pa.
+        taps: Names of the taps, then of the encoders.
+        noise_pa: Their noise, Pa, rad or m.
+        recording: The recording.
     """
     room = rig.ambient.temperature_k
     out = []
@@ -327,4 +336,26 @@ def modes_of(rig: Rig, plan: Plan, start: Start, taps: list[str], noise_pa: Floa
                 chamber[c] += step
         changed = replace(start, pressure=pressure, chamber_pressure=chamber)
         out.append(Mode(changed, step, std))
+    return out + _modes_of_joints(plan, start, noise_pa[len(rig.taps) :], recording)
+
+
+def _modes_of_joints(plan: Plan, start: Start, noise: Floats, recording: Recording) -> list[Mode]:
+    """Where joints began, within what their encoders resolve, and how fast they moved there."""
+    out: list[Mode] = []
+    if start.joints is None:
+        return out
+    for name, on, sigma in zip(plan.encoders, plan.encoder_of, noise, strict=True):
+        signal = recording.encoders.get(name)
+        if on < 0 or signal is None or len(signal) < FEWEST_FIRST:
+            continue
+        apart = max(round(FIRST_S / max(signal.period_s, 1e-9)), 1)
+        speeds = (signal.values[apart:] - signal.values[:-apart]) / (
+            signal.time_s[apart:] - signal.time_s[:-apart]
+        )
+        usual = float(np.std(speeds)) if speeds.size else 0.0
+        for column, std in ((0, READING_SIGMAS * sigma), (1, SPEED_SHARE * usual)):
+            if std > 0.0:
+                joints = start.joints.copy()
+                joints[on, column] += std
+                out.append(Mode(replace(start, joints=joints), std, std))
     return out

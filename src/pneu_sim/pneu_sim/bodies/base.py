@@ -26,7 +26,6 @@ class Joint(Part):
         held: Whether it is clamped there.
         viscous: Friction per speed, N m s/rad, or N s/m.
         dry_friction: Dry friction, N m or N, whatever the speed.
-        creep: Speed over which that develops, rad/s or m/s; 0 holds the joint until it slides.
         lower: Where its lower stop begins; None has none.
         upper: Where its upper stop begins; None has none.
         stop_stiffness: Of both stops, N m/rad or N/m.
@@ -45,7 +44,6 @@ class Joint(Part):
     held: bool = False
     viscous: NonNegative = 0.0
     dry_friction: NonNegative = 0.0
-    creep: NonNegative = 0.0
     lower: Finite | None = None
     upper: Finite | None = None
     stop_stiffness: Positive = 1e4

@@ -200,7 +200,9 @@ class Bodies(NamedTuple):
         answer: (rows, joints) velocity per impulse along those.
         most: (rows,) greatest impulses.
         impulse: (rows,) impulses.
-        creep: (rows,) speeds over which friction develops.
+        soft: (rows,) deflection of seals per force.
+        damping: (rows,) force per rate of that.
+        bent: (rows,) deflection.
         loose: (cylinders,) whether each has play, and leans or is loose, see ``play``.
         row: (cylinders,) which of those directions is its own, or -1.
         there_q: (joints,) positions at a face of the play ...
@@ -224,7 +226,9 @@ class Bodies(NamedTuple):
     answer: Floats
     most: Floats
     impulse: Floats
-    creep: Floats
+    soft: Floats
+    damping: Floats
+    bent: Floats
     loose: Floats
     row: Floats
     there_q: Floats

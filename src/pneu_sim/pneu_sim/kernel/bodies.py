@@ -15,8 +15,8 @@ from pneu_sim.kernel.equations.kinds import levers, mechanics
 from pneu_sim.kernel.play import LEANS, LOOSE, has_play, lean, look_from, stay_within
 
 HOLD_STEPS, HELD = 30, 1e-12
-"""Of Newton's method for friction that creeps, at most; the share of the greatest impulse to which
-it is found."""
+"""Of Newton's method for friction of soft seals, at most; the share of the greatest impulse to
+which it is found."""
 SWEEPS = 12
 """Of Gauss-Seidel, for bodies of several joints; one joint needs two."""
 LET_GO = -2.0
@@ -271,7 +271,9 @@ def _grips(b, j, dt, played, bodies, cylinders):
                 held = bodies.joint[first + i, L.PJ_HELD, j] > 0.0
                 bodies.along[rows, i] = 0.0 if held else bodies.lever[c, i]
             bodies.most[rows] = dt * grip
-            bodies.creep[rows] = cylinders.par[k, L.PY_CREEP, j]
+            bodies.soft[rows] = cylinders.par[k, L.PY_SOFT, j]
+            bodies.damping[rows] = cylinders.par[k, L.PY_SOFT_DAMPING, j]
+            bodies.bent[rows] = cylinders.state[k, L.SY_BENT, j]
             bodies.row[c] = rows
             rows += 1
     for i in range(n):
@@ -280,34 +282,60 @@ def _grips(b, j, dt, played, bodies, cylinders):
             for m in range(n):
                 bodies.along[rows, m] = 1.0 if m == i else 0.0
             bodies.most[rows] = dt * grip
-            bodies.creep[rows] = bodies.joint[first + i, L.PJ_CREEP, j]
+            bodies.soft[rows] = 0.0
             rows += 1
     return rows
 
 
 @folded
-def hold(free, give, most, creep):
+def _bend(speed, bent, most, dt, stiffness):
+    """Deflection of a seal after a step at some speed, and by how much it grows with that.
+
+    Backward Euler of the bristles of Canudas de Wit and others (1995), dz/dt = v - |v| z / z_most:
+    z never exceeds what friction can hold.
+
+    Args:
+        speed: After the step.
+        bent: Deflection before it.
+        most: Greatest impulse of the friction in the step.
+        dt: Step, s.
+        stiffness: Force per deflection.
+    """
+    rate = dt * dt * stiffness / most
+    below = 1.0 + rate * abs(speed)
+    after = (bent + dt * speed) / below
+    return after, (dt - math.copysign(rate, speed) * after) / below
+
+
+@folded
+def hold(free, give, most, bent, dt, soft, damping):
     """Impulse of dry friction along one direction.
 
     Args:
         free: Speed after the step without it.
         give: Speed per impulse.
-        most: Greatest impulse.
-        creep: Speed over which friction develops, by a hyperbolic tangent; 0 holds until it slides.
+        most: Greatest impulse while it slides.
+        bent: Deflection of the seal before the step.
+        dt: Step, s.
+        soft: Deflection per force; 0 holds rigidly until it slides.
+        damping: Force per rate of deflection.
     """
-    if creep <= 0.0:
+    if soft <= 0.0:
         return min(max(-free / give, -most), most)
-    # The speed after the step decides (implicit), so that a small one asks for no short step.
-    low, high = -most, most
-    impulse = min(max(-free / (give + creep / most), low), high)
+    # The speed after the step decides (implicit), so that a stiff seal asks for no short step.
+    stiffness = 1.0 / soft
+    after, _ = _bend(free, bent, most, dt, stiffness)
+    first = -dt * stiffness * after - damping * (after - bent)
+    low, high = min(first, 0.0), max(first, 0.0)
+    impulse = 0.5 * first
     for _ in range(HOLD_STEPS):
-        t = math.tanh((free + give * impulse) / creep)
-        wrong = impulse + most * t
+        after, growth = _bend(free + give * impulse, bent, most, dt, stiffness)
+        wrong = impulse + dt * stiffness * after + damping * (after - bent)
         if wrong > 0.0:
             high = impulse
         else:
             low = impulse
-        better = impulse - wrong / (1.0 + most * give / creep * (1.0 - t * t))
+        better = impulse - wrong / (1.0 + give * growth * (dt * stiffness + damping))
         if not low < better < high:
             better = 0.5 * (low + high)
         if abs(better - impulse) <= HELD * most:
@@ -317,7 +345,7 @@ def hold(free, give, most, creep):
 
 
 @folded
-def _hold_back(n, rows, bodies):
+def _hold_back(n, rows, dt, bodies):
     """Impulses of dry friction, that take velocities along their directions away or fall short.
 
     ``bodies.v`` has the velocities without friction, and gets those with it.
@@ -336,10 +364,35 @@ def _hold_back(n, rows, bodies):
             if give <= 0.0:
                 continue
             old = bodies.impulse[r]
-            new = hold(speed - give * old, give, bodies.most[r], bodies.creep[r])
+            new = hold(
+                speed - give * old,
+                give,
+                bodies.most[r],
+                bodies.bent[r],
+                dt,
+                bodies.soft[r],
+                bodies.damping[r],
+            )
             bodies.impulse[r] = new
             for i in range(n):
                 bodies.v[i] += (new - old) * bodies.answer[r, i]
+
+
+@folded
+def _bend_seals(b, j, dt, bodies, cylinders):
+    """Deflections of soft seals after a step, by the new velocities in ``bodies.v``."""
+    n, places = bodies.table[b, L.B_JOINTS], bodies.table[b, L.B_PLACES]
+    for c in range(places):
+        r = int(bodies.row[c])
+        if r < 0 or bodies.soft[r] <= 0.0:
+            continue
+        k = bodies.driven_by[bodies.table[b, L.B_PLACE] + c]
+        speed = 0.0
+        for i in range(n):
+            speed += bodies.along[r, i] * bodies.v[i]
+        cylinders.state[k, L.SY_BENT, j], _ = _bend(
+            speed, bodies.bent[r], bodies.most[r], dt, 1.0 / bodies.soft[r]
+        )
 
 
 @folded
@@ -414,7 +467,11 @@ def _move_loose(b, j, dt, bodies, cylinders):
         new = now + dt * push * give
         most = dt * _grip(k, j, now, cylinders)
         if most > 0.0:
-            new += give * hold(new, give, most, par[k, L.PY_CREEP, j])
+            soft, bent = par[k, L.PY_SOFT, j], state[k, L.SY_BENT, j]
+            damping = par[k, L.PY_SOFT_DAMPING, j]
+            new += give * hold(new, give, most, bent, dt, soft, damping)
+            if soft > 0.0:
+                state[k, L.SY_BENT, j], _ = _bend(new, bent, most, dt, 1.0 / soft)
         at = state[k, L.SY_EXTENSION, j] + 0.5 * dt * (now + new)
         side = 1.0 if at > look_from(b, j, c, 1.0, bodies) else 0.0
         if side == 0.0 and at < look_from(b, j, c, -1.0, bodies):
@@ -473,7 +530,8 @@ def _move_body(b, j, dt, bodies, cylinders):
     for i in range(n):
         bodies.v[i] = bodies.state[first + i, L.SJ_VELOCITY, j] + dt * bodies.force[i]
     if rows > 0:
-        _hold_back(n, rows, bodies)
+        _hold_back(n, rows, dt, bodies)
+        _bend_seals(b, j, dt, bodies, cylinders)
     heat = _account(b, j, dt, rows, bodies)
     if played:
         _let_go(b, j, dt, bodies, cylinders)

@@ -23,9 +23,11 @@ class Friction(Part):
         breakaway_n: By how much more it holds at rest.
         stribeck_m_s: Speed over which that vanishes (Stribeck).
         viscous_n_s_m: Friction per speed, N s/m.
-        creep_m_s: Speed over which the first three develop, by tanh(v / creep): seals of rubber
-            creep under less force than moves them (Andersson and others 2007,
-            doi:10.1016/j.triboint.2005.10.009). 0 holds the piston until it slides.
+        presliding_m_n: Compliance of the seals before they slide, m/N: the piston moves by that
+            much per force it is held with, and the force comes near the whole friction as the way
+            grows (the bristles of Canudas de Wit and others 1995, doi:10.1109/9.376053). 0 holds it
+            rigidly until it slides.
+        presliding_n_s_m: Damping of that deflection, N s/m.
     """
 
     coulomb_n: NonNegative = 0.0
@@ -33,7 +35,8 @@ class Friction(Part):
     breakaway_n: NonNegative = 0.0
     stribeck_m_s: Positive = 0.01
     viscous_n_s_m: NonNegative = 0.0
-    creep_m_s: NonNegative = 0.0
+    presliding_m_n: NonNegative = 0.0
+    presliding_n_s_m: NonNegative = 0.0
 
 
 class Cushion(Part):

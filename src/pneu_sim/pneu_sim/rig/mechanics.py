@@ -210,7 +210,8 @@ def _fill_row(row: Floats, cylinder: Cylinder) -> None:
     row[L.PY_STOP] = cylinder.stop_stiffness_n_m
     row[L.PY_STOP_DAMPING] = cylinder.stop_damping_n_s_m
     row[L.PY_START] = cylinder.start_m
-    row[L.PY_CREEP] = friction.creep_m_s
+    row[L.PY_SOFT] = friction.presliding_m_n
+    row[L.PY_SOFT_DAMPING] = friction.presliding_n_s_m
     row[L.PY_MASS] = cylinder.loose_kg
     for s, side_name in enumerate(SIDES):
         area = cylinder.areas[s]
@@ -258,7 +259,6 @@ def body_rows(rig: Rig) -> tuple[Floats, Floats]:
                 joint.spring,
                 joint.spring_at,
                 joint.stop_hold,
-                joint.creep,
             )
             for joint in body.joints
         ]
