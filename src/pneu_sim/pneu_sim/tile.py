@@ -373,8 +373,14 @@ def _standing(tile: Tile, position: Floats, velocity: Floats | float) -> tuple[F
     joints, cylinders = np.zeros_like(tile.joint_state), tile.cylinder_state.copy()
     joints[:, L.SJ_POSITION] = position
     joints[:, L.SJ_VELOCITY] = np.where(held, 0.0, velocity)
-    cylinders[:, [L.SY_PUSH, L.SY_IMPULSE]] = 0.0
-    kernel.stand(moves.bodies._replace(state=joints), moves.cylinders._replace(state=cylinders))
+    cylinders[:, [L.SY_PUSH, L.SY_IMPULSE, L.SY_SIDE, L.SY_BENT]] = 0.0
+    # in the middle of its play
+    tight = moves.bodies.joint.copy()
+    tight[:, L.PJ_PLAY] = 0.0
+    kernel.stand(
+        moves.bodies._replace(state=joints, joint=tight),
+        moves.cylinders._replace(state=cylinders),
+    )
     for j, model in enumerate(tile.models):
         check_extensions(model, cylinders[:, L.SY_EXTENSION, j])
     return joints, cylinders
