@@ -235,23 +235,27 @@ def even_course(
     field: InitialField,
     commands: Mapping[str, Floats],
     dt_s: float,
-    taps_pa: Floats,
+    readings: Floats,
     gain: float = 0.0,
 ) -> Course:
-    """A course whose taps are read together, at the instants of the commands.
+    """A course whose sensors are read together, at the instants of the commands.
+
+    Joints begin where the rig has them.
 
     Args:
         field: Map from taps to the pressures at the start.
         commands: Per command its (T,) volts.
         dt_s: Sample interval, s.
-        taps_pa: (T, n_taps) readings; the first fill the rig, all that is finite draws its gas.
+        readings: (T, n_sensors) of the taps, or of taps and encoders; the first pressures fill the
+            rig, all that is finite draws its gas.
         gain: Share of measured minus predicted by which the gas is corrected at each.
     """
-    samples, taps = taps_pa.shape
+    samples, sensors = readings.shape
     time = dt_s * np.arange(samples, dtype=np.float64)
+    first = readings[0, : field.weight.shape[1]]
     start = Start(
-        field.weight @ taps_pa[0] + field.constant,
-        field.chamber_weight @ taps_pa[0] + field.chamber_constant,
+        field.weight @ first + field.constant,
+        field.chamber_weight @ first + field.chamber_constant,
     )
     return Course(
         {
@@ -260,9 +264,9 @@ def even_course(
         },
         0.0,
         float(time[-1]),
-        np.tile(time, (taps, 1)),
-        np.ascontiguousarray(taps_pa.T, dtype=np.float64),
-        np.full((taps, samples), gain),
+        np.tile(time, (sensors, 1)),
+        np.ascontiguousarray(readings.T, dtype=np.float64),
+        np.full((sensors, samples), gain),
         start,
     )
 

@@ -22,6 +22,9 @@ from pneu_sim.simulate import even_course, initial_field, predict
 HOUSE = Path(__file__).parents[3]
 DT_S = 0.002
 NOISE_PA = 250.0
+NOISE_RAD = 0.25e-3
+JUMP = 0.2
+"""In deviations of the noise, root mean square."""
 EFFECTS = [kind() for kind in BUILT_IN]
 
 # Where a typical strength stays within the noise of this rig's sensors, and why.
@@ -68,14 +71,23 @@ def exciting_command() -> np.ndarray:
 
 
 def readings(base: Rig, rigs: list[Rig]) -> np.ndarray:
-    """(rigs, samples, taps) readings along the exciting command, all on the base rig's grid."""
+    """(rigs, samples, sensors) readings along the exciting command, on the base rig's grid.
+
+    In deviations of the sensors' noise.
+    """
     plan = plan_grid(base)
     command = exciting_command()
-    start = np.tile([635e3, 3e5, 3e5, 3e5, 101e3], (command.size, 1))
+    commands = {"voltage": command}
+    first = [635e3, 3e5, 3e5, 3e5, 101e3]
+    if base.moves:  # the two valves against each other, at a quarter of the way
+        swing = 5.0 + 0.15 * (np.roll(command, 100) - 5.0)
+        commands = {"head": swing, "rod": 10.0 - swing}
+        first = [3e5, 3e5, 3.5e5, 3.5e5, 0.0]
     models = [build(r, plan) for r in rigs]
     field = initial_field(base, plan)
-    course = even_course(field, {"voltage": command}, DT_S, start)
-    return np.moveaxis(predict([models], [course], field)[0].readings, 1, 2)
+    course = even_course(field, commands, DT_S, np.tile(first, (command.size, 1)))
+    noise = np.array([NOISE_PA] * len(base.taps) + [NOISE_RAD] * len(base.encoders))
+    return np.moveaxis(predict([models], [course], field)[0].readings, 1, 2) / noise
 
 
 def with_junction(rig: Rig) -> Rig:
@@ -97,11 +109,20 @@ def with_limits(rig: Rig) -> Rig:
     return copy
 
 
+def robot() -> Rig:
+    """A joint that a cylinder turns, on a coarse grid; its seals give way before they slide."""
+    rig = load_rig(HOUSE / "rigs" / "kokoro.yaml")
+    rig.grid.dx_m = 0.25
+    friction = rig.cylinders["forearm"].friction
+    friction.presliding_m_n, friction.presliding_n_s_m = 1e-5, 300.0
+    return rig
+
+
 def base_for(effect: Effect, rig: Rig) -> Rig:
     """Rig A, or the same with what an effect needs to have a place and to be felt."""
     if effect.name in ("spool_speed_limit", "spool_acceleration_limit"):
         return with_limits(rig)
-    candidates = (rig, with_chamber(rig), with_junction(rig))
+    candidates = (rig, with_chamber(rig), with_junction(rig), robot())
     return next(base for base in candidates if effect.places(base))
 
 
@@ -159,8 +180,9 @@ def test_absent_typical_and_small_strengths(effect: Effect, rig: Rig) -> None:
     mismatch = math.inf
     for (place, _), (absent, tiny, one, two, typical) in zip(sites, runs, strict=True):
         np.testing.assert_allclose(absent, alone, rtol=1e-9)
-        # No jump from absence to presence.
-        assert np.linalg.norm(tiny - absent) < 0.01 * np.linalg.norm(one - absent)
+        # No jump from absence to presence. (What is loose or leans changes at steps of time.)
+        jump = JUMP * math.sqrt(absent.size) if effect.name == "backlash" else 0.0
+        assert np.linalg.norm(tiny - absent) < 0.01 * np.linalg.norm(one - absent) + jump
         felt = float(np.max(np.abs(typical - alone)))
         strongest[place] = max(strongest.get(place, 0.0), felt)
         if felt > largest:
@@ -170,7 +192,7 @@ def test_absent_typical_and_small_strengths(effect: Effect, rig: Rig) -> None:
             )
     assert mismatch < 0.1
     for place, felt in strongest.items():
-        assert felt > 3.0 * NOISE_PA or (effect.name, place) in FAINT, (place, felt)
+        assert felt > 3.0 or (effect.name, place) in FAINT, (place, felt)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
