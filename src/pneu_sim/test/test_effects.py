@@ -23,6 +23,8 @@ HOUSE = Path(__file__).parents[3]
 DT_S = 0.002
 NOISE_PA = 250.0
 NOISE_RAD = 0.25e-3
+CURVED = {"backlash": 0.4}
+"""Small strengths act in proportion to within this: with its play a face is met at other times."""
 JUMP = 0.2
 """In deviations of the noise, root mean square."""
 EFFECTS = [kind() for kind in BUILT_IN]
@@ -190,7 +192,7 @@ def test_absent_typical_and_small_strengths(effect: Effect, rig: Rig) -> None:
             mismatch = np.linalg.norm(2.0 * (one - absent) - (two - absent)) / np.linalg.norm(
                 two - absent
             )
-    assert mismatch < 0.1
+    assert mismatch < CURVED.get(effect.name, 0.1)
     for place, felt in strongest.items():
         assert felt > 3.0 or (effect.name, place) in FAINT, (place, felt)
 
