@@ -110,7 +110,7 @@ LATER = {"clock_offset", "common_clock_offset"}
 
 @pytest.mark.parametrize("effect", sorted(set(registry()) - LATER))
 def test_a_plant_with_any_effect_may_be_cut_anywhere(effect: str) -> None:
-    for rig in (rig_named("rig_a"), two_valves()):
+    for rig in (rig_named("rig_a"), two_valves(), rig_named("kokoro")):
         if registry()[effect].places(rig):
             is_the_same_cut(attached(rig, effect))
             return
