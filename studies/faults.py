@@ -6,7 +6,8 @@ tried several times, on an idle machine and beside four busy processes. What is 
 fault to the first safe voltage that the device then keeps, how often valves went from safe to open
 within a second. Then faults of whole processes (`process_faults`), and of the line, where it counts
 whether anything is applied that must not be (`line_faults`). Nothing is subtracted for a machine
-that was busy. Writes ``docs/faults.md``.
+that was busy. Likewise a robot (`robot_faults`), both valves of which have to be safe. Writes
+``docs/faults.md``.
 """
 
 import argparse
@@ -33,7 +34,7 @@ from tests.cables import ENDS, pull_and_plug
 from tests.proxy import LIES, Proxy
 
 from pneu_hw_bridge.safety.limits import SAFE_WITHIN_S
-from studies import line_faults, process_faults
+from studies import line_faults, process_faults, robot_faults
 from studies.digest import digest_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -130,16 +131,22 @@ class Results:
         at_device: Of each fault at the device.
         of_processes: Of each fault of a process.
         of_line: Of each fault of the line.
+        of_robot: Of each fault of a robot.
     """
 
     at_device: dict[str, Outcome] = field(default_factory=dict)
     of_processes: dict[str, Outcome] = field(default_factory=dict)
     of_line: dict[str, Applied] = field(default_factory=dict)
+    of_robot: dict[str, Outcome] = field(default_factory=dict)
 
     @property
     def missed(self) -> bool:
         """Whether a mark was missed, or a fault could not be tried."""
-        timed = (*self.at_device.values(), *self.of_processes.values())
+        timed = (
+            *self.at_device.values(),
+            *self.of_processes.values(),
+            *self.of_robot.values(),
+        )
         return any(one.late or one.changes > 1 or one.faults for one in timed) or any(
             one.missed for one in self.of_line.values()
         )
@@ -338,6 +345,20 @@ def processes(folder: Path, tries: int, load: int) -> Iterator[tuple[str, Outcom
         yield name, Outcome(seconds, faults=[wrong] if wrong else [])
 
 
+def robots(folder: Path, tries: int) -> Iterator[tuple[str, Outcome]]:
+    """Tries the faults of a robot.
+
+    Args:
+        folder: For files.
+        tries: How often each.
+
+    Yields:
+        The fault and what became of it.
+    """
+    for name, seconds, wrong in robot_faults.tries_of(folder, tries):
+        yield name, Outcome(seconds, faults=[wrong] if wrong else [])
+
+
 def lines_of(folder: Path, tries: int) -> Iterator[tuple[str, Applied]]:
     """Tries the faults of lines.
 
@@ -396,6 +417,7 @@ def page(found: dict[int, Results], tries: int) -> str:
         lines += [f"## {'Idle' if not load else f'{load} busy processes'}", ""]
         lines += _timed("faults at the device", results.at_device)
         lines += _timed("faults of processes", results.of_processes)
+        lines += _timed("faults of a robot with two valves and an encoder", results.of_robot)
         failed = [f"{name}: {one.fault}" for name, one in results.of_line.items() if one.fault]
         missed = [name for name, one in results.of_line.items() if one.missed]
         lines += [
@@ -446,7 +468,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tries", type=int, default=TRIES)
     parser.add_argument("--loads", type=int, nargs="*", default=[0, BUSY])
-    parser.add_argument("--only", default="", help="a part of the names of faults at the device")
+    parser.add_argument(
+        "--only", default="", help="a part of the names of faults at the device, or robot"
+    )
     options = parser.parse_args(arguments)
     console = Console()
     found: dict[int, Results] = {}
@@ -460,6 +484,10 @@ def main(arguments: list[str] | None = None) -> int:
                     outcome.within_s = SAFE_WITHIN_S if fault.bound else math.inf
                     for _ in range(options.tries):
                         attempt(fault, Path(name), lab, outcome)
+                if not options.only or options.only == "robot":
+                    some_robots = robots(Path(name) / f"robots{load}", options.tries)
+                    count = len(robot_faults.FAULTS)
+                    results.of_robot.update(track(some_robots, "robot", count, console=console))
                 if options.only:
                     continue
                 count = len(process_faults.FAULTS) + len(process_faults.LAUNCHES)

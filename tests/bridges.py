@@ -75,8 +75,11 @@ class Rig:
     """Bus and supervisor with a controller that sends 500 commands a second."""
 
     def __init__(self, port, profile="generic_plc", period_s=0.002):
-        registers = load_register_map(profile, {"port": port})
-        self.link = Link(Supervisor(limits_of(registers)), lambda: None)
+        self.set_up(load_register_map(profile, {"port": port}), period_s)
+
+    def set_up(self, registers, period_s, **limits):
+        limits = limits_of(registers, **limits)
+        self.link = Link(Supervisor(limits), lambda: None, device_time=registers.clock is not None)
         self.bus = ModbusBus(registers, self.link, period_s)
         self.volts = 5.5
         self._silent = threading.Event()
@@ -98,8 +101,12 @@ class Rig:
 
     def _control(self):
         while not self._silent.wait(0.002):
-            if not self.link.command({"voltage": self.volts}):
+            if not self.link.command(self.commands()):
                 self.bus.poke()
+
+    def commands(self):
+        """What the controller commands."""
+        return {"voltage": self.volts}
 
     def fall_silent(self):
         """Has the controller send no more commands."""
@@ -114,8 +121,8 @@ class Rig:
 
 
 def safe_since(lab):
-    """When the valves got the safe voltage that they have kept from then on, and by whom."""
+    """When all valves had the safe voltage that they have kept from then on, and by whom."""
     changes = lab.ask("history")["history"]
-    assert changes[-1]["volts"]["voltage"] == 0.0, changes[-3:]
-    last = max(i for i, change in enumerate(changes) if change["volts"]["voltage"] != 0.0)
+    assert not any(changes[-1]["volts"].values()), changes[-3:]
+    last = max(i for i, change in enumerate(changes) if any(change["volts"].values()))
     return changes[last + 1]["steady_s"], changes[last + 1]["cause"]

@@ -6,6 +6,7 @@ REALTIME = (
     "src/pneu_policy/test/test_policy_nodes",
     "src/pneu_graph/test/test_recorder",
     "src/pneu_sim/test/test_simulator_node",
+    "src/pneu_sim/test/test_view",
     "src/pneu_sysid/test/test_identify_node",
     "src/pneu_sysid/test/test_replay_node",
     "tests/conformance/test_executors",
@@ -13,6 +14,7 @@ REALTIME = (
     "tests/test_faults",
     "tests/test_graph",
     "tests/test_pressure_study",
+    "tests/test_robot",
 )
 """Beginnings of the paths of tests that run against the clock."""
 
@@ -22,6 +24,7 @@ MIXED = ("src/pneu_sim/test/test_stepper",)
 LONGEST = (
     "tests/test_faults.py",
     "tests/test_graph",
+    "tests/test_robot_graph",
     "src/pneu_hw_bridge/test/test_valve_bridge",
     "tests/test_faults_simulated",
     "tests/test_pressure_study",

@@ -23,6 +23,7 @@ ROS_PACKAGES = {
     "ament_index_python",
     "builtin_interfaces",
     "diagnostic_msgs",
+    "geometry_msgs",
     "lifecycle_msgs",
     "pneu_msgs",
     "rcl_interfaces",
@@ -31,6 +32,7 @@ ROS_PACKAGES = {
     "sensor_msgs",
     "std_msgs",
     "std_srvs",
+    "tf2_msgs",
     "type_description_interfaces",
     "unique_identifier_msgs",
 }

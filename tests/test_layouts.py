@@ -9,6 +9,11 @@ from pathlib import Path
 import pytest
 
 from pneu_runtime import interfaces
+from pneu_runtime.hook import install
+from pneu_sim import topics
+from pneu_sim.rig import load_rig
+
+install()
 
 WORKSPACE = Path(__file__).parents[1] / "ros_ws"
 LAYOUTS = WORKSPACE / "src" / "pneu_bringup" / "layouts"
@@ -43,15 +48,22 @@ def foxglove_curves() -> list[tuple[str, str]]:
     return [(topic, field) for topic, _, field in (value.partition(".") for value in values)]
 
 
-def test_every_panel_is_in_the_layout() -> None:
-    saved = json.loads((LAYOUTS / "foxglove.json").read_text())
+@pytest.mark.parametrize(
+    ("layout", "some"),
+    [
+        ("foxglove.json", {"Plot!joints", "Plot!speeds"}),
+        ("foxglove_kokoro.json", {"3D!robot", "Plot!position"}),
+    ],
+)
+def test_every_panel_is_in_the_layout(layout: str, some: set[str]) -> None:
+    saved = json.loads((LAYOUTS / layout).read_text())
 
     def shown(part: str | dict) -> list[str]:
         return [part] if isinstance(part, str) else shown(part["first"]) + shown(part["second"])
 
     names = shown(saved["layout"])
     assert sorted(names) == sorted(saved["configById"])
-    assert {"Plot!joints", "Plot!speeds"} <= set(names)
+    assert some <= set(names)
 
 
 @pytest.mark.parametrize(("topic", "field"), foxglove_curves())
@@ -60,6 +72,23 @@ def test_curves_are_numbers_of_topics_that_there_are(topic: str, field: str) -> 
     name, index = re.fullmatch(r"(\w+)(\[\d+\])?", field).groups()
     kind = fields(type_of(topic.removeprefix(NAMESPACE)))[name]
     assert kind == ("double" if index is None else "sequence<double>")
+
+
+def test_a_robot_is_shown_with_the_topics_of_its_rig_file() -> None:
+    rig = load_rig(WORKSPACE.parent / "rigs" / "kokoro.yaml")
+    there = {
+        topic.name if topic.name.startswith("/") else f"/{topic.name}": fields(topic.type)
+        for of in (topics.command_topics, topics.tap_topics, topics.encoder_topics)
+        for topic in of(rig)
+    }
+    panels = json.loads((LAYOUTS / "foxglove_kokoro.json").read_text())["configById"]
+    paths = [path["value"] for panel in panels.values() for path in panel.get("paths", [])]
+    assert len(paths) == len(rig.commands) + len(rig.taps) + len(rig.encoders)
+    for path in paths:
+        topic, _, field = path.partition(".")
+        assert field.removesuffix("[0]") in there[topic], path
+    layers = panels["3D!robot"]["layers"].values()
+    assert f"{NAMESPACE}robot_description" in [layer.get("topic") for layer in layers]
 
 
 def test_plotjuggler_shows_the_same_topics() -> None:

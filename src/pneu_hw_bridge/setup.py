@@ -24,7 +24,10 @@ setup(
     description="Bridge between the topics of a pneumatic rig and its hardware; emulated lab",
     license="Apache-2.0",
     entry_points={
-        "console_scripts": ["valve_bridge = pneu_hw_bridge.nodes.valve_bridge:main"],
+        "console_scripts": [
+            "valve_bridge = pneu_hw_bridge.nodes.valve_bridge:main",
+            "kokoro_bridge = pneu_hw_bridge.nodes.valve_bridge:main",
+        ],
         "pneu.commands": ["3-lab = pneu_hw_bridge.commands:register"],
         "pneu.at_once": ["stop = pneu_hw_bridge.stop_command:at_once"],
     },

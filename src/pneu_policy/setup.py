@@ -27,6 +27,7 @@ setup(
         "console_scripts": [
             "pid = pneu_policy.nodes.pid:main",
             "policy = pneu_policy.nodes.policy:main",
+            "excite = pneu_policy.nodes.excite:main",
             "target = pneu_policy.nodes.target:main",
         ],
         "pneu.commands": ["5-policy = pneu_policy.commands:register"],

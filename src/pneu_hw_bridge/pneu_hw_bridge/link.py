@@ -57,14 +57,23 @@ class Report:
 class Link:
     """The owner of a bus (see `pneu_hw_bridge.modbus.bus.Owner`) on behalf of a node."""
 
-    def __init__(self, supervisor: Supervisor, notify: Callable[[], None], every: int = 1) -> None:
+    def __init__(
+        self,
+        supervisor: Supervisor,
+        notify: Callable[[], None],
+        every: int = 1,
+        device_time: bool = False,
+    ) -> None:
         """Connects.
 
         Args:
             supervisor: Decides what goes to the valves.
             notify: Called, from the thread of the bus, when there are samples to publish.
             every: Hands over every so many samples.
+            device_time: Whether stamps are the device's own times, by which readings are told
+                apart better than by when they arrived.
         """
+        self._device_time = device_time
         self._supervisor = supervisor
         self._notify = notify
         self._every = every
@@ -104,6 +113,13 @@ class Link:
             for name in self._supervisor.limits.sensors:
                 if name in values:
                     self._supervisor.reading(name, values[name], steady_s)
+            taken_s = steady_s
+            if stamp_ns is not None and self._device_time:
+                taken_s = 1e-9 * stamp_ns
+            for name in self._supervisor.limits.encoders:
+                if name in values:
+                    known_s = None if stamp_ns is None else taken_s
+                    self._supervisor.position(name, values[name], steady_s, known_s)
             self._readings = values
             if stamp_ns is None:
                 return

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ModbusException
+from tests.robots import kokoro_lab
 from typer.testing import CliRunner
 
 from pneu_common.cli import build_app
@@ -227,9 +228,39 @@ def test_fault_malformed(device, lab):
     assert device.read()["supply"] > 0.0
 
 
+def test_fault_jump_and_dead_valve(tmp_path):
+    """At a robot: its encoder leaps, wrapped as it is, and one of its valves is left alone."""
+    with kokoro_lab(tmp_path) as lab:
+        device = Device(lab.port)
+        elbow = load_register_map("kokoro_plc").encoders["elbow"]
+
+        def counts():
+            return device.client.read_input_registers(8, count=1).registers[0]
+
+        def write(address, volts):
+            words = list(struct.unpack(">2H", struct.pack(">f", volts)))
+            return device.client.write_registers(address, words)
+
+        before = counts()
+        lab.ask("fault", name="jump", value=1.0)
+        ahead = (counts() - before) % 16384
+        assert ahead == pytest.approx(1.0 / elbow.scale, abs=20)
+        lab.ask("fault", name="dead_valve", channel="rod")
+        end_s = time.monotonic() + 0.5
+        while time.monotonic() < end_s:
+            assert not write(100, 5.0).isError()
+            refused = write(110, 5.0)
+            assert refused.isError() and refused.exception_code == 11
+        assert lab.ask("status")["volts"] == {"head": 5.0, "rod": 0.0}
+        lab.ask("clear")
+        assert not write(110, 5.0).isError()
+        assert lab.ask("status")["volts"]["rod"] == 5.0
+        device.client.close()
+
+
 def test_every_kind_of_fault_is_tested():
-    tested = {name.removeprefix("test_fault_") for name in globals() if "test_fault_" in name}
-    assert tested == set(KINDS)
+    tested = [name.removeprefix("test_fault_") for name in globals() if "test_fault_" in name]
+    assert {one for name in tested for one in name.split("_and_")} == set(KINDS)
 
 
 @pytest.mark.parametrize(

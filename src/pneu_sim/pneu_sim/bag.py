@@ -15,7 +15,15 @@ from pneu_common.files import scratch_beside
 from pneu_sim.channels import Channel
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Motion, Signal
-from pneu_sim.topics import FLOAT64, FLUID_PRESSURE, JOINT_STATE, JOINTS_TOPIC, same_topic
+from pneu_sim.topics import (
+    FLOAT64,
+    FLUID_PRESSURE,
+    JOINT_STATE,
+    JOINTS_TOPIC,
+    encoder_channel,
+    encoder_topics,
+    same_topic,
+)
 
 FIELD_OF = {FLUID_PRESSURE: "fluid_pressure", FLOAT64: "data"}
 """Message types that are written, and the field that holds the number."""
@@ -35,12 +43,14 @@ def write_bag(
     start_time_s: float = 0.0,
     replace: bool = False,
     motion: Motion | None = None,
+    encoders: Mapping[str, Signal] | None = None,
 ) -> None:
     """Writes a recording, every signal at its own times, whole or not at all.
 
     Pressures go out as stamped ``FluidPressure`` and commands as ``Float64``, unless the channel
     names the other type; scale and offset of the channel are undone. NaN samples are left out.
-    Joints go out together as ``JointState`` on ``/joint_states``.
+    Joints go out together as ``JointState`` on ``/joint_states``; and so does what encoders read,
+    those of one topic and instant together, or as a ``Float64`` where the channel says so.
 
     Args:
         path: Folder of the bag, or a file that ends in ``.mcap``; must not exist yet.
@@ -51,6 +61,7 @@ def write_bag(
             ``FIRST_STAMP_S`` or later.
         replace: Whether an ``.mcap`` file that exists is replaced.
         motion: Where the joints of bodies were; None, or of no joint, writes nothing.
+        encoders: Readings per encoder, rad or m.
 
     Raises:
         InputError: The path exists or cannot be written, or a signal has no topic or a message type
@@ -66,9 +77,24 @@ def write_bag(
         _signal(path, f"taps.{name}", rig.taps.get(name), FLUID_PRESSURE, name, signal)
         for name, signal in pressures.items()
     ]
+    of_encoders = encoders or {}
+    read = {
+        name: _signal(
+            path, f"encoders.{name}", None, JOINT_STATE, name, signal, encoder_channel(rig, name)
+        )
+        for name, signal in of_encoders.items()
+    }
+    signals += [signal for signal in read.values() if signal.kind != JOINT_STATE]
+    motions = [
+        _together(topic.name, [read[one.name] for one in topic.signals if one.name in read])
+        for topic in encoder_topics(rig)
+        if topic.type == JOINT_STATE and any(one.name in read for one in topic.signals)
+    ]
     if motion is not None and not motion.positions:
         motion = None
-    if not signals and motion is None:
+    if motion is not None:
+        motions.append((JOINTS_IN_BAG, motion))
+    if not signals and not motions:
         raise InputError(f"{path}: found no signal to write, at least one is needed")
     topics = [signal.topic for signal in signals]
     for signal in signals:
@@ -77,12 +103,14 @@ def write_bag(
                 f"{path}: {signal.name}: topic {signal.topic!r} is that of another signal of the"
                 " rig too; a bag needs one for each"
             )
-        if motion is not None and same_topic(JOINTS_IN_BAG, signal.topic):
+        if any(same_topic(f"/{topic.lstrip('/')}", signal.topic) for topic, _ in motions):
             raise InputError(
                 f"{path}: {signal.name}: topic {signal.topic!r} is that of the rig's joints; a bag"
                 " needs one for each"
             )
-    times = [s.time_s for s in (*commands.values(), *pressures.values())]
+    if len({topic for topic, _ in motions}) < len(motions):
+        raise InputError(f"{path}: encoders and joints are on one topic, {JOINTS_IN_BAG!r}")
+    times = [s.time_s for s in (*commands.values(), *pressures.values(), *of_encoders.values())]
     times += [] if motion is None else [motion.time_s]
     earliest_s = min((float(time_s[0]) for time_s in times if len(time_s)), default=0.0)
     begin_s = start_time_s
@@ -91,7 +119,7 @@ def write_bag(
     begin_ns = round(begin_s * 1e9)
     with scratch_beside(path) as aside:
         name = path.name.removesuffix(".mcap")
-        _write(aside / name, signals, begin_ns, motion, rig.name)
+        _write(aside / name, signals, begin_ns, motions, rig.name)
         written = aside / name
         if path.suffix == ".mcap":
             written = next(written.glob("*.mcap"))
@@ -117,15 +145,23 @@ class _Channel:
     raw: NDArray[np.float64]
 
 
-def _signal(path: Path, where: str, part: Any, usual: str, name: str, signal: Signal) -> _Channel:
+def _signal(
+    path: Path,
+    where: str,
+    part: Any,
+    usual: str,
+    name: str,
+    signal: Signal,
+    channel: Channel | None = None,
+) -> _Channel:
     """A signal as its channel in the rig file wants it written."""
-    channel: Channel | None = getattr(part, "channel", None)
+    channel = channel or getattr(part, "channel", None)
     if channel is None or channel.topic is None:
         raise InputError(f"{path}: {where} has no topic in the rig file, which a bag needs")
     kind = channel.type or usual
     if kind.count("/") == 1:
         kind = kind.replace("/", "/msg/")
-    if FIELD_OF.get(kind) != channel.field:
+    if FIELD_OF.get(kind) != channel.field and (kind, channel.field) != (JOINT_STATE, "position"):
         raise InputError(
             f"{path}: {where}: found field {channel.field!r} of {kind}, written are"
             f" {' and '.join(f'{field!r} of {t}' for t, field in FIELD_OF.items())}"
@@ -140,8 +176,23 @@ def _signal(path: Path, where: str, part: Any, usual: str, name: str, signal: Si
     return _Channel(channel.topic, kind, name, np.rint(time_s[good] * 1e9).astype(np.int64), raw)
 
 
+def _together(topic: str, channels: list[_Channel]) -> tuple[str, Motion]:
+    """Encoders of one topic at all their times; NaN where one was not read."""
+    time_ns = np.unique(np.concatenate([channel.time_ns for channel in channels]))
+    positions = {}
+    for channel in channels:
+        row = np.full(time_ns.size, np.nan)
+        row[np.searchsorted(time_ns, channel.time_ns)] = channel.raw
+        positions[channel.name] = row
+    return f"/{topic.lstrip('/')}", Motion(1e-9 * time_ns, positions, {})
+
+
 def _write(
-    folder: Path, channels: list[_Channel], begin_ns: int, motion: Motion | None, frame: str
+    folder: Path,
+    channels: list[_Channel],
+    begin_ns: int,
+    motions: list[tuple[str, Motion]],
+    frame: str,
 ) -> None:
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -152,13 +203,10 @@ def _write(
     topics = [(channel.topic, channel.kind) for channel in channels]
     time_ns = [channel.time_ns for channel in channels]
     rows = [channel.raw for channel in channels]
-    if motion is not None:
-        topics.append((JOINTS_IN_BAG, JOINT_STATE))
+    for topic, motion in motions:
+        topics.append((topic, JOINT_STATE))
         time_ns.append(np.rint(motion.time_s * 1e9).astype(np.int64))
         rows.append(np.arange(motion.time_s.size, dtype=float))
-        names = list(motion.positions)
-        position = np.stack([motion.positions[name] for name in names], axis=-1)
-        velocity = np.stack([motion.speeds[name] for name in names], axis=-1)
 
     def message(k: int, value: float, stamp: int) -> Any:
         """A message of the k-th topic, of a value or of the row of that number."""
@@ -168,8 +216,13 @@ def _write(
         at = time(stamp // 10**9, stamp % 10**9)
         if kind == FLUID_PRESSURE:
             return store.types[kind](header(at, channels[k].name), value, 0.0)
-        row, stamped = int(value), header(at, frame)
-        return store.types[kind](stamped, names, position[row], velocity[row], np.zeros(0))
+        row, of = int(value), motions[k - len(channels)][1]
+        told = [n for n, position in of.positions.items() if np.isfinite(position[row])]
+        place, speed = (
+            np.array([values[name][row] for name in told if name in values], dtype=float)
+            for values in (of.positions, of.speeds)
+        )
+        return store.types[kind](header(at, frame), told, place, speed, np.zeros(0))
 
     # In the order of time, as a recorder writes; at one instant commands come before readings.
     which = np.repeat(np.arange(len(rows)), [of.size for of in rows])

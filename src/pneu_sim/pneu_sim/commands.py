@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subcommands of `pneu` that need no recording: `init`, `effects`, `check` and `simulate`.
+"""Subcommands of `pneu` that need no recording: `init`, `effects`, `check`, `simulate`, `urdf`.
 
 The numerics are imported by the command that uses them: `pneu --help` does without.
 """
@@ -48,6 +48,7 @@ def register(app: typer.Typer) -> None:
     app.command("effects")(effects)
     app.command("check")(check)
     app.command("simulate")(simulate)
+    app.command("urdf")(urdf)
 
 
 def effects(
@@ -163,6 +164,7 @@ def check(
             for name, tap in rig.taps.items()
         ],
     )
+    _print_table("encoders", moving.ENCODER_COLUMNS, moving.encoder_rows(rig))
     _print_table(
         "attached effects",
         ("effect", "place", "parameters"),
@@ -215,15 +217,16 @@ def simulate(
 ) -> None:
     """Run a rig from rest along valve commands; write what its sensors read and where joints are.
 
-    A joint is two columns, its position and JOINT_velocity, m or rad and per second; in a bag all
-    joints are the sensor_msgs/JointState of the topic /joint_states.
+    An encoder is a column; in a bag it is in the sensor_msgs/JointState of its topic. A rig without
+    encoders has its joints written: two columns each, position and JOINT_velocity, m or rad and per
+    second; in a bag all are the JointState of the topic /joint_states.
     """
     import numpy as np
 
     from pneu_sim.effects import load_effect_file
     from pneu_sim.models import FromRest
     from pneu_sim.rig.load import load_rig
-    from pneu_sim.run import add_noise, check_commands, run_from_rest
+    from pneu_sim.run import add_encoder_noise, add_noise, check_commands, run_from_rest
 
     if effects_file is not None:
         load_effect_file(effects_file)
@@ -260,15 +263,35 @@ def simulate(
     time_s = np.arange(samples) / rate
     commands = {name: _held(t, v, time_s) for name, (t, v, _) in curves.items()}
     seen = run_from_rest(loaded, commands, 1.0 / rate, samples)
-    if seed is not None and seen.taps:
-        noisy = add_noise(loaded, seen.taps, np.random.default_rng(seed), noise)
-        seen = FromRest(noisy, seen.joints, seen.speeds)
+    if loaded.encoders:  # as on the graph: where joints truly are nobody knows
+        seen = FromRest(seen.taps, encoders=seen.encoders)
+    if seed is not None:
+        rng = np.random.default_rng(seed)
+        noisy = add_noise(loaded, seen.taps, rng, noise)
+        read = add_encoder_noise(loaded, seen.encoders, rng)
+        seen = FromRest(noisy, seen.joints, seen.speeds, read)
     _write_simulation(output, loaded, time_s, commands, seen, force)
     joints = f", {len(seen.joints)} joints" if seen.joints else ""
+    joints += f", {len(seen.encoders)} encoders" if seen.encoders else ""
     print(
         f"{output}: {len(seen.taps)} taps{joints}, {samples} samples at {rate:g} Hz,"
         f" model {loaded.model} of rig {loaded.name}"
     )
+
+
+def urdf(
+    rig_file: Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (YAML).")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="The URDF file.", show_default=False)
+    ],
+    force: Force = False,
+) -> None:
+    """Write a rig's bodies as URDF, for viewers and robot_state_publisher."""
+    from pneu_sim.rig.load import load_rig
+    from pneu_sim.view.urdf import urdf_of
+
+    check_output(output, force)
+    write_whole(output, urdf_of(load_rig(rig_file)))
 
 
 def _check_simulation(output: Path, force: bool) -> None:
@@ -391,11 +414,19 @@ def _held(times_s: "Floats", volts: "Floats", at_s: "Floats") -> "Floats":
 
 
 def _check_columns(path: Path, rig: "Rig") -> None:
-    """Refuses a table in which a joint's column would have the name of another."""
+    """Refuses a table in which a column of a joint or encoder would have the name of another."""
     from pneu_sim.rig.plan import plan_grid
     from pneu_sim.signals import velocity_of
 
     taken = {"time_s", *rig.commands, *rig.taps}
+    for name in rig.encoders:
+        if name in taken:
+            raise InputError(
+                f"{path}: encoder {name!r} of rig {rig.name!r} would have the column {name!r},"
+                " which is there already; give the encoder another name, or write a bag"
+            )
+    if rig.encoders:  # which are written in place of joints
+        return
     for joint in plan_grid(rig).joints:
         for column in (joint, velocity_of(joint)):
             if column in taken:
@@ -422,9 +453,10 @@ def _write_simulation(
         volts = {name: Signal(time_s, values) for name, values in commands.items()}
         readings = {name: Signal(time_s, values) for name, values in seen.taps.items()}
         motion = Motion(time_s, seen.joints, seen.speeds)
-        write_bag(path, rig, volts, readings, replace=replace, motion=motion)
+        encoders = {name: Signal(time_s, values) for name, values in seen.encoders.items()}
+        write_bag(path, rig, volts, readings, replace=replace, motion=motion, encoders=encoders)
         return
-    columns = {"time_s": time_s, **commands, **seen.taps}
+    columns = {"time_s": time_s, **commands, **seen.taps, **seen.encoders}
     for name in seen.joints:
         columns |= {name: seen.joints[name], velocity_of(name): seen.speeds[name]}
     text = io.StringIO(newline="")

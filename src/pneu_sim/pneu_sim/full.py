@@ -67,7 +67,7 @@ class Full(ModelKind):
             samples: How many there are.
         """
         seen = Simulator(rig).run((samples - 1) * sample_s, commands, sample_s)
-        return FromRest(seen.taps, seen.joints, seen.speeds)
+        return FromRest(seen.taps, seen.joints, seen.speeds, seen.encoders)
 
     def solver(self, rigs: Sequence[Rig], plan: Plan, gas: Gas = AIR) -> Solver:
         """What steps rigs side by side; see `ModelKind.solver`.

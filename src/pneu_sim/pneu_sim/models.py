@@ -34,11 +34,13 @@ class FromRest:
         taps: Per tap its (T,) readings, Pa, without noise.
         joints: Per joint of a body its (T,) positions, rad or m.
         speeds: Per joint its (T,) velocities, rad/s or m/s.
+        encoders: Per encoder its (T,) readings, rad or m, without noise.
     """
 
     taps: dict[str, Floats]
     joints: dict[str, Floats] = field(default_factory=dict)
     speeds: dict[str, Floats] = field(default_factory=dict)
+    encoders: dict[str, Floats] = field(default_factory=dict)
 
 
 class ModelKind(ABC):

@@ -74,7 +74,7 @@ class State:
     Attributes:
         clock: The time.
         spools: Where the spools stand, and the commands on their way to them.
-        sensors: What the sensors still show.
+        sensors: What pressure sensors and encoders still show.
         gas: The gas.
     """
 
@@ -128,7 +128,9 @@ class Plant:
         self.plan = common_plan(self.rigs, dx_m)
         self.solver = kind_of(first).solver(self.rigs, self.plan, gas)
         self.spools = Spools(self.solver.models)
-        self._sensors = Sensors(self.solver.models)
+        self._taps = Sensors.of_taps(self.solver.models)
+        self._encoders = Sensors.of_encoders(self.solver.models)
+        self._encoder_of = self._places_of_encoders()
         self.reset()
 
     @property
@@ -192,7 +194,35 @@ class Plant:
     def _sense_anew(self) -> None:
         """Has the sensors show the gas as it now is."""
         nothing = np.zeros((0, 2, self.plan.ports.shape[0], self.lanes))
-        self._sensors.begin(self.solver.advance(nothing, self.solver.step_s).taps[0])
+        series = self.solver.advance(nothing, self.solver.step_s)
+        self._taps.begin(series.taps[0])
+        self._encoders.begin(self._positions(series)[0])
+
+    def _places_of_encoders(self) -> Ints:
+        """(n_encoders,) joint of the solver that each is on, or -1 - cylinder.
+
+        Raises:
+            InputError: A mechanism has no such joint.
+        """
+        rig, places = self.rigs[0], self.plan.encoder_of.copy()
+        for e, (name, encoder) in enumerate(rig.encoders.items()):
+            if encoder.cylinder is None:
+                joint, known = encoder.on(name), self.solver.joint_names
+                if joint not in known:
+                    raise InputError(
+                        f"rig {rig.name!r}: encoders.{name}.joint: {joint!r} is not among joints"
+                        f" ({', '.join(known) or 'its model moves none'})"
+                    )
+                places[e] = list(known).index(joint)
+        return places
+
+    def _positions(self, series: Series) -> Floats:
+        """(samples, n_encoders, lanes) positions of what the encoders are on."""
+        on = [
+            series.joints[:, at, 0] if at >= 0 else series.cylinders[:, -1 - at, 0]
+            for at in self._encoder_of.tolist()
+        ]
+        return np.stack(on, axis=1) if on else np.zeros((len(series.taps), 0, self.lanes))
 
     def advance(self, volts: Floats, interval_s: float) -> tuple[Series, Floats]:
         """Advances all rigs.
@@ -204,24 +234,28 @@ class Plant:
 
         Returns:
             What was recorded, the first of intervals + 1 samples of the present state; and
-            (intervals + 1, n_taps, lanes) what the sensors then showed, Pa, without noise. A rig
-            that becomes unstable is not finite from then on.
+            (intervals + 1, n_taps + n_encoders, lanes) what the sensors then showed, without noise:
+            taps, Pa, and after them encoders, rad or m. A rig that becomes unstable is not finite
+            from then on.
         """
         self.clock = self.clock.by(interval_s)
         opening = self.spools.follow(volts, self.clock.origin_s, self.clock.count, interval_s)
-        before = self._sensors.readings()
+        before = self.readings()
         series = self.solver.advance(opening, interval_s)
-        readings = self._sensors.follow(series.taps[1:], interval_s)
+        taps = self._taps.follow(series.taps[1:], interval_s)
+        encoders = self._encoders.follow(self._positions(series)[1:], interval_s)
+        readings = np.concatenate([taps, encoders], axis=1)
         self.clock = self.clock.after(len(opening))
         return series, np.concatenate([before[None], readings])
 
     def readings(self) -> Floats:
-        """Returns what the sensors show now, without noise: (n_taps, lanes), Pa."""
-        return self._sensors.readings()
+        """Returns what the sensors show now, without noise, as of `advance`: (n, lanes)."""
+        return np.concatenate([self._taps.readings(), self._encoders.readings()])
 
     def state(self) -> State:
         """Returns all that the future depends on, to come back to it with `set_state`."""
-        return State(self.clock, self.spools.state(), self._sensors.state(), self.solver.state())
+        shown = [*self._taps.state(), *self._encoders.state()]
+        return State(self.clock, self.spools.state(), shown, self.solver.state())
 
     def set_state(self, state: State) -> None:
         """Goes back to a state.
@@ -231,7 +265,9 @@ class Plant:
         """
         self.clock = state.clock
         self.spools.set_state(state.spools)
-        self._sensors.set_state(state.sensors, state.clock.interval_s)
+        half = len(state.sensors) // 2
+        self._taps.set_state(state.sensors[:half], state.clock.interval_s)
+        self._encoders.set_state(state.sensors[half:], state.clock.interval_s)
         self.solver.set_state(state.gas)
 
     def gas_in(self, pipe: str) -> tuple[Floats, Floats, Floats]:

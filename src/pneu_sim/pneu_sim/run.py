@@ -86,7 +86,31 @@ def add_noise(
     """
     parts = [rig.taps[name] for name in taps]
     sigma = [tap.noise_pa if noise_pa is None else noise_pa for tap in parts]
-    quantum = [tap.quantum_pa for tap in parts]
-    clean = np.stack(list(taps.values()), axis=-1)
-    noisy = sensors.corrupt(clean, np.array(sigma), np.array(quantum), rng)
-    return dict(zip(taps, noisy.T, strict=True))
+    return _noisy(taps, sigma, [tap.quantum_pa for tap in parts], rng)
+
+
+def add_encoder_noise(
+    rig: Rig, encoders: Mapping[str, Floats], rng: np.random.Generator
+) -> dict[str, Floats]:
+    """Readings with the noise and quantisation of the rig's encoders.
+
+    Args:
+        rig: The rig.
+        encoders: Per encoder its (T,) readings, rad or m.
+        rng: Source of the noise.
+    """
+    parts = [rig.encoders[name] for name in encoders]
+    return _noisy(encoders, [e.noise for e in parts], [e.quantum for e in parts], rng)
+
+
+def _noisy(
+    readings: Mapping[str, Floats],
+    noise: list[float],
+    quantum: list[float],
+    rng: np.random.Generator,
+) -> dict[str, Floats]:
+    if not readings:
+        return {}
+    clean = np.stack(list(readings.values()), axis=-1)
+    noisy = sensors.corrupt(clean, np.array(noise), np.array(quantum), rng)
+    return dict(zip(readings, noisy.T, strict=True))

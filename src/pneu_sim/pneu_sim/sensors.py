@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a sensor makes of the pressure at its tap: clock offset, lag, gain and bias; noise."""
+"""What sensors, of pressure or position, make of it: clock offset, lag, gain, bias; noise."""
 
 import math
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 @compiled
 def _lagged(
-    pressure: Floats,
+    true: Floats,
     keep: Floats,
     old: Floats,
     new: Floats,
@@ -23,74 +23,96 @@ def _lagged(
     shown: Floats,
     out: Floats,
 ) -> None:
-    """First-order lags, exact for pressures that are linear between samples.
+    """First-order lags, exact for what is linear between samples.
 
     Args:
-        pressure: (samples, n_taps, lanes) Pa.
-        keep: (n_taps, lanes) what is kept of a reading ...
-        old: ... what comes from the pressure a sample ago ...
+        true: (samples, n, lanes) what the sensors are on.
+        keep: (n, lanes) what is kept of a reading ...
+        old: ... what comes from the value a sample ago ...
         new: ... and what from the present one.
-        felt: (n_taps, lanes) pressure of the latest sample, changed in place.
-        shown: (n_taps, lanes) its reading, changed in place.
-        out: (samples, n_taps, lanes) readings.
+        felt: (n, lanes) value of the latest sample, changed in place.
+        shown: (n, lanes) its reading, changed in place.
+        out: (samples, n, lanes) readings.
     """
-    for k in range(pressure.shape[0]):
-        for t in range(pressure.shape[1]):
-            for j in range(pressure.shape[2]):
-                p = pressure[k, t, j]
+    for k in range(true.shape[0]):
+        for t in range(true.shape[1]):
+            for j in range(true.shape[2]):
+                p = true[k, t, j]
                 shown[t, j] = keep[t, j] * shown[t, j] + old[t, j] * felt[t, j] + new[t, j] * p
                 felt[t, j] = p
                 out[k, t, j] = shown[t, j]
 
 
 class Sensors:
-    """The sensors of rigs side by side, and the past that they still show."""
+    """Sensors of one kind of rigs side by side, and the past that they still show.
 
-    def __init__(self, models: Sequence[Model]) -> None:
-        """Takes the sensors as the rigs have them.
+    Values are in the unit of what the sensors are on: Pa, rad or m.
+    """
+
+    def __init__(self, sensor: Floats, about: Floats) -> None:
+        """Takes the sensors.
 
         Args:
-            models: The rigs, on one plan.
+            sensor: (n, SENSOR_COLUMNS, lanes) lag, gain, bias and clock offset of each.
+            about: (lanes,) value that a gain leaves as it is.
         """
-        sensor = np.stack([m.sensor for m in models], axis=-1)
         self._lag, self._offset = sensor[:, S_LAG], sensor[:, S_OFFSET]
         self._gain, self._bias = sensor[:, S_GAIN], sensor[:, S_BIAS]
-        self._room = np.array([m.ambient[0] for m in models])
+        self._about = about
         self._exact = bool(np.all(self._gain == 1.0) and np.all(self._bias == 0.0))
         self._lags, self._late = bool(np.any(self._lag > 0.0)), bool(np.any(self._offset != 0.0))
         self._past = np.zeros((0, *self._lag.shape))
         self._felt, self._shown = np.zeros_like(self._lag), np.zeros_like(self._lag)
         self._interval_s = 0.0
 
-    def begin(self, taps_pa: Floats) -> None:
-        """Has pressures stand that have long been there.
+    @classmethod
+    def of_taps(cls, models: Sequence[Model]) -> "Sensors":
+        """The pressure sensors of rigs; their gain is about the pressure of the room.
 
         Args:
-            taps_pa: (n_taps, lanes) pressures at the taps, Pa.
+            models: The rigs, on one plan.
         """
-        self._past = taps_pa[None].copy()
-        self._felt, self._shown = taps_pa.copy(), taps_pa.copy()
+        room = np.array([m.ambient[0] for m in models])
+        return cls(np.stack([m.sensor for m in models], axis=-1), room)
 
-    def follow(self, taps_pa: Floats, interval_s: float) -> Floats:
+    @classmethod
+    def of_encoders(cls, models: Sequence[Model]) -> "Sensors":
+        """The encoders of rigs; their gain is about position 0.
+
+        Args:
+            models: The rigs, on one plan.
+        """
+        return cls(np.stack([m.encoder for m in models], axis=-1), np.zeros(len(models)))
+
+    def begin(self, true: Floats) -> None:
+        """Has values stand that have long been there.
+
+        Args:
+            true: (n, lanes) what the sensors are on.
+        """
+        self._past = true[None].copy()
+        self._felt, self._shown = true.copy(), true.copy()
+
+    def follow(self, true: Floats, interval_s: float) -> Floats:
         """Readings at further samples.
 
         A sensor whose clock is behind shows what was; one whose clock is ahead shows what comes, as
         far as it is given. Where the interval changes, what was is taken to have been constant.
 
         Args:
-            taps_pa: (samples, n_taps, lanes) pressures at the taps, Pa, beginning one interval
-                after the latest.
+            true: (samples, n, lanes) what the sensors are on, beginning one interval after the
+                latest.
             interval_s: Between samples, s.
 
         Returns:
-            Readings of the same shape, Pa, without noise.
+            Readings of the same shape, without noise.
         """
         if interval_s != self._interval_s:
             self._past, self._interval_s = self._past[-1:], interval_s
-        seen = taps_pa
+        seen = true
         if self._late:
-            whole = np.concatenate([self._past, taps_pa])
-            seen = self._at_their_clocks(whole, len(taps_pa))
+            whole = np.concatenate([self._past, true])
+            seen = self._at_their_clocks(whole, len(true))
             reach = math.ceil(float(np.max(self._offset, initial=0.0)) / interval_s) + 2
             self._past = whole[-reach:].copy()
         if self._lags:
@@ -106,7 +128,7 @@ class Sensors:
         return self._told(seen)
 
     def readings(self) -> Floats:
-        """Returns what the sensors show now, without noise: (n_taps, lanes), Pa."""
+        """Returns what the sensors show now, without noise: (n, lanes)."""
         return self._told(self._shown)
 
     def state(self) -> list[Floats]:
@@ -126,10 +148,10 @@ class Sensors:
     def _told(self, seen: Floats) -> Floats:
         if self._exact:
             return seen.copy()
-        return np.asarray(self._room + self._gain * (seen - self._room) + self._bias)
+        return np.asarray(self._about + self._gain * (seen - self._about) + self._bias)
 
     def _at_their_clocks(self, whole: Floats, count: int) -> Floats:
-        """The latest pressures as of the sensors' clocks; the earliest was there before."""
+        """The latest values as of the sensors' clocks; the earliest was there before."""
         seen = whole[len(whole) - count :].copy()
         last = len(whole) - 1
         for t, j in zip(*np.nonzero(self._offset), strict=True):
@@ -142,7 +164,7 @@ class Sensors:
 
 
 def read(model: Model, pressures: Floats, dt_s: float) -> Floats:
-    """Readings of the sensors of a rig along a whole recording.
+    """Readings of the pressure sensors of a rig along a whole recording.
 
     Args:
         model: The rig.
@@ -152,25 +174,23 @@ def read(model: Model, pressures: Floats, dt_s: float) -> Floats:
     Returns:
         Readings of the same shape, Pa. Before the first sample the pressure is taken as constant.
     """
-    sensors = Sensors([model])
+    sensors = Sensors.of_taps([model])
     sensors.begin(pressures[0, :, None])
     return sensors.follow(pressures[:, :, None], dt_s)[:, :, 0]
 
 
-def corrupt(
-    readings: Floats, noise_pa: Floats, quantum_pa: Floats, rng: np.random.Generator
-) -> Floats:
+def corrupt(readings: Floats, noise: Floats, quantum: Floats, rng: np.random.Generator) -> Floats:
     """Adds white noise and quantisation to readings.
 
     Args:
-        readings: (T, n_taps) Pa.
-        noise_pa: (n_taps,) standard deviations.
-        quantum_pa: (n_taps,) steps; 0 is none.
+        readings: (T, n) Pa, rad or m.
+        noise: (n,) standard deviations.
+        quantum: (n,) steps; 0 is none.
         rng: Source of the noise.
 
     Returns:
-        (T, n_taps) noisy readings.
+        (T, n) noisy readings.
     """
-    out = readings + rng.normal(size=readings.shape) * noise_pa
-    step = np.where(quantum_pa > 0.0, quantum_pa, 1.0)
-    return np.where(quantum_pa > 0.0, np.round(out / step) * step, out)
+    out = readings + rng.normal(size=readings.shape) * noise
+    step = np.where(quantum > 0.0, quantum, 1.0)
+    return np.where(quantum > 0.0, np.round(out / step) * step, out)

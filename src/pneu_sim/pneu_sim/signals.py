@@ -85,7 +85,7 @@ class Motion:
     Attributes:
         time_s: (n,) increasing times, s after the start of the recording.
         positions: Per joint (n,) positions, rad or m.
-        speeds: Per joint of those its (n,) velocities, rad/s or m/s.
+        speeds: Per joint of those its (n,) velocities, rad/s or m/s; or empty, where none is known.
     """
 
     time_s: Floats

@@ -35,6 +35,7 @@ class Readings:
         forces: Per cylinder the force of gas and room on its piston, N, or the torque, N m.
         joints: Per joint of a body its position, rad or m.
         speeds: Per joint its velocity.
+        encoders: Per encoder its readings, rad or m.
     """
 
     time_s: Floats
@@ -47,6 +48,7 @@ class Readings:
     forces: dict[str, Floats]
     joints: dict[str, Floats]
     speeds: dict[str, Floats]
+    encoders: dict[str, Floats]
 
 
 class Simulator:
@@ -197,7 +199,7 @@ class Simulator:
         return Readings(
             clock.origin_s
             + sample_s * np.arange(clock.count, clock.count + steps + 1, dtype=np.float64),
-            self._named(plan.taps, readings),
+            self._named(plan.taps, readings[:, : len(plan.taps)]),
             self._named(plan.taps, series.taps),
             self._named(plan.port_names, series.flows),
             self._named(plan.chambers, series.chambers),
@@ -206,6 +208,7 @@ class Simulator:
             self._named(plan.cylinders, series.cylinders[:, :, 2]),
             self._named(self.plant.solver.joint_names, series.joints[:, :, 0]),
             self._named(self.plant.solver.joint_names, series.joints[:, :, 1]),
+            self._named(plan.encoders, readings[:, len(plan.taps) :]),
         )
 
     def mass_kg(self) -> float | Floats:

@@ -4,8 +4,8 @@
 Nothing here imports ROS; messages are only touched as objects that a node hands in. The rig file's
 channels say where a signal is. A signal without a channel, or with one for text files only, is
 where the conventions of the live graph have it: commands together on ``valve/command``, each tap on
-``taps/<tap>/pressure``. The joints of bodies have no channels: they are on ``joint_states``, as
-everywhere in ROS.
+``taps/<tap>/pressure``, encoders together on ``joint_states``, as everywhere in ROS. The joints of
+a rig without encoders have no channels: where they truly are is on ``joint_states``.
 """
 
 import functools
@@ -30,8 +30,13 @@ FLUID_PRESSURE = "sensor_msgs/msg/FluidPressure"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 FLOAT64 = "std_msgs/msg/Float64"
 
-NAMED_VALUES = {VALVE_COMMAND: "voltage_v", TAP_PRESSURES: "pressure_pa"}
-"""Types whose values belong to the names they carry, whatever their order."""
+NAMED_VALUES = {
+    VALVE_COMMAND: ("voltage_v",),
+    TAP_PRESSURES: ("pressure_pa",),
+    JOINT_STATE: ("position", "velocity", "effort"),
+}
+"""Types whose values belong to the names they carry, whatever their order, and fields with values.
+An element of a JointState that is asked for by its number is that element, whatever its name."""
 
 _STEP = re.compile(r"([A-Za-z]\w*)(?:\[(\d+)\])?$")
 _LONGEST = 1024  # an index beyond this is a slip of the pen, not a message
@@ -39,10 +44,10 @@ _LONGEST = 1024  # an index beyond this is a slip of the pen, not a message
 
 @dataclass(frozen=True)
 class Signal:
-    """One command or tap inside the messages of a topic.
+    """One command, tap or encoder inside the messages of a topic.
 
     Attributes:
-        name: Name of the command or tap.
+        name: Name of the command, tap or encoder.
         topic: Topic, relative or absolute.
         type: Message type in its long form, such as ``std_msgs/msg/Float64``.
         path: Steps to the number: field names, each with an index or None.
@@ -57,6 +62,15 @@ class Signal:
     scale: float = 1.0
     offset: float = 0.0
 
+    @property
+    def by_name(self) -> str:
+        """Field with the values among which the signal's is found by its name; empty for none."""
+        fields = NAMED_VALUES.get(self.type, ())
+        if self.type != JOINT_STATE:
+            return fields[0] if fields else ""
+        field, index = self.path[0]
+        return field if len(self.path) == 1 and index is None and field in fields else ""
+
     def read(self, message: Any) -> float | None:
         """The signal's value in a message.
 
@@ -66,8 +80,8 @@ class Signal:
         Returns:
             In SI units, not necessarily finite; None where the message says nothing of the signal.
         """
-        named = NAMED_VALUES.get(self.type)
-        if named is not None and len(message.name):
+        named = self.by_name
+        if named and (len(message.name) or self.type == JOINT_STATE):
             for name, value in zip(message.name, getattr(message, named), strict=False):
                 if name == self.name:
                     return float(value) * self.scale + self.offset
@@ -159,13 +173,14 @@ class Topic:
         elif stamp is not None and hasattr(message, "stamp"):
             message.stamp = stamp
         given = [signal for signal in self.signals if signal.name in values]
-        named = NAMED_VALUES.get(self.type)
-        if named is None:
-            for signal in given:
+        named = {signal.by_name for signal in given}
+        for field in named - {""}:  # of no others anything is said
+            own = [signal for signal in given if signal.by_name == field]
+            message.name = [signal.name for signal in own]
+            setattr(message, field, [signal.raw(values[signal.name]) for signal in own])
+        for signal in given:
+            if not signal.by_name:
                 signal.write(message, values[signal.name])
-        else:  # of no others anything is said
-            message.name = [signal.name for signal in given]
-            setattr(message, named, [signal.raw(values[signal.name]) for signal in given])
         return message
 
 
@@ -195,6 +210,73 @@ def tap_topics(rig: Rig) -> list[Topic]:
     of_rig = {name: tap.channel for name, tap in rig.taps.items()}
     usual = _usual_tap_channels(rig.taps)
     return _grouped(f"rig {rig.name!r}", "taps", of_rig, usual, FLUID_PRESSURE)
+
+
+def encoder_channel(rig: Rig, name: str) -> Channel:
+    """Where readings of an encoder are recorded: as the rig file says, or where they usually are.
+
+    Args:
+        rig: The rig.
+        name: The encoder's name.
+    """
+    channel = rig.encoders[name].channel
+    if channel is None:
+        return Channel(topic=f"/{JOINTS_TOPIC}", field="position", type=JOINT_STATE)
+    if channel.topic is None or channel.type is not None:
+        return channel
+    return channel.model_copy(update={"type": FLOAT64 if channel.field == "data" else JOINT_STATE})
+
+
+def encoder_topics(rig: Rig) -> list[Topic]:
+    """Topics on which the readings of a rig's encoders go out; together, where they share one.
+
+    Args:
+        rig: The rig.
+
+    Raises:
+        InputError: A channel's field is no path to a number, one topic has two types, or it has a
+            name that would have two values.
+    """
+    where = f"rig {rig.name!r}"
+    of_rig = {name: encoder.channel for name, encoder in rig.encoders.items()}
+    topics = _grouped(where, "encoders", of_rig, _usual_encoder_channels(of_rig), JOINT_STATE)
+    for topic in topics:
+        for signal in topic.signals:
+            if topic.type == JOINT_STATE and signal.path[0][0] != "position":
+                raise InputError(
+                    f"{where}: encoders.{signal.name}.channel.field: found"
+                    f" {signal.path[0][0]!r}, of a JointState an encoder is the 'position'"
+                )
+            if bool(signal.by_name) != bool(topic.signals[0].by_name):
+                raise InputError(
+                    f"{where}: encoders.{signal.name}.channel.field: topic {topic.name!r} has"
+                    " encoders by name and by number; it can have one of them"
+                )
+    return topics
+
+
+def position_topics(rig: Rig) -> list[Topic]:
+    """Topics that tell where a rig's joints are: of its encoders, or of the joints themselves.
+
+    Args:
+        rig: The rig.
+
+    Returns:
+        The topics; that of joints has no signals of its own: its messages name them.
+    """
+    if rig.encoders:
+        return encoder_topics(rig)
+    return [Topic(JOINTS_TOPIC, JOINT_STATE, ())] if rig.moves else []
+
+
+def usual_encoder_topics(names: Iterable[str]) -> list[Topic]:
+    """Topics of encoders where no rig file says others.
+
+    Args:
+        names: Names of the encoders.
+    """
+    usual = _usual_encoder_channels(names)
+    return _grouped("topics", "encoders", usual, usual, JOINT_STATE)
 
 
 def usual_command_topics(names: Iterable[str]) -> list[Topic]:
@@ -239,18 +321,21 @@ def joint_states(
 
 
 def check_joints_topic(rig: Rig, topics: Iterable[Topic]) -> None:
-    """Raises InputError where a command or tap of a rig with bodies is on the topic of its joints.
+    """Raises InputError where a command or tap is on the topic of the rig's encoders or joints.
 
     Args:
         rig: The rig.
         topics: Those of its commands and taps.
     """
+    taken = {f"/{JOINTS_TOPIC}": "joints"} if rig.moves else {}
+    taken |= {f"/{topic.name.lstrip('/')}": "encoders" for topic in encoder_topics(rig)}
     for topic in topics:
-        if rig.moves and same_topic(f"/{JOINTS_TOPIC}", topic.name):
-            raise InputError(
-                f"rig {rig.name!r}: channel of {topic.signals[0].name!r}: topic {topic.name!r} is"
-                " that of the rig's joints; give it another"
-            )
+        for name, whose in taken.items():
+            if same_topic(name, topic.name):
+                raise InputError(
+                    f"rig {rig.name!r}: channel of {topic.signals[0].name!r}: topic {topic.name!r}"
+                    f" is that of the rig's {whose}; give it another"
+                )
 
 
 def only(topics: Iterable[Topic], names: Collection[str]) -> list[Topic]:
@@ -279,6 +364,10 @@ def _usual_tap_channels(names: Iterable[str]) -> dict[str, Channel]:
         name: Channel(topic=f"taps/{name}/pressure", field="fluid_pressure", type=FLUID_PRESSURE)
         for name in names
     }
+
+
+def _usual_encoder_channels(names: Iterable[str]) -> dict[str, Channel]:
+    return {name: Channel(topic=JOINTS_TOPIC, field="position", type=JOINT_STATE) for name in names}
 
 
 @functools.lru_cache(maxsize=64)

@@ -246,7 +246,7 @@ def test_rigs_that_move_otherwise_do_not_run_side_by_side() -> None:
         Plant([rig, other])
     loaded = load_rig(ROOT / "rigs" / "kokoro.yaml")
     with pytest.raises(InputError, match="share one structure"):
-        Plant([loaded, loaded.model_copy(update={"bodies": {}})])
+        Plant([loaded, loaded.model_copy(update={"bodies": {}, "encoders": {}})])
 
 
 @pytest.mark.parametrize(

@@ -318,3 +318,22 @@ def test_joints_of_a_mechanism_are_published_too(graph):
     wait_for(lambda: len(joints) > 0)
     assert list(joints[-1].name) == ["yaw", "shoulder", "elbow"]
     assert all(math.isfinite(x) for x in (*joints[-1].position, *joints[-1].velocity))
+
+
+def test_a_rig_with_encoders_publishes_what_they_read_with_noise_of_the_seed(graph, tmp_path):
+    path = Path(moving(tmp_path, start=0.02))
+    encoders = "encoders:\n  place: {joint: load_slide, noise: 1.0e-4, quantum: 5.0e-4}\n"
+    path.write_text(path.read_text() + encoders)
+    node = simulator(graph, rig=str(path), pace="lock_step", publish_clock=True)
+    read = graph.listen(JointState, "joint_states", common.READINGS_QOS)
+    wait_for(lambda: node.count_subscribers("joint_states") == 1)
+    for count in (20, 40):
+        assert graph.call(StepSimulator, "simulator/step", step(0.08)).success
+        wait_for(lambda n=count: len(read) == n)
+        assert graph.call(ResetSimulator, "simulator/reset", ResetSimulator.Request()).success
+    assert all(list(m.name) == ["place"] and not len(m.velocity) for m in read)
+    first, again = ([m.position[0] for m in part] for part in (read[:20], read[20:]))
+    assert first == again, "the same seed, the same noise"
+    steps = [place / 5e-4 for place in first]
+    assert steps == pytest.approx([round(s) for s in steps], abs=1e-9)
+    assert min(first) < max(first) and abs(sum(first) / 20 - 0.02) < 5e-4

@@ -32,6 +32,7 @@ from pneu_sim.simulate import (
     initial_field,
     predict,
 )
+from pneu_sim.topics import encoder_channel
 from pneu_sysid.courses import course_of, edges_of, first_part, index_of
 from pneu_sysid.records import Recording, noise_floor, read_recording
 from pneu_sysid.start import (
@@ -463,7 +464,7 @@ def record_for(
     if missing:
         raise InputError(f"rig {rig.name!r}: commands.{sorted(missing)[0]} has no channel to read")
     pressures = {n: t.channel for n, t in rig.taps.items() if t.channel is not None}
-    encoders = {name: encoder.recorded for name, encoder in rig.encoders.items()}
+    encoders = {name: encoder_channel(rig, name) for name in rig.encoders}
     if not pressures and not encoders:
         raise InputError(f"rig {rig.name!r}: no tap has a channel, so nothing can be compared")
     recording = read_recording(

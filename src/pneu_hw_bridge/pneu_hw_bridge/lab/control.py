@@ -106,12 +106,15 @@ class Control:
 
     def _status(self, now_s: float) -> dict[str, Any]:
         plant = dataclasses.asdict(self._plant.status())
+        readings = self._plant.readings() or {}
+        encoders = self._plant.rig.encoders
         return {
             "steady_s": now_s,
             "plant": {k: None if _is_nan(v) else v for k, v in plant.items()},
             "failure": self._plant.failure,
             "volts": self._plant.volts(),
-            "readings_pa": self._plant.readings(),
+            "readings_pa": {n: value for n, value in readings.items() if n not in encoders},
+            "encoders": {n: value for n, value in readings.items() if n in encoders},
             "faults": self._device.faults.present(now_s),
             "watchdog": {"tripped": self._device.bitten, "trips": self._device.watchdog_trips},
             "requests": self._device.requests,

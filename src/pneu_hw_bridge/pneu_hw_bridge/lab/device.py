@@ -22,7 +22,7 @@ from pneu_common.errors import InputError
 from pneu_hw_bridge.lab.faults import Faults
 from pneu_hw_bridge.lab.plant import Plant, Sample
 from pneu_hw_bridge.registers.clock import Count
-from pneu_hw_bridge.registers.schema import ChannelBase, Output, RegisterMap
+from pneu_hw_bridge.registers.schema import ChannelBase, Encoder, Output, RegisterMap
 
 POLL_S = 0.002
 """How often the device looks at its watchdog and at faults that end."""
@@ -133,7 +133,7 @@ class LabDevice:
         """
         if not 0.0 < watchdog_s <= 10.0:
             raise InputError(f"watchdog_s: found {watchdog_s:g}, needed is more than 0, at most 10")
-        for name, channel in registers.channels.items():
+        for name, channel in registers.places.items():
             if channel.is_bit:
                 raise InputError(
                     f"channel {name!r}: the lab serves holding and input registers only"
@@ -143,13 +143,19 @@ class LabDevice:
             raise InputError(
                 f"channel {missing[0]!r}: the rig has taps {', '.join(plant.rig.taps)}"
             )
+        missing = sorted(set(registers.encoders) - set(plant.rig.encoders))
+        if missing:
+            raise InputError(
+                f"encoder {missing[0]!r}: the rig has encoders"
+                f" {', '.join(plant.rig.encoders) or 'none'}"
+            )
         self._plant = plant
         self._registers = registers
         self._watchdog_s = watchdog_s
         self._rng = np.random.default_rng(seed)
         self._safe = {name: output.safe for name, output in registers.outputs.items()}
-        self._fed_s = plant.now_s()
-        self._bitten = False
+        self._fed_s = dict.fromkeys(self._safe, plant.now_s())
+        self._bitten: set[str] = set()
         self._zero = (0, 0.0)
         told = registers.clock.commands if registers.clock is not None else None
         self._commands: deque[Command] = deque(maxlen=told.records if told else 1)
@@ -158,7 +164,12 @@ class LabDevice:
         self._address = ("127.0.0.1", 0)
         self._tasks: set[asyncio.Task[None]] = set()
         self._closed = False
-        self.faults = Faults(list(registers.taps), self._fault_changed)
+        places = {
+            "sensor": list(registers.sampled),
+            "encoder": list(registers.encoders),
+            "output": list(registers.outputs),
+        }
+        self.faults = Faults(places, self._fault_changed)
         self.history: deque[Change] = deque(maxlen=500)
         self.rests: deque[Rest] = deque(maxlen=100)
         self.stalls: deque[Stall] = deque(maxlen=100)
@@ -207,8 +218,8 @@ class LabDevice:
 
     @property
     def bitten(self) -> bool:
-        """Whether the watchdog holds the valves at their safe voltage."""
-        return self._bitten
+        """Whether the watchdog holds a valve at its safe voltage."""
+        return bool(self._bitten)
 
     # Connection
 
@@ -253,10 +264,15 @@ class LabDevice:
             due_s = now_s + POLL_S
             self.faults.present(now_s)
             self._plant.supply(self.faults.get("supply", now_s) is not None)
-            if not self._bitten and self._plant.now_s() - self._fed_s > self._watchdog_s:
-                self._bitten = True
+            starved = {
+                name
+                for name, fed_s in self._fed_s.items()
+                if self._plant.now_s() - fed_s > self._watchdog_s
+            }
+            if starved - self._bitten:
+                self._bitten |= starved
                 self.watchdog_trips += 1
-                self._apply(self._safe)
+                self._apply({name: self._safe[name] for name in starved})
                 self._note("watchdog")
             await asyncio.sleep(POLL_S)
 
@@ -285,7 +301,7 @@ class LabDevice:
         for table in ("holding", "input"):
             spans = [
                 (channel.address, channel.address + channel.width)
-                for channel in self._registers.channels.values()
+                for channel in self._registers.places.values()
                 if channel.table == table
             ]
             if table == "holding":
@@ -373,7 +389,7 @@ class LabDevice:
         if written is None:
             self._show_commands(table, first, registers)
         volts = self._plant.volts()
-        for name, channel in self._registers.channels.items():
+        for name, channel in self._registers.places.items():
             at = channel.address - first
             inside = channel.address < end and address < channel.address + channel.width
             if channel.table != table or not inside:
@@ -421,8 +437,8 @@ class LabDevice:
             ticks = round((one.time_s - time0_s) / clock.samples.time.tick_s)
             _put(registers, clock.samples.time, at, ticks)
             readings = self._shown(now_s, dict(one.readings))
-            for name, tap in self._registers.taps.items():
-                self._show(now_s, tap, readings[name], registers, at + tap.address)
+            for name, sensor in self._registers.sampled.items():
+                self._show(now_s, sensor, readings[name], registers, at + sensor.address)
 
     def _show_commands(self, table: str, first: int, registers: list[int]) -> None:
         """Puts all records of commands into the registers of their table."""
@@ -459,14 +475,26 @@ class LabDevice:
                 self.refused += 1
                 return ExcCodes.ILLEGAL_VALUE
             volts[name] = min(max(value, output.range[0]), output.range[1])
+        dead = self._dead()
+        if dead & set(volts):
+            self.refused += 1
+            return ExcCodes.GATEWAY_NO_RESPONSE
         if volts:
             before = self._plant.volts()
             self._apply(volts)
-            self._fed_s = self._plant.now_s()
-            self._bitten = False
+            fed = set(self._safe) - dead
+            self._fed_s |= dict.fromkeys(fed, self._plant.now_s())
+            self._bitten -= fed
             if self._plant.volts() != before:
                 self._note("write")
         return None
+
+    def _dead(self) -> set[str]:
+        """Outputs that nothing gets through to; their own watchdogs look after them."""
+        fault = self.faults.get("dead_valve", time.monotonic())
+        if fault is None:
+            return set()
+        return {fault.channel} if fault.channel else set(self._safe)
 
     def _shown(self, now_s: float, values: dict[str, float]) -> dict[str, float]:
         """Readings as the sensors show them, faults included."""
@@ -476,6 +504,10 @@ class LabDevice:
                 chosen = [frozen.channel] if frozen.channel else list(values)
                 frozen.held.update({name: values[name] for name in chosen})
             values.update(frozen.held)
+        jump = self.faults.get("jump", now_s)
+        if jump is not None:
+            for name in [jump.channel] if jump.channel else list(self._registers.encoders):
+                values[name] += jump.value
         wild = self.faults.get("out_of_range", now_s)
         if wild is not None:
             for name in [wild.channel] if wild.channel else list(values):
@@ -503,6 +535,8 @@ def _put(registers: list[int], count: Count, at: int, number: int) -> None:
 def _saturated(channel: ChannelBase, value: float) -> list[int]:
     """Registers of a reading, at the end of its range where the type cannot hold it."""
     raw = (value - channel.offset) / channel.scale
+    if isinstance(channel, Encoder) and channel.wrap is not None and math.isfinite(raw):
+        raw = round(raw) % channel.wrap if channel.type in _RANGES else raw % channel.wrap
     if channel.type in _RANGES:
         low, high = _RANGES[channel.type]
         raw = min(max(raw, low), high)

@@ -2,7 +2,7 @@
 """Faults of the emulated device, on demand and for a time."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from pneu_common.errors import InputError
@@ -15,13 +15,14 @@ class FaultKind:
     Attributes:
         name: Name.
         title: What happens, for people.
-        needs_channel: Whether it sits at one sensor; without a name it sits at all of them.
+        at: What it sits at, a ``sensor``, an ``encoder`` or an ``output``; without the name of one
+            it sits at all of them. Empty where it sits at the device.
         value: What its number means, and its usual value; None where it has none.
     """
 
     name: str
     title: str
-    needs_channel: bool = False
+    at: str = ""
     value: tuple[str, float] | None = None
 
 
@@ -33,10 +34,17 @@ KINDS = {
         FaultKind("silent", "requests are neither carried out nor answered"),
         FaultKind("exception", "every request is refused", value=("exception code", 4.0)),
         FaultKind("word_order", "the registers of every reading are swapped"),
-        FaultKind("frozen", "a sensor keeps its reading", needs_channel=True),
+        FaultKind("frozen", "a sensor keeps its reading", "sensor"),
         FaultKind(
-            "out_of_range", "a sensor shows a pressure that cannot be", True, ("reading, Pa", 1e7)
+            "out_of_range",
+            "a sensor shows what cannot be",
+            "sensor",
+            ("reading, Pa, rad or m", 1e7),
         ),
+        FaultKind(
+            "jump", "an encoder reads that much more at once", "encoder", ("by, rad or m", 0.5)
+        ),
+        FaultKind("dead_valve", "the bus to a valve is dead, behind the device", "output"),
         FaultKind("supply", "the supply pressure is lost"),
         FaultKind("malformed", "answers are random bytes"),
     )
@@ -51,7 +59,7 @@ class Active:
         kind: Its kind.
         until_s: Steady time at which it ends; infinite for not by itself.
         value: Its number.
-        channel: The sensor it sits at; empty for all.
+        channel: The sensor, encoder or output it sits at; empty for all.
         held: Readings it keeps, for ``frozen``.
     """
 
@@ -65,14 +73,16 @@ class Active:
 class Faults:
     """The faults that are present, by name."""
 
-    def __init__(self, channels: list[str], changed: Callable[[str, bool], None]) -> None:
+    def __init__(
+        self, places: Mapping[str, Sequence[str]], changed: Callable[[str, bool], None]
+    ) -> None:
         """Starts without any.
 
         Args:
-            channels: Sensors that faults may sit at.
+            places: What faults may sit at: names of each ``sensor``, ``encoder`` and ``output``.
             changed: Called with the name of a fault, and whether it begins or ends.
         """
-        self._channels = channels
+        self._places = places
         self._changed = changed
         self._active: dict[str, Active] = {}
 
@@ -91,18 +101,21 @@ class Faults:
             now_s: Now.
             duration_s: How long it lasts, s; None until it is cleared.
             value: Its number; None is the usual one.
-            channel: The sensor it sits at; empty for all.
+            channel: The sensor, encoder or output it sits at; empty for all.
 
         Raises:
-            InputError: There is no such fault, sensor, or number.
+            InputError: There is no such fault, place for it, or number.
         """
         kind = KINDS.get(name)
         if kind is None:
             raise InputError(f"fault {name!r}: known are {', '.join(KINDS)}")
-        if channel and not kind.needs_channel:
+        if channel and not kind.at:
             raise InputError(f"fault {name!r} does not sit at a sensor, found {channel!r}")
-        if channel and channel not in self._channels:
-            raise InputError(f"sensor {channel!r}: the device has {', '.join(self._channels)}")
+        known = self._places[kind.at] if kind.at else ()
+        if kind.at and not known:
+            raise InputError(f"fault {name!r}: the device has no {kind.at}")
+        if channel and channel not in known:
+            raise InputError(f"{kind.at} {channel!r}: the device has {', '.join(known)}")
         if duration_s is not None and not (duration_s > 0.0 and math.isfinite(duration_s)):
             raise InputError(f"duration of fault {name!r}: found {duration_s:g}, must be positive")
         if value is not None and kind.value is None:

@@ -42,7 +42,7 @@ BLOCK_SAMPLES = 20
 """Most samples simulated at once while catching up."""
 
 KEPT_S = 1.0
-"""How long pressures are kept for readings beyond their latency."""
+"""How long the past is kept for readings beyond their latency."""
 
 PACED_CATCH_UP_S = 0.005
 """Lag that a paced plant catches up; beyond that its time waits. Enough for a sleep too long, and
@@ -77,7 +77,7 @@ class Sample:
     Attributes:
         number: Number of the sample.
         time_s: Simulated time, s.
-        readings: Per tap its reading, Pa.
+        readings: Per tap its reading, Pa, and per encoder its own, rad or m.
     """
 
     number: int
@@ -169,9 +169,12 @@ class Plant:
         self._seed = seed
         self._pace = pace
         self._rng = np.random.default_rng(seed)
-        taps = rig.taps.values()
-        self._noise = np.array([t.noise_pa if noise_pa is None else noise_pa for t in taps])
-        self._quantum = np.array([t.quantum_pa if quantum_pa is None else quantum_pa for t in taps])
+        taps, encoders = rig.taps.values(), rig.encoders.values()
+        self._names = [*rig.taps, *rig.encoders]
+        noise = [t.noise_pa if noise_pa is None else noise_pa for t in taps]
+        quantum = [t.quantum_pa if quantum_pa is None else quantum_pa for t in taps]
+        self._noise = np.array([*noise, *(one.noise for one in encoders)])
+        self._quantum = np.array([*quantum, *(one.quantum for one in encoders)])
         self._volts = dict(safe_v)
         self._acting = dict(safe_v)
         self._changes: deque[tuple[float, dict[str, float]]] = deque()
@@ -180,7 +183,7 @@ class Plant:
         self._supply_lost = False
         self._supply_applied = False
         kept = math.ceil((latency_s + KEPT_S) / sample_s) + BLOCK_SAMPLES
-        self._pressures: deque[Floats] = deque(maxlen=kept)
+        self._past: deque[Floats] = deque(maxlen=kept)
         late = math.ceil(latency_s / sample_s / self._every)
         self._taken: deque[Sample] = deque(maxlen=late + 1 + (pace.kept if pace else 0))
         self._promised = 0
@@ -212,7 +215,7 @@ class Plant:
 
     def _start_over(self) -> None:
         self._simulator.reset()
-        self._pressures.clear()
+        self._past.clear()
         self._taken.clear()
         self._own_rng = np.random.default_rng(self._seed)
         self._samples = 0
@@ -351,7 +354,7 @@ class Plant:
         self._supply_lost = lost
 
     def readings(self, at_s: float | None = None) -> dict[str, float] | None:
-        """Returns what the sensors show at a moment, Pa; None where the plant is not yet there.
+        """Returns what taps, Pa, and encoders, rad or m, show at a moment; None before it is there.
 
         Args:
             at_s: Steady time, at most `KEPT_S` ago; None is the newest that there is.
@@ -364,13 +367,13 @@ class Plant:
                 back = self._samples - since_s / self._sample_s
             if back < 0.0:
                 return None
-            right = min(int(back), len(self._pressures) - 1)
-            left = min(right + 1, len(self._pressures) - 1)
+            right = min(int(back), len(self._past) - 1)
+            left = min(right + 1, len(self._past) - 1)
             share = back - int(back)
-            late, early = self._pressures[-1 - right], self._pressures[-1 - left]
+            late, early = self._past[-1 - right], self._past[-1 - left]
         clean = (1.0 - share) * late + share * early
         noisy = sensors.corrupt(clean[None], self._noise, self._quantum, self._rng)[0]
-        return dict(zip(self.rig.taps, noisy.tolist(), strict=True))
+        return dict(zip(self._names, noisy.tolist(), strict=True))
 
     def status(self) -> PlantStatus:
         """Returns how the plant is doing."""
@@ -462,21 +465,21 @@ class Plant:
                 self._simulator.set_reservoir(name, room if self._supply_lost else pressure_pa)
         duration_s = samples * self._sample_s
         taken = self._simulator.run(duration_s, held, self._sample_s)
-        pressures = np.stack(list(taken.taps.values()), axis=-1)
+        clean = np.stack([*taken.taps.values(), *taken.encoders.values()], axis=-1)
         with self._lock:
-            self._pressures.extend(pressures[1:])
+            self._past.extend(clean[1:])
             if self._pace is not None:
                 first = 0 if self._samples == 0 else 1  # the state at the very beginning is one too
-                self._sample(pressures[first:], self._samples + first)
+                self._sample(clean[first:], self._samples + first)
             self._samples += samples
         self._done_s += duration_s
         self._busy_s += time.perf_counter() - begun_s
 
-    def _sample(self, pressures: Floats, begin: int) -> None:
-        """Takes the samples that fall on rows of pressures, the first at a given time in steps."""
-        for step, clean in enumerate(pressures, begin):
+    def _sample(self, rows: Floats, begin: int) -> None:
+        """Takes the samples that fall on rows of readings, the first at a given time in steps."""
+        for step, clean in enumerate(rows, begin):
             if step % self._every:
                 continue
             noisy = sensors.corrupt(clean[None], self._noise, self._quantum, self._own_rng)[0]
-            readings = dict(zip(self.rig.taps, noisy.tolist(), strict=True))
+            readings = dict(zip(self._names, noisy.tolist(), strict=True))
             self._taken.append(Sample(step // self._every, step * self._sample_s, readings))

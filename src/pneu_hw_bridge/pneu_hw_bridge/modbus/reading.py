@@ -18,7 +18,8 @@ from pneu_hw_bridge.modbus.records import CommandReader, Record, SampleReader
 from pneu_hw_bridge.modbus.statistics import Statistics
 from pneu_hw_bridge.modbus.writing import Writer
 from pneu_hw_bridge.registers.batches import Batch, plan
-from pneu_hw_bridge.registers.schema import RegisterMap
+from pneu_hw_bridge.registers.schema import ChannelBase, RegisterMap
+from pneu_hw_bridge.registers.turns import Turns
 
 LOOK_BACK_S = 0.02
 """Interval at which outputs are read back."""
@@ -92,11 +93,12 @@ class Reader:
         self._newest: dict[str, int] = {}
         self._waiting: deque[Record] = deque(maxlen=MOST_WAITING)
         self.clock: DeviceClock | None = None
-        inputs = registers.inputs
+        inputs: dict[str, ChannelBase] = {**registers.inputs, **registers.encoders}
+        self._turns = Turns(registers.encoders)
         if registers.clock is not None:
             self.clock = DeviceClock()
             self._samples = SampleReader(registers)
-            inputs = {n: c for n, c in inputs.items() if n not in registers.taps}
+            inputs = {n: c for n, c in inputs.items() if n not in registers.sampled}
             if registers.clock.commands is not None:
                 self._commands = CommandReader(registers)
         self._records = self._plan_records()
@@ -188,6 +190,7 @@ class Reader:
         if self._samples is not None:
             await self._read_records(client, self._samples, values)
             return
+        values = self._turns.unwrap(values)
         took_s = time.monotonic() - begun_s
         if not self._statistics.tells_when(took_s, len(self.batches)):
             # The machine or the line stood still: only the supervisor learns of it, as of an old
@@ -234,7 +237,9 @@ class Reader:
         steady_s = 0.5 * (begun_s + ended_s)
         for record in news.records:
             stamp_ns = self._stamp("samples", record)
-            self._owner.readings({**values, **record.values}, steady_s, stamp_ns)
+            self._owner.readings(
+                self._turns.unwrap({**values, **record.values}), steady_s, stamp_ns
+            )
         if self._commands is None:
             return
         if len(self._records) > 1:

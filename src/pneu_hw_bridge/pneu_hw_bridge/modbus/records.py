@@ -141,7 +141,7 @@ class SampleReader:
         assert registers.clock is not None and registers.sample_span is not None
         self.span = registers.sample_span
         self._stride = registers.clock.samples.stride
-        self._taps = registers.taps
+        self._sampled = registers.sampled
         self._reader = Reader(registers.clock.samples, self.span.address, apart=True)
 
     def take(self, raw: Sequence[int]) -> News:
@@ -155,8 +155,8 @@ class SampleReader:
         for place, device_ns in found:
             start = place * self._stride - self.span.address
             values = {
-                name: tap.decode(list(raw[start + tap.address : start + tap.address + tap.width]))
-                for name, tap in self._taps.items()
+                name: one.decode(list(raw[start + one.address : start + one.address + one.width]))
+                for name, one in self._sampled.items()
             }
             records.append(Record(device_ns, values))
         return News(records, skipped, anew)

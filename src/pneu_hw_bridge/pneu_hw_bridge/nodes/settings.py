@@ -14,7 +14,7 @@ class BridgeParameters(Parameters):
     """What the valve bridge is told."""
 
     register_map: str = parameter(
-        "generic_plc", "register map: a YAML file, or a profile (generic_plc, labjack_t)"
+        "generic_plc", "register map: a YAML file, or a profile such as generic_plc"
     )
     rig: str = parameter(
         "",

@@ -6,38 +6,46 @@ from typing import Any
 from pneu_common.errors import InputError
 from pneu_hw_bridge.registers.schema import RegisterMap
 from pneu_sim import topics
-from pneu_sim.rig import load_rig
+from pneu_sim.rig.schema import Rig
 
 
 def topics_of(
-    rig_path: str, registers: RegisterMap
-) -> tuple[list[topics.Topic], list[topics.Topic]]:
-    """Topics of the commands and of the taps of a register map.
+    rig: Rig | None, registers: RegisterMap
+) -> tuple[list[topics.Topic], list[topics.Topic], list[topics.Topic]]:
+    """Topics of the commands, the taps and the encoders of a register map.
 
     Args:
-        rig_path: Rig file whose channels say where they are; empty is where they usually are.
+        rig: The rig whose channels say where they are; None is where they usually are.
         registers: The register map, which names them.
 
     Returns:
-        Of the commands, and of the taps.
+        Of the commands, of the taps, and of the encoders.
 
     Raises:
-        InputError: The rig file is wrong, or names other commands or lacks a tap.
+        InputError: The rig names other commands or lacks a tap or an encoder.
     """
-    outputs, taps = list(registers.outputs), list(registers.taps)
-    if not rig_path:
-        return topics.usual_command_topics(outputs), topics.usual_tap_topics(taps)
-    rig = load_rig(rig_path)
+    outputs, taps, encoders = (
+        list(of) for of in (registers.outputs, registers.taps, registers.encoders)
+    )
+    if rig is None:
+        return (
+            topics.usual_command_topics(outputs),
+            topics.usual_tap_topics(taps),
+            topics.usual_encoder_topics(encoders),
+        )
     for what, mine, of_rig in (
         ("command", sorted(set(outputs) ^ set(rig.commands)), rig.commands),
         ("tap", sorted(set(taps) - set(rig.taps)), rig.taps),
+        ("encoder", sorted(set(encoders) - set(rig.encoders)), rig.encoders),
     ):
         if mine:
             raise InputError(
                 f"rig {rig.name!r} and register map {registers.name!r} differ in {what}"
                 f" {mine[0]!r}; the rig has {', '.join(of_rig) or 'none'}"
             )
-    return topics.command_topics(rig), topics.only(topics.tap_topics(rig), taps)
+    found = topics.command_topics(rig), topics.only(topics.tap_topics(rig), taps)
+    topics.check_joints_topic(rig, (*found[0], *found[1]))
+    return (*found, topics.only(topics.encoder_topics(rig), encoders))
 
 
 def told(topic: topics.Topic, message: Any) -> tuple[dict[str, float], str]:

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node between the topics of the graph and real valves and sensors on Modbus.
 
-Topics: takes ``valve/command``; gives ``taps/<tap>/pressure``, ``taps/pressures``,
-``valve/applied`` (what the device has confirmed, stamped when it took effect) and the state of the
-emergency stop, ``e_stop``; on demand ``/clock``, from a device that keeps time itself. Services:
-``~/e_stop`` and ``~/reset_e_stop``. Life cycle: configure opens the bus and reads, with the valves
-vented; activate lets commands through; deactivate, an error, and the end of the process vent, by
-writing to the bus and reading it back.
+Topics: takes ``valve/command``; gives ``taps/<tap>/pressure``, ``taps/pressures``, ``joint_states``
+of encoders, ``valve/applied`` (what the device has confirmed, stamped when it took effect) and the
+state of the emergency stop, ``e_stop``; on demand ``/clock``, from a device that keeps time itself.
+Services: ``~/e_stop`` and ``~/reset_e_stop``. Life cycle: configure opens the bus and reads, with
+the valves vented; activate lets commands through; deactivate, an error, and the end of the process
+vent, by writing to the bus and reading it back.
 """
 
 import functools
@@ -55,9 +55,11 @@ from pneu_hw_bridge.safety.bound import Bound, bound, check
 from pneu_hw_bridge.safety.lateness import Lateness
 from pneu_hw_bridge.safety.limits import limits_of
 from pneu_hw_bridge.safety.memory import Memory
+from pneu_hw_bridge.safety.stops import stops_of
 from pneu_hw_bridge.safety.supervisor import Latches, State, Supervisor
 from pneu_hw_bridge.stopping import StopListener, call_all
 from pneu_sim import topics
+from pneu_sim.rig import load_rig
 
 LOOK_S = 0.05
 """How often publishers of the command topic are counted."""
@@ -166,7 +168,8 @@ class ValveBridge(LifecycleNode):
                     f"publish_clock: register map {settings.register_map!r} names no clock of the"
                     " device"
                 )
-            self._commands, taps = topics_of(settings.rig, registers)
+            rig = load_rig(settings.rig) if settings.rig else None
+            self._commands, taps, encoders = topics_of(rig, registers)
             limits = limits_of(
                 registers,
                 settings.watchdog_s,
@@ -175,6 +178,7 @@ class ValveBridge(LifecycleNode):
                 settings.clamp_margin_v,
                 settings.dwell_s,
                 settings.safe_within_s,
+                None if rig is None else stops_of(rig),
             )
             check(registers, limits, 1.0 / settings.rate_hz, settings.timeout_s)
             self._recall(registers.device)
@@ -184,6 +188,7 @@ class ValveBridge(LifecycleNode):
                 Supervisor(limits, self._latches),
                 arrived.trigger,
                 max(1, round(settings.rate_hz / settings.publish_rate_hz)),
+                registers.clock is not None,
             )
             clock = self.get_clock()
             self._skipped = 0
@@ -201,7 +206,7 @@ class ValveBridge(LifecycleNode):
             self._close()
             return TransitionCallbackReturn.FAILURE
         self._readings = ReadingsPublisher(
-            self, registers.taps, taps, settings.frame_id, settings.publish_clock
+            self, registers, [*taps, *encoders], settings.frame_id, settings.publish_clock
         )
         for topic in self._commands:
             listener = self.create_subscription(
@@ -217,11 +222,12 @@ class ValveBridge(LifecycleNode):
             self.get_logger().error(f"{registers.name}: {NO_WATCHDOG}")
         self._unwatched = [
             name for name, tap in registers.taps.items() if tap.frozen_after_s is None
-        ]
+        ] + [name for name, one in registers.encoders.items() if one.frozen is None]
         if self._unwatched:
             self.get_logger().warning(
-                f"{registers.name}: no frozen_after_s for {', '.join(self._unwatched)}: nobody"
-                " would notice a sensor that always says the same"
+                f"{registers.name}: no frozen_after_s, or frozen of an encoder, for"
+                f" {', '.join(self._unwatched)}: nobody would notice a sensor that always says the"
+                " same"
             )
         self._bound = functools.partial(bound, registers, limits, 1.0 / settings.rate_hz)
         self._bus.start()

@@ -209,6 +209,73 @@ class Input(ChannelBase):
         return self
 
 
+class Frozen(Part):
+    """When an encoder that keeps its reading must be broken: the gas pushes, and nothing moves.
+
+    At rest gas can push no more than friction and load hold. Where it pushes with more, and not
+    into a stop, what it pushes moves.
+
+    Attributes:
+        force: Taps that push, each with its area, m^2 (a torque is given as m^3): positive where
+            its pressure raises the encoder's reading.
+        hold: The most that friction and load hold at rest, N, or N m where areas are m^3.
+        offset: What pushes besides, such as the room's pressure on a rod, N or N m.
+        after_s: For how long that may last.
+        still: What counts as no movement, SI; None is the encoder's resolution.
+        stops: Lowest and highest position that the joint can have, SI; None is the rig file's.
+    """
+
+    force: dict[str, Finite] = Field(min_length=1)
+    hold: Positive
+    offset: Finite = 0.0
+    after_s: Positive = 0.05
+    still: Positive | None = None
+    stops: tuple[Finite, Finite] | None = None
+
+
+class Encoder(ChannelBase):
+    """A position sensor of a joint or piston.
+
+    Attributes:
+        unit: ``rad`` or ``m``.
+        wrap: Raw counts after which the register begins anew, such as those of a turn; None where
+            it never does.
+        lower: Position below which the bridge trips; None is the lower stop in the rig file, with a
+            twentieth of the joint's travel more, where there is one.
+        upper: Position above which it trips, likewise.
+        speed_limit: Speed above which it trips, SI per second, told over 40 ms.
+        impossible: Speed that cannot be, SI per second: two readings that are further apart than it
+            allows are a jump, and trip.
+        frozen: When it trips because the reading stays as it is; None is never.
+    """
+
+    unit: Literal["rad", "m"]
+    wrap: Positive | None = None
+    lower: Finite | None = None
+    upper: Finite | None = None
+    speed_limit: Positive | None = None
+    impossible: Positive | None = None
+    frozen: Frozen | None = None
+
+    @model_validator(mode="after")
+    def _limited(self) -> "Encoder":
+        if self.is_bit:
+            raise ValueError(f"table {self.table}: an encoder needs a register, not a bit")
+        low, high = self.range
+        for name in ("lower", "upper"):
+            limit = getattr(self, name)
+            if limit is not None and not low <= limit <= high:
+                raise ValueError(f"{name} {limit} lies outside of range {list(self.range)}")
+        if self.lower is not None and self.upper is not None and not self.lower < self.upper:
+            raise ValueError(f"lower {self.lower} must be less than upper {self.upper}")
+        return self
+
+    @property
+    def turn(self) -> float:
+        """Way after which the register begins anew, SI; infinite where it never does."""
+        return math.inf if self.wrap is None else self.wrap * abs(self.scale)
+
+
 Channel = Annotated[Output | Input, Field(discriminator="direction")]
 
 
@@ -258,6 +325,7 @@ class RegisterMap(Part):
         batching: How adjacent registers are read together.
         settings: What is written whenever the connection comes up.
         channels: Channels, by the names that commands and taps have in the rig file.
+        encoders: Position sensors, by the names that they have in the rig file.
         clock: Where the device tells by its own clock when it took samples and commands; None where
             it does not.
     """
@@ -269,6 +337,7 @@ class RegisterMap(Part):
     batching: Batching = Batching()
     settings: tuple[Setting, ...] = ()
     channels: dict[str, Channel] = Field(min_length=1)
+    encoders: dict[str, Encoder] = Field(default_factory=dict)
     clock: Clock | None = None
 
     @model_validator(mode="after")
@@ -276,7 +345,7 @@ class RegisterMap(Part):
         if self.clock is None:
             return self
         self.clock.check_samples(
-            {name: (tap.table, tap.address, tap.width) for name, tap in self.taps.items()},
+            {name: (one.table, one.address, one.width) for name, one in self.sampled.items()},
             self.batching.max_registers,
         )
         self.clock.check_commands(
@@ -284,6 +353,19 @@ class RegisterMap(Part):
             {name: output.table for name, output in self.outputs.items()},
             self.batching.max_registers,
         )
+        return self
+
+    @model_validator(mode="after")
+    def _pushed(self) -> "RegisterMap":
+        for name, encoder in self.encoders.items():
+            if name in self.channels:
+                raise ValueError(f"encoders: {name!r} is the name of a channel already")
+            for tap in encoder.frozen.force if encoder.frozen is not None else ():
+                if tap not in self.taps:
+                    raise ValueError(
+                        f"encoders.{name}.frozen.force: {tap!r} is not among taps"
+                        f" ({', '.join(self.taps) or 'none'})"
+                    )
         return self
 
     @model_validator(mode="after")
@@ -300,7 +382,7 @@ class RegisterMap(Part):
 
     def _places(self) -> Iterator[tuple[str, str, int, int]]:
         """Name, table, first register and width of all that has a place."""
-        for name, channel in self.channels.items():
+        for name, channel in self.places.items():
             yield name, channel.table, channel.address, channel.width
         if self.clock is None:
             return
@@ -308,8 +390,8 @@ class RegisterMap(Part):
         places: list[tuple[str, str, int, int]]
         places = [("clock.samples." + n, c.table, c.address, c.width) for n, c in samples.numbers]
         yield from places
-        # Records beyond the first lie a stride further each, the taps in them as well.
-        places += [(n, tap.table, tap.address, tap.width) for n, tap in self.taps.items()]
+        # Records beyond the first lie a stride further each, the sensors in them as well.
+        places += [(n, one.table, one.address, one.width) for n, one in self.sampled.items()]
         for record in range(1, samples.records):
             for name, table, address, count in places:
                 yield f"{name} of record {record}", table, address + record * samples.stride, count
@@ -330,7 +412,7 @@ class RegisterMap(Part):
         if self.clock is None:
             return None
         return self.clock.sample_span(
-            {name: (tap.table, tap.address, tap.width) for name, tap in self.taps.items()}
+            {name: (one.table, one.address, one.width) for name, one in self.sampled.items()}
         )
 
     @property
@@ -346,11 +428,21 @@ class RegisterMap(Part):
         return {n: c for n, c in self.channels.items() if isinstance(c, Output)}
 
     @property
+    def places(self) -> dict[str, ChannelBase]:
+        """Channels and encoders: all that has registers of its own, by name."""
+        return {**self.channels, **self.encoders}
+
+    @property
     def inputs(self) -> dict[str, Input]:
-        """Channels that are read."""
+        """Channels that are read, but for encoders."""
         return {n: c for n, c in self.channels.items() if isinstance(c, Input)}
 
     @property
     def taps(self) -> dict[str, Input]:
         """Channels that are pressure sensors."""
         return {n: c for n, c in self.inputs.items() if c.unit == "Pa"}
+
+    @property
+    def sampled(self) -> dict[str, Input | Encoder]:
+        """Taps and encoders: what a device with a clock samples together."""
+        return {**self.taps, **self.encoders}

@@ -95,6 +95,15 @@ def check(registers: RegisterMap, limits: Limits, period_s: float, timeout_s: fl
             registers.device.watchdog_s or 0.0,
             "a cut line or a killed bridge leaves valves open for so long",
         ),
+        *(
+            (
+                f"encoders.{name}.frozen.after_s",
+                one.frozen.after_s,
+                "an encoder may keep its reading for so long while the gas pushes",
+            )
+            for name, one in limits.encoders.items()
+            if one.frozen is not None
+        ),
     ):
         if seconds > limits.safe_within_s:
             shown = f"{1.0 / seconds:g}/s, that is {seconds:g} s" if name == "rate_hz" else seconds

@@ -3,10 +3,11 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pneu_common.errors import InputError
-from pneu_hw_bridge.registers.schema import RegisterMap
+from pneu_hw_bridge.registers.schema import Encoder, RegisterMap
+from pneu_hw_bridge.safety.motion import BEYOND, EncoderLimits, FrozenLimits
 
 LONGEST_WATCHDOG_S = 0.1
 """Longest time that hardware may run on without a new command."""
@@ -59,6 +60,7 @@ class Limits:
     Attributes:
         outputs: Per command its limits.
         sensors: Per tap its limits.
+        encoders: Per encoder its limits.
         watchdog_s: How long a command is followed without a new one.
         sensor_timeout_s: How old the newest reading of a tap may be.
         slew_v_s: Fastest change of a voltage while commands are followed.
@@ -75,6 +77,7 @@ class Limits:
     clamp_margin_v: float = 1.0
     dwell_s: float = 1.0
     safe_within_s: float = SAFE_WITHIN_S
+    encoders: Mapping[str, EncoderLimits] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.watchdog_s <= LONGEST_WATCHDOG_S:
@@ -103,6 +106,7 @@ def limits_of(
     clamp_margin_v: float = 1.0,
     dwell_s: float = 1.0,
     safe_within_s: float = SAFE_WITHIN_S,
+    stops: Mapping[str, tuple[float, float]] | None = None,
 ) -> Limits:
     """Limits of the device of a register map.
 
@@ -114,10 +118,12 @@ def limits_of(
         clamp_margin_v: How far beyond its range a command is clamped, V.
         dwell_s: For how long nothing may be wrong before commands are followed again, s.
         safe_within_s: How soon the valves must be safe at the device, s.
+        stops: Per encoder where its joint ends, rad or m, for what the map leaves open.
 
     Raises:
-        InputError: A number is not allowed on hardware.
+        InputError: A number is not allowed on hardware, or it is not known where a joint ends.
     """
+    ends = stops or {}
     return Limits(
         outputs={
             name: OutputLimits(*channel.range, channel.safe)
@@ -138,4 +144,46 @@ def limits_of(
         clamp_margin_v=clamp_margin_v,
         dwell_s=dwell_s,
         safe_within_s=safe_within_s,
+        encoders={
+            name: _encoder_limits(registers.name, name, one, ends.get(name, (-math.inf, math.inf)))
+            for name, one in registers.encoders.items()
+        },
+    )
+
+
+def _encoder_limits(
+    where: str, name: str, encoder: Encoder, stops: tuple[float, float]
+) -> EncoderLimits:
+    """Limits of one encoder; what its map leaves open is where its joint ends."""
+    low, high = stops
+    if not low < high:  # a joint that is held has no travel that could end
+        low, high = -math.inf, math.inf
+    reach = BEYOND * (high - low) if math.isfinite(high - low) else 0.0
+    frozen = encoder.frozen
+    ended = (
+        low if frozen is None or frozen.stops is None else frozen.stops[0],
+        high if frozen is None or frozen.stops is None else frozen.stops[1],
+    )
+    if frozen is not None and not (math.isfinite(ended[0]) and math.isfinite(ended[1])):
+        raise InputError(
+            f"{where}: encoders.{name}.frozen.stops: found none, and no rig file says where its"
+            " joint ends; a joint that is pushed into a stop does not move"
+        )
+    return EncoderLimits(
+        range=encoder.range,
+        lower=low - reach if encoder.lower is None else encoder.lower,
+        upper=high + reach if encoder.upper is None else encoder.upper,
+        speed=math.inf if encoder.speed_limit is None else encoder.speed_limit,
+        impossible=math.inf if encoder.impossible is None else encoder.impossible,
+        resolution=encoder.resolution,
+        frozen=None
+        if frozen is None
+        else FrozenLimits(
+            frozen.force,
+            frozen.hold,
+            frozen.offset,
+            frozen.after_s,
+            encoder.resolution if frozen.still is None else frozen.still,
+            ended,
+        ),
     )

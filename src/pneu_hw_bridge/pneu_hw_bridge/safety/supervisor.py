@@ -8,6 +8,8 @@ state      because                                     left by
 =========  ==========================================  ===========================================
 E_STOP     somebody called for it                      ``reset``
 TRIPPED    a pressure rose above its limit             ``reset``, once the pressure is below again
+           a joint is beyond its limits or too fast    ``reset``, once the joint is within them
+           an encoder jumps or is frozen
 DISABLED   the bridge is not active                    ``enable``
 HOLDING    no fresh command, several publishers, bus   by itself when the reason has been gone for
            down, sensor stale, frozen, out of range    the dwell and a new command has come
@@ -24,6 +26,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from pneu_hw_bridge.safety.limits import SHORTEST_WATCHDOG_S, Limits
+from pneu_hw_bridge.safety.motion import EncoderWatch
 
 
 class State(enum.Enum):
@@ -50,7 +53,7 @@ class Counters:
         slew_limited: Outputs held back by the slew limit.
         watchdog: Times the command watchdog ended following.
         bad_readings: Readings that were not finite or out of range.
-        trips: Over-pressure trips.
+        trips: Trips, by a pressure or an encoder.
         e_stops: Emergency stops.
     """
 
@@ -113,6 +116,7 @@ class Supervisor:
         self._target = {name: math.nan for name in self.limits.outputs}
         self._fresh_s = {name: -math.inf for name in self.limits.outputs}
         self._sensors = {name: _Sensor() for name in self.limits.sensors}
+        self._encoders = {n: EncoderWatch(n, one) for n, one in self.limits.encoders.items()}
         self._output = self.safe()
         self._output_s: float | None = None
         self._followed = False
@@ -170,6 +174,12 @@ class Supervisor:
                         f"{name} is still at {sensor.value_pa:.0f} Pa, above"
                         f" {limit.trip_above_pa:.0f} Pa"
                     )
+            for name, watch in self._encoders.items():
+                if not watch.good or now_s - watch.seen_s > self.limits.sensor_timeout_s:
+                    return f"the position of {name} is not known"
+                if beyond := watch.beyond():
+                    return f"still, {beyond}"
+                watch.forget()
         if self.latches.e_stop or self.latches.trip:
             self._wait_from_s = -math.inf
         self.latches.e_stop = ""
@@ -288,12 +298,48 @@ class Supervisor:
         # A sensor that has come to the end of its range shows an over-pressure all the same; beyond
         # that by more than its span it shows nothing: the number was spoilt on its way.
         most_pa = 2.0 * limit.upper_pa - limit.lower_pa
-        if limit.trip_above_pa < value_pa <= most_pa and not self.latches.trip:
-            self.counters.trips += 1
-            self.latches.trip = (
+        if limit.trip_above_pa < value_pa <= most_pa:
+            self._trip(
                 f"over-pressure: {name} rose to {value_pa:.0f} Pa, above"
                 f" {limit.trip_above_pa:.0f} Pa"
             )
+
+    def position(self, name: str, value: float, now_s: float, taken_s: float | None) -> None:
+        """Takes an encoder's reading; trips where it says what must not be, or cannot be.
+
+        Args:
+            name: Encoder.
+            value: Its reading, rad or m.
+            now_s: When it was acquired.
+            taken_s: The same by the clock that tells readings apart best, s; None where it is not
+                known well enough to tell a speed.
+        """
+        watch = self._encoders[name]
+        force = self._force(name, now_s)
+        wrong = watch.take(value, now_s, taken_s, force, self.limits.sensor_timeout_s)
+        if not watch.good:
+            self.counters.bad_readings += 1
+        if wrong:
+            self._trip(f"encoder: {wrong}")
+
+    def _force(self, name: str, now_s: float) -> float | None:
+        """What the gas pushes a joint with, N or N m; None where that is not known."""
+        frozen = self.limits.encoders[name].frozen
+        if frozen is None:
+            return None
+        total = frozen.offset
+        for tap, area in frozen.force.items():
+            sensor = self._sensors[tap]
+            if not sensor.good or now_s - sensor.seen_s > self.limits.sensor_timeout_s:
+                return None
+            total += area * sensor.value_pa
+        return total
+
+    def _trip(self, why: str) -> None:
+        """Trips, where it has not yet."""
+        if not self.latches.trip:
+            self.counters.trips += 1
+            self.latches.trip = why
             self._forget_commands()
 
     # What it decides
@@ -321,6 +367,13 @@ class Supervisor:
                 )
             elif sensor.seen_s - sensor.changed_s > limit.frozen_after_s:
                 found.append(f"sensor {name}: frozen at {sensor.value_pa:.0f} Pa")
+        for name, watch in self._encoders.items():
+            age_s = now_s - watch.seen_s
+            if age_s > self.limits.sensor_timeout_s:
+                since = "never read" if math.isinf(age_s) else f"stale for {age_s:.2f} s"
+                found.append(f"encoder {name}: {since}")
+            elif not watch.good:
+                found.append(f"encoder {name}: {watch.value:g} is out of its range")
         within_s = self.limits.safe_within_s
         if (at_best_s := SHORTEST_WATCHDOG_S + self._usually_s) > within_s:
             found.append(

@@ -133,6 +133,8 @@ class Kokoro(Body):
       <body name="link">
         <joint name="theta" type="hinge" axis="0 1 0"/>
         {mjcf.inertial(mass, mjcf.numbers(0.0, 0.0, centre), about, about, 0.0)}
+        <geom type="capsule" fromto="0 0 0 0 0 {2.0 * self.centre_m + 0.01!r}" size="0.01"
+          contype="0" conaffinity="0"/>
         {mjcf.site("theta_cylinder_pin", mjcf.numbers(ny, 0.0, nx))}
       </body>
     </body>"""

@@ -108,6 +108,7 @@ class SimulatorNode(Node):
         safe_v = None if params.safe == "closed" else params.vent_voltage_v
         self._inputs = Inputs(rig, params.command_timeout_s, safe_v)
         self._tap_topics = topics.tap_topics(rig)
+        self._encoder_topics = topics.encoder_topics(rig)
         self._command_topics = topics.command_topics(rig)
         topics.check_joints_topic(rig, (*self._command_topics, *self._tap_topics))
         if params.publish_clock:
@@ -150,7 +151,7 @@ class SimulatorNode(Node):
             topic.name: self.create_publisher(
                 topics.message_class(topic.type), topic.name, common.READINGS_QOS
             )
-            for topic in self._tap_topics
+            for topic in (*self._tap_topics, *self._encoder_topics)
         }
         # What a rig has none of is on no topic.
         self._set_publisher = self._applied = self._joint_publisher = None
@@ -162,7 +163,7 @@ class SimulatorNode(Node):
             self._applied = self.create_publisher(
                 ValveCommand, topics.APPLIED_TOPIC, common.READINGS_QOS
             )
-        if rig.moves:
+        if rig.moves and not rig.encoders:  # where they truly are: what nobody reads in its stead
             self._joint_publisher = self.create_publisher(
                 JointState, topics.JOINTS_TOPIC, common.READINGS_QOS
             )
@@ -301,6 +302,12 @@ class SimulatorNode(Node):
             together.header.stamp = stamp
             together.header.frame_id = self._rig.name
             self._set_publisher.publish(together)
+        for topic in self._encoder_topics:
+            message = topic.message(sample.encoders, stamp)
+            assert message is not None  # every encoder has a reading
+            if isinstance(message, JointState):
+                message.header.frame_id = self._rig.name
+            self._publishers_of[topic.name].publish(message)
         if self._joint_publisher is not None:
             self._joint_publisher.publish(
                 topics.joint_states(sample.joints, sample.speeds, stamp, self._rig.name)

@@ -55,6 +55,7 @@ class Sample:
         taps: Noisy readings per tap, Pa; None right after a reset.
         joints: Per joint of a body its position, rad or m.
         speeds: Per joint its velocity, rad/s or m/s.
+        encoders: Noisy readings per encoder, rad or m.
         volts: Voltages during the period that ends here.
         since_ns: Stamp of the beginning of that period, ns.
     """
@@ -64,6 +65,7 @@ class Sample:
     taps: dict[str, float] | None
     joints: dict[str, float] = field(default_factory=dict)
     speeds: dict[str, float] = field(default_factory=dict)
+    encoders: dict[str, float] = field(default_factory=dict)
     volts: dict[str, float] = field(default_factory=dict)
     since_ns: int = 0
 
@@ -341,8 +343,9 @@ class Stepper:
         self._periods = 0
         self._seed = seed
         self._rng = np.random.default_rng(seed)
-        self._noise = np.array([tap.noise_pa for tap in rig.taps.values()])
-        self._quantum = np.array([tap.quantum_pa for tap in rig.taps.values()])
+        taps, encoders = rig.taps.values(), rig.encoders.values()
+        self._noise = np.array([*(t.noise_pa for t in taps), *(e.noise for e in encoders)])
+        self._quantum = np.array([*(t.quantum_pa for t in taps), *(e.quantum for e in encoders)])
         self._make_origin = origin_ns or (lambda: 0)
         self._origin_ns = 0
         self._publish = publish
@@ -486,14 +489,18 @@ class Stepper:
             return
         self._periods += 1
         time_s = self._periods * self._period_s
-        clean = np.array([series[-1] for series in readings.taps.values()])
+        clean = np.array([s[-1] for s in (*readings.taps.values(), *readings.encoders.values())])
         noisy = sensors.corrupt(clean[None, :], self._noise, self._quantum, self._rng)[0]
         self.pacing.wait(time_s, self._ended)
         self.time_s = time_s
         if self._running() and not self._ended.is_set():
-            taps = dict(zip(readings.taps, noisy.tolist(), strict=True))
+            count, shown = len(readings.taps), noisy.tolist()
+            taps = dict(zip(readings.taps, shown[:count], strict=True))
+            encoders = dict(zip(readings.encoders, shown[count:], strict=True))
             joints, speeds = (
                 {name: float(series[-1]) for name, series in of.items()}
                 for of in (readings.joints, readings.speeds)
             )
-            self._publish(Sample(time_s, self.stamp_ns, taps, joints, speeds, volts, since_ns))
+            self._publish(
+                Sample(time_s, self.stamp_ns, taps, joints, speeds, encoders, volts, since_ns)
+            )

@@ -42,11 +42,6 @@ class Encoder(Part):
             raise ValueError("an encoder names either a joint or a cylinder, not both")
         return self
 
-    @property
-    def recorded(self) -> Channel:
-        """Where its readings are recorded."""
-        return self.channel or Channel(topic="/joint_states", field="position")
-
     def on(self, name: str) -> str:
         """The joint that it reads, of an encoder of some name that is on no cylinder.
 

@@ -18,6 +18,7 @@ CYLINDER_COLUMNS = (
     "moves",
 )  # fmt: skip
 MECHANISM_COLUMNS = ("joint", "start", "physics step", "coupling")
+ENCODER_COLUMNS = ("name", "on", "noise", "quantum", "recorded as")
 BODY_COLUMNS = ("name", "kind", "joint", "start", "stops", "cylinders")
 
 
@@ -86,6 +87,23 @@ def mechanism_rows(rig: Rig) -> Iterator[tuple[str, ...]]:
     positions = mechanism.joint_positions()[:, 0].tolist()
     for joint, position in zip(mechanism.joints, positions, strict=True):
         yield joint, f"{position:.4g}", f"{1e3 * mechanism.step_s:g} ms", rig.mechanism.coupling
+
+
+def encoder_rows(rig: Rig) -> Iterator[tuple[str, ...]]:
+    """Rows of the table of encoders, one each.
+
+    Args:
+        rig: The rig.
+    """
+    for name, encoder in rig.encoders.items():
+        channel = encoder.channel
+        yield (
+            name,
+            f"joint {encoder.on(name)}" if encoder.cylinder is None else encoder.cylinder,
+            f"{encoder.noise:g}" if encoder.noise > 0.0 else "",
+            f"{encoder.quantum:g}" if encoder.quantum > 0.0 else "",
+            "/joint_states" if channel is None else str(channel.topic or channel.column),
+        )
 
 
 def unit(body: Body, field: str) -> str:

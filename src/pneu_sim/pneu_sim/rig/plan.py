@@ -277,7 +277,7 @@ def common_plan(rigs: Sequence[Rig], dx_m: float | None = None) -> Plan:
         own = plan_grid(other, dx_m)
         same = list(other.pipes) == list(first.pipes) and all(
             np.array_equal(getattr(own, table), getattr(plan, table))
-            for table in ("ends", "ports", "cylinder", "moves", "body", "driven_by")
+            for table in ("ends", "ports", "cylinder", "moves", "body", "driven_by", "encoder_of")
         )
         if not same:
             raise InputError(

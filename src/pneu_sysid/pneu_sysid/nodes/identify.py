@@ -27,7 +27,6 @@ from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_sim import topics
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.nodes.encoder_topics import EncoderTopic, encoder_topics
 from pneu_sysid.nodes.process import TaskProcess
 from pneu_sysid.nodes.tasks import Outcome, Request, check
 from pneu_sysid.sensor_units import encoder_units
@@ -228,8 +227,7 @@ class Watcher:
             self._encoder_publisher = node.create_publisher(
                 EncoderResiduals, ENCODER_RESIDUALS_TOPIC, 10
             )
-        read: list[topics.Topic | EncoderTopic] = [*topics.tap_topics(rig), *encoder_topics(rig)]
-        for topic in read:
+        for topic in (*topics.tap_topics(rig), *topics.encoder_topics(rig)):
             node.create_subscription(
                 topics.message_class(topic.type),
                 topic.name,
@@ -285,7 +283,7 @@ class Watcher:
         stamp_ns = common.from_stamp(header.stamp) if header is not None else 0
         return (stamp_ns or self._node.get_clock().now().nanoseconds) * 1e-9
 
-    def _on_readings(self, topic: topics.Topic | EncoderTopic, message: Any) -> None:
+    def _on_readings(self, topic: topics.Topic, message: Any) -> None:
         time_s = self._latest_s = self._time_s(message)
         for name, value in topic.read(message).items():
             self._arrived.append((False, name, time_s, value))

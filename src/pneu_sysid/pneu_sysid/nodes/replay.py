@@ -2,8 +2,8 @@
 """The replay node: a bag as if its rig were live, or its commands alone into a simulator.
 
 What a rig file names as commands and taps is taken out of the bag and published on the rig's
-topics, at the pace it was recorded times `rate`; and where the rig has bodies, the states of their
-joints. Parameters and topics: see ``ros_ws/README.md``.
+topics, at the pace it was recorded times `rate`; and what its encoders read, or where a rig with
+bodies has none, the states of their joints. Parameters and topics: see ``ros_ws/README.md``.
 """
 
 import threading
@@ -33,9 +33,6 @@ MODES = ("all", "taps", "commands")
 DISCOVERY_S = 1.0
 """How long another publisher of the clock is looked for."""
 
-JOINTS = topics.Topic(topics.JOINTS_TOPIC, topics.JOINT_STATE, ())
-"""Of all joints, whose values are by the names in the messages themselves."""
-
 Events = list[tuple[int, list[tuple[topics.Topic, dict[str, float]]]]]
 """Per stamp, ns, what is published: the topic and SI values by name."""
 
@@ -49,7 +46,8 @@ def load_events(rig: Rig, bag: Path, mode: str) -> Events:
         mode: ``all``, ``taps`` or ``commands``.
 
     Returns:
-        Per stamp, ns, what is published then; joints are `JOINTS`.
+        Per stamp, ns, what is published then; joints are a topic without signals of its own, whose
+        values are by the names in the messages themselves.
 
     Raises:
         InputError: The bag cannot be read, or lacks a channel of the rig.
@@ -58,19 +56,27 @@ def load_events(rig: Rig, bag: Path, mode: str) -> Events:
         {n: c.channel for n, c in rig.commands.items() if c.channel} if mode != "taps" else {}
     )
     taps = {n: t.channel for n, t in rig.taps.items() if t.channel} if mode != "commands" else {}
-    joints, said = read_joints(bag) if rig.moves and mode != "commands" else (None, [])
-    if not commands and not taps and joints is None:
+    encoders = {n: topics.encoder_channel(rig, n) for n in rig.encoders if mode != "commands"}
+    # Numbers are read as those of taps are; a JointState as a whole, by the names in it.
+    taps |= {n: channel for n, channel in encoders.items() if channel.type != topics.JOINT_STATE}
+    together = [t.name for t in topics.position_topics(rig) if t.type == topics.JOINT_STATE]
+    found = {n: read_joints(bag, n) for n in together} if mode != "commands" else {}
+    said = {name: told for name, (stream, told) in found.items() if stream is not None}
+    if not commands and not taps and not said:
         raise InputError(f"rig {rig.name!r}: no channel says what to replay in mode {mode!r}")
     streams, _ = read_bag(bag, commands, taps)
+    streams += [stream for stream, _ in found.values() if stream is not None]
     wanted = {name: channel.stamp for name, channel in {**commands, **taps}.items()}
-    if joints is not None:
-        streams.append(joints)
-        wanted[joints.name] = "auto"
+    wanted |= dict.fromkeys(said, "auto")
     streams, _ = choose_clock(streams, wanted, str(bag))
     streams, _ = mend_clock_jumps(streams)
     topic_of = {
         signal.name: topic
-        for topic in (*topics.command_topics(rig), *topics.tap_topics(rig))
+        for topic in (
+            *topics.command_topics(rig),
+            *topics.tap_topics(rig),
+            *topics.encoder_topics(rig),
+        )
         for signal in topic.signals
     }
     samples = sorted(
@@ -84,8 +90,9 @@ def load_events(rig: Rig, bag: Path, mode: str) -> Events:
     for stamp, group in groupby(samples, key=lambda sample: sample[0]):
         of_topic: dict[str, tuple[topics.Topic, dict[str, float]]] = {}
         for _, name, value in group:
-            if joints is not None and name == joints.name:
-                of_topic[name] = (JOINTS, said[int(value)])
+            if name in said:
+                joints = topics.Topic(name, topics.JOINT_STATE, ())
+                of_topic[name] = (joints, said[name][int(value)])
                 continue
             topic = topic_of[name]
             of_topic.setdefault(topic.name, (topic, {}))[1][name] = value
@@ -167,7 +174,7 @@ class ReplayNode(Node):
                 ClockMessage, common.CLOCK_TOPIC, common.COMMAND_QOS
             )
         taps = {t.name for t in topics.tap_topics(rig)}
-        readings = taps | {topics.JOINTS_TOPIC}
+        readings = taps | {t.name for t in topics.position_topics(rig)}
         self._taps = {t for t in taps if p.mode != "commands"}
         used = {topic.name: topic for _, group in self._events for topic, _ in group}
         self._publishers_of = {
@@ -247,7 +254,7 @@ class ReplayNode(Node):
     def _publish(self, group: list[tuple[topics.Topic, dict[str, float]]], stamp: Any) -> None:
         together: dict[str, float] = {}
         for topic, values in group:
-            if topic is JOINTS:
+            if topic.type == topics.JOINT_STATE and not topic.signals:
                 message = self._joint_states(values, stamp)
             else:
                 message = topic.message(values, stamp)

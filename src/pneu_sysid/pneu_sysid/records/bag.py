@@ -170,36 +170,39 @@ def read_bag(
     return streams, findings
 
 
-def read_joints(path: Path) -> tuple[Stream | None, list[dict[str, float]]]:
-    """Read what a bag tells of the joints of bodies.
+def read_joints(
+    path: Path, wanted: str = JOINTS_TOPIC
+) -> tuple[Stream | None, list[dict[str, float]]]:
+    """Read what a bag tells of the joints of bodies, or of encoders.
 
     Args:
         path: rosbag2 folder or bare .mcap file.
+        wanted: The topic that tells it.
 
     Returns:
-        When messages on ``joint_states`` came, a stream whose values are their numbers, and what
+        When messages on that topic came, a stream whose values are their numbers, and what
         each says by its own names: positions by joint and, where there are any, velocities by
         `velocity_of` that. None and nothing where the bag has no such topic.
 
     Raises:
         InputError: The bag is unreadable, or several of its topics may be meant.
     """
-    topics, findings = _collect(path, {JOINTS_TOPIC})
+    topics, findings = _collect(path, {wanted})
     of_joints = {
         name: kinds
         for name, kinds in topics.items()
-        if same_topic(name, JOINTS_TOPIC) and kinds.get(JOINT_STATE) and kinds[JOINT_STATE].count
+        if same_topic(name, wanted) and kinds.get(JOINT_STATE) and kinds[JOINT_STATE].count
     }
     if not of_joints:
         return None, []
-    channel = Channel(topic=JOINTS_TOPIC, type=JOINT_STATE)
-    topic = _find_topic(path, JOINTS_TOPIC, channel, of_joints)
+    channel = Channel(topic=wanted, type=JOINT_STATE)
+    topic = _find_topic(path, wanted, channel, of_joints)
     where = f"{path}: topic '{topic.name}' ({topic.msgtype})"
-    store = _typestore(where, topic, JOINTS_TOPIC, findings)
+    store = _typestore(where, topic, wanted, findings)
     messages = _decode(where, store, topic)
     log_ns = np.array(topic.log_ns, dtype=np.int64)
     stream = Stream(
-        name=JOINTS_TOPIC,
+        name=wanted,
         role="position",
         source=f"topic {topic.name}",
         arrival=np.array(topic.arrival, dtype=np.int64),

@@ -24,4 +24,11 @@ def write_bag(path: str | Path, rig: Rig, recording: Recording) -> None:
         InputError: The path exists or cannot be written, or a signal has no topic or a message type
             that is not written.
     """
-    bag.write_bag(path, rig, recording.commands, recording.pressures, recording.start_time_s)
+    bag.write_bag(
+        path,
+        rig,
+        recording.commands,
+        recording.pressures,
+        recording.start_time_s,
+        encoders=recording.encoders,
+    )

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A Kokoro that is simulated, recorded and replayed by the one launch file."""
+
+from tests.live_graph import own_domain, running_graph, wait_for
+from tests.live_rig import LaunchedNodes
+from tests.robots import KOKORO
+
+from sensor_msgs.msg import JointState  # isort: skip
+
+from pneu_graph.nodes import common
+
+OVERRIDES = """
+/**/excite:
+  ros__parameters:
+    swing: true
+"""
+
+
+def test_a_simulated_robot_is_recorded_and_replayed_by_the_same_launch_file(tmp_path):
+    with own_domain(), running_graph() as graph:
+        arguments = {"rig": KOKORO, "controller": "excite", "view": "true"}
+        nodes = LaunchedNodes(tmp_path, OVERRIDES, **arguments)
+        try:
+            told = graph.listen(JointState, "/joint_states", common.READINGS_QOS)
+            nodes.launch(backend="sim", record=tmp_path / "bag")
+            wait_for(lambda: len(told) > 400, 90.0)
+            for name in list(nodes.running):
+                assert nodes.end(name) == 0, nodes.log(name).read_text()[-2000:]
+            assert not nodes.complaints()
+            simulated = {common.from_stamp(m.header.stamp): m.position[0] for m in list(told)}
+            told.clear()
+            nodes.launch(
+                backend="replay", bag=tmp_path / "bag", controller="none", use_sim_time="true"
+            )
+            wait_for(lambda: len(told) > 300, 60.0)
+            again = {common.from_stamp(m.header.stamp): m.position[0] for m in list(told)}
+            common_stamps = set(simulated) & set(again)
+            assert len(common_stamps) > 100
+            assert all(simulated[at] == again[at] for at in common_stamps)
+            assert max(again.values()) - min(again.values()) > 0.1
+        finally:
+            nodes.close()
