@@ -322,7 +322,7 @@ def test_joints_of_a_mechanism_are_published_too(graph):
 
 def test_a_rig_with_encoders_publishes_what_they_read_with_noise_of_the_seed(graph, tmp_path):
     path = Path(moving(tmp_path, start=0.02))
-    encoders = "encoders:\n  place: {joint: load_slide, noise: 1.0e-4, quantum: 5.0e-4}\n"
+    encoders = "encoders:\n  place: {joint: load_slide, noise: 4.0e-4, quantum: 5.0e-4}\n"
     path.write_text(path.read_text() + encoders)
     node = simulator(graph, rig=str(path), pace="lock_step", publish_clock=True)
     read = graph.listen(JointState, "joint_states", common.READINGS_QOS)
