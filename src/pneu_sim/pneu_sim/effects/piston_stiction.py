@@ -9,7 +9,10 @@ from pneu_sim.rig.schema import Rig
 
 
 class PistonStiction(Effect):
-    """Friction at rest above that in motion, added to the rig's."""
+    """Friction at rest above that in motion, added to the rig's.
+
+    The speed over which the whole fades is the mean of both, by their forces.
+    """
 
     name: ClassVar[str] = "piston_stiction"
     title: ClassVar[str] = "piston that sticks"
@@ -23,6 +26,7 @@ class PistonStiction(Effect):
     )
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("force_n", "N", 0.0, 0.0, 500.0, 8.0, 0.2),
+        EffectParameter("stribeck_m_s", "m/s", 0.01, 1e-3, 0.1, 0.01, 5e-4, fitted=True),
     )
     order: ClassVar[int] = 6
     next_experiment: ClassVar[str] = (
@@ -34,4 +38,8 @@ class PistonStiction(Effect):
         return moved_cylinders(rig)
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
-        rig.cylinders[place].friction.breakaway_n += values["force_n"]
+        friction, force = rig.cylinders[place].friction, values["force_n"]
+        if force > 0.0:
+            whole = friction.breakaway_n + force
+            faded = friction.breakaway_n * friction.stribeck_m_s + force * values["stribeck_m_s"]
+            friction.breakaway_n, friction.stribeck_m_s = whole, faded / whole
