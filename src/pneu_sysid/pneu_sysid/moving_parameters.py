@@ -9,16 +9,16 @@ from pneu_sim.rig.parameters import get_parameter
 from pneu_sim.rig.schema import FitParameter, Rig
 
 MOST_GRIP, USUAL_GRIP = 0.3, 0.03
-"""Friction of seals, of the greatest force of the gas: at most, and usually."""
-MOST_DRAG = 1.0
-"""Viscous friction at 1 m/s, or 1 rad/s of a rotary one, at most, likewise."""
-MOST_HOLD = 0.2
-"""Friction of a joint, of the greatest torque of the cylinder that turns it, at most; viscous
+"""Friction of seals, of the greatest force of the gas: at most, and one sigma."""
+MOST_DRAG, USUAL_DRAG = 1.0, 0.1
+"""Viscous friction at 1 m/s, or 1 rad/s of a rotary one, likewise."""
+MOST_HOLD, USUAL_HOLD = 0.2, 0.01
+"""Friction of a joint, of the greatest torque of the cylinder that turns it, likewise; viscous
 friction at 1 rad/s."""
 MOST_COVER, USUAL_COVER = 1.0, 0.05
 """Heat conductance of a side that the piston's way does not change, W/K, likewise."""
 USUAL_BENT_M = 1e-4
-"""Seals usually give way by so much before they slide, m."""
+"""Seals give way by so much before they slide, m, one sigma."""
 STRIBECK = 10.0
 """The speed over which breakaway friction vanishes is known to within this factor."""
 STOPS = 30.0
@@ -31,8 +31,7 @@ def moving_parameters(rig: Rig) -> Iterator[FitParameter]:
     """Numbers of what moves, with ranges that a datasheet leaves open.
 
     Of cylinders that move something: dead volumes, heat, friction of the seals. Of bodies: what
-    each kind calls uncertain, and friction and stops of joints that are not held. Of friction and
-    stops nothing is known beforehand but bounds: recordings alone decide.
+    each kind calls uncertain, and the friction of joints that are not held.
 
     Args:
         rig: The rig.
@@ -70,10 +69,11 @@ def moving_parameters(rig: Rig) -> Iterator[FitParameter]:
                     path=f"{base}.{field}.{number}",
                     lower=0.0,
                     upper=max(MOST_HOLD * most, 5.0 * value),
+                    std=max(USUAL_HOLD * most, value),
                 )
             if joint.lower is not None or joint.upper is not None:
                 yield from _of_stops(f"{base}.{field}.", joint.stop_stiffness, joint.stop_damping)
-                yield FitParameter(path=f"{base}.{field}.stop_hold", lower=0.0, upper=1.0)
+                yield FitParameter(path=f"{base}.{field}.stop_hold", lower=0.0, upper=1.0, std=0.5)
 
 
 def _of_cylinder(base: str, cylinder: Cylinder, force: float) -> Iterator[FitParameter]:
@@ -105,6 +105,7 @@ def _of_cylinder(base: str, cylinder: Cylinder, force: float) -> Iterator[FitPar
         path=f"{base}.friction.stribeck_m_s",
         lower=cylinder.friction.stribeck_m_s / STRIBECK,
         upper=cylinder.friction.stribeck_m_s * STRIBECK,
+        std=cylinder.friction.stribeck_m_s,
         log=True,
     )
     friction = cylinder.friction
@@ -113,21 +114,24 @@ def _of_cylinder(base: str, cylinder: Cylinder, force: float) -> Iterator[FitPar
         path=f"{base}.friction.presliding_m_n",
         lower=0.0,
         upper=max(10.0 * softest, 5.0 * friction.presliding_m_n),
+        std=max(softest, friction.presliding_m_n),
     )
     yield FitParameter(
         path=f"{base}.friction.presliding_n_s_m",
         lower=0.0,
         upper=max(10.0 * force, 5.0 * friction.presliding_n_s_m),
+        std=max(2.0 * force, friction.presliding_n_s_m),
     )
-    for number, most, value in (
-        ("coulomb_n", MOST_GRIP, friction.coulomb_n),
-        ("breakaway_n", MOST_GRIP, friction.breakaway_n),
-        ("viscous_n_s_m", MOST_DRAG, friction.viscous_n_s_m),
+    for number, most, usual, value in (
+        ("coulomb_n", MOST_GRIP, USUAL_GRIP, friction.coulomb_n),
+        ("breakaway_n", MOST_GRIP, USUAL_GRIP, friction.breakaway_n),
+        ("viscous_n_s_m", MOST_DRAG, USUAL_DRAG, friction.viscous_n_s_m),
     ):
         yield FitParameter(
             path=f"{base}.friction.{number}",
             lower=0.0,
             upper=max(most * force, 5.0 * value),
+            std=max(usual * force, value),
         )
 
 
@@ -139,6 +143,7 @@ def _of_stops(base: str, stiffness: float, damping: float) -> Iterator[FitParame
                 path=base + name,
                 lower=value / STOPS,
                 upper=value * STOPS,
+                std=value,
                 log=True,
             )
 
