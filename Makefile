@@ -53,7 +53,7 @@ calibration: $(VENV)/.ready-run  ## slow: rigs drawn at random, fitted from data
 thinned: folder-is-named $(VENV)/.ready-run  ## slow: labelled bags with fewer readings, BAGS=folder
 	@$(RUN) -m studies.thinned "$(BAGS)"
 
-confusion: $(VENV)/.ready-run  ## slow: every effect hidden on three rigs, and what is learned
+confusion: $(VENV)/.ready-run  ## slow: every effect hidden on rigs drawn at random, and what is learned
 	@$(RUN) -m studies.confusion
 
 thresholds: $(VENV)/.ready-run  ## slow: what decides verdicts, halved and doubled (after confusion)

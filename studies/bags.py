@@ -3,8 +3,9 @@
 
 Bags are named ``<rig>_<what>``: ``a_healthy_1`` calibrates rig A, ``a_healthy_2`` validates it,
 every other ``a_*`` hides something. A rig is the one in the folder (``rig_a.yaml``), or else the
-project's (``rigs/rig_a.yaml``, whose shipped calibration is used). What a bag hides is in the
-folder's ``labels.json``, or in ``KNOWN``. Writes ``docs/bags.md`` and ``out/bags/``.
+project's (``rigs/rig_a.yaml``, or as ``RIG_FILES`` has it), whose shipped calibration is used if
+there is one. What a bag hides is in the folder's ``labels.json``, or in ``KNOWN``. Writes
+``docs/bags.md`` and ``out/bags/``.
 """
 
 import argparse
@@ -42,6 +43,8 @@ from studies.digest import digest_of, sources_digest
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "out" / "bags"
+RIG_FILES = {"j": "kokoro"}
+"""Rig files of the project by the letter of their bags, where they are not ``rig_<letter>``."""
 AFTER_WITHIN = 1.2
 """Error kept aside after adding, as a multiple of the healthy recording's."""
 
@@ -64,6 +67,14 @@ KNOWN: dict[str, Label] = {
     "b_droop": Label("regulator_droop", "supply", 12e3 / 1e-3, None),
     "b_dead_volume": Label("dead_volume", "tube", 1.5e-6, 5.0),
     "b_hysteresis": Label("hysteresis", "valve", 0.2, None),
+    "j_seal": Label("seal_friction", "forearm", 25e-6),
+    "j_stiction": Label("piston_stiction", "forearm", 14.0),
+    "j_piston_leak": Label("piston_leak", "forearm", 0.06e-6),
+    "j_payload": Label("payload", "elbow", 0.25),
+    "j_backlash": Label("backlash", "elbow", 0.02),
+    "j_dead_volume": Label("cylinder_volume", "forearm.head", 8e-6),
+    "j_cable": Label("external_spring", "elbow", 1.2),
+    "j_overlap": Label("dead_band", "head", 0.25),
 }
 
 
@@ -84,6 +95,15 @@ def labels_of(folder: Path) -> dict[str, Label]:
     }
 
 
+def rig_file(letter: str) -> Path:
+    """The project's rig file of a letter.
+
+    Args:
+        letter: What the names of its bags begin with.
+    """
+    return ROOT / "rigs" / f"{RIG_FILES.get(letter, f'rig_{letter}')}.yaml"
+
+
 def calibrated(letter: str, folder: Path, refit: bool, console: Console) -> Rig:
     """The rig of a letter, calibrated on its first healthy bag.
 
@@ -93,11 +113,11 @@ def calibrated(letter: str, folder: Path, refit: bool, console: Console) -> Rig:
         refit: Whether a shipped calibration is made anew.
         console: Where progress goes.
     """
-    own = folder / f"rig_{letter}.yaml"
-    shipped = ROOT / "rigs" / f"rig_{letter}_fitted.yaml"
+    own, ours = folder / f"rig_{letter}.yaml", rig_file(letter)
+    shipped = ours.with_name(f"{ours.stem}_fitted.yaml")
     if shipped.exists() and not own.exists() and not refit:
         return load_rig(shipped)
-    nominal = load_rig(own if own.exists() else ROOT / "rigs" / f"rig_{letter}.yaml")
+    nominal = load_rig(own if own.exists() else ours)
     bag = folder / f"{letter}_healthy_1"
     console.print(f"fitting {nominal.name} to {bag.name}")
     outcome = fit_rig(nominal, record_for(nominal, str(bag)))
@@ -241,7 +261,7 @@ def page(digests: list[str], healthy: list[str], cases: dict[str, Found], failed
             "Made by `make bags BAGS=folders`.",
             f"Made from the bags {', '.join(digests)} and the sources {sources_digest()}.",
             "",
-            "## Held-out healthy recordings, RMSE per tap, Pa (times the sensor noise floor)",
+            "## Held-out healthy recordings, RMSE per sensor, taps in Pa (times the noise floor)",
             "",
             *healthy,
             "## What is missing",

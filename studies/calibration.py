@@ -27,7 +27,8 @@ from pneu_sim.rig.schema import Rig
 from pneu_sysid.fit import FitOutcome, fit_rig
 from pneu_sysid.problem import make_problem, record_for
 from pneu_sysid.records import Recording
-from studies.calibration_rigs import PLANT_DX_M, SHAPES, draw_case
+from studies.bags import rig_file
+from studies.calibration_rigs import JOINT_DX_M, PLANT_DX_M, SHAPES, draw_case
 from studies.digest import digest_of, sources_digest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -44,13 +45,21 @@ GROUPS = {
     "bores": ("*.area_m2",),
     "walls of lines": ("pipes.*.wall.*",),
     "chambers": ("chambers.*",),
+    "friction and stops": ("*.friction.*", "*.viscous", "*.dry_friction", "*.stop_*"),
+    "linkages": ("bodies.*.slider.*",),
+    "masses and inertias": ("bodies.*",),
+    "cylinders": ("cylinders.*",),
+    "encoders": ("encoders.*",),
     "volumes and losses at ends": ("pipes.*",),
     "supply": ("reservoirs.*",),
     "places of taps": ("taps.*",),
     "restrictors": ("orifices.*",),
 }
 """Kinds of parameters by the patterns of their paths; the first that meets one counts."""
-SHOWN = ("conductances and critical ratios", "spools", "chambers", "restrictors", "bores")
+SHOWN = (
+    *("conductances and critical ratios", "spools", "chambers", "restrictors", "bores"),
+    *("friction and stops", "linkages", "masses and inertias", "cylinders", "encoders"),
+)
 """Kinds whose parameters are listed one by one."""
 
 
@@ -128,7 +137,7 @@ def of_bags(folder: Path, letter: str) -> tuple[str, Calibrated, list[Estimated]
         letter: What the names of its bags and its rig file begin with.
     """
     own = folder / f"rig_{letter}.yaml"
-    rig = load_rig(own if own.exists() else ROOT / "rigs" / f"rig_{letter}.yaml")
+    rig = load_rig(own if own.exists() else rig_file(letter))
     bags = [folder / f"{letter}_healthy_{k}" for k in (1, 2)]
     done = calibrated(rig, [record_for(rig, str(bag)) for bag in bags])
     return f"{folder.name}/{letter}", done, []
@@ -257,7 +266,8 @@ def _write(rows: list[str], table: list[str], lists: list[str], folders: list[Pa
         "# Calibration",
         "",
         f"Made by `make calibration`: {text}.",
-        f"The plant has cells of {1000 * PLANT_DX_M:g} mm, another limiter, and valves with limits,"
+        f"The plant has cells of {1000 * PLANT_DX_M:g} mm (of a joint {1000 * JOINT_DX_M:g} mm, and"
+        " another flux), another limiter, and valves with limits,"
         " delays and curves of their own; datasheets are off by 10 to 40 %.",
         f"Made from the sources {sources_digest()}"
         + (f" and the bags {', '.join(bags)}." if bags else "."),

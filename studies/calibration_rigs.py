@@ -4,6 +4,7 @@
 The plant is the simulator on a finer grid with another flux, limiter and wall, its valves with
 curves, delays and limits that no datasheet tells. The datasheet is off by 10 to 40 % in what
 valves, chambers and walls are, by less in volumes and bores, and has the maker's catalogue curve.
+Lines follow random commands; a joint (`studies.joint_rigs`) is steered too (`studies.joint_runs`).
 """
 
 import math
@@ -14,13 +15,16 @@ import numpy as np
 
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
-from pneu_sim.simulator import Readings, Simulator
+from pneu_sim.simulator import Simulator
 from pneu_sysid.records import Recording
 from studies.exact_rigs import COMMAND_HZ, draw_rig
+from studies.joint_rigs import LONGEST_M, draw_joint, known_of_joint
+from studies.joint_runs import PLANT_S, Excitation, Run, draw_excitation, run_joint
 
-SHAPES = ("line", "tee", "two_valves", "restrictor", "vessel")
+SHAPES = ("line", "tee", "two_valves", "restrictor", "vessel", "joint")
 PLANT_DX_M = 0.02
-PLANT_S = 2.5e-4
+JOINT_DX_M = 0.025
+"""Of a joint, whose flux is exact besides."""
 CATALOGUE_V = [5.1, 5.2, 5.35, 5.5, 5.75, 6.0, 6.5, 7.5, 10.0]
 CATALOGUE = [0.02, 0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0]
 """Opening curve that every datasheet has: proportional to the voltage."""
@@ -37,7 +41,7 @@ class Case:
         name: Its name.
         truth: What it is, as far as a rig file can say it, on the plant's own grid.
         datasheet: What is known of it.
-        recordings: Two: to calibrate on, and to be kept aside.
+        recordings: Two where they are wanted: to calibrate on, and to be kept aside.
         rate_hz: Readings of each tap per second.
         noise_pa: Standard deviation of their noise.
     """
@@ -50,25 +54,29 @@ class Case:
     noise_pa: float
 
 
-def draw_case(shape: str, seed: int, seconds: float = 14.0) -> Case:
+def draw_case(shape: str, seed: int, seconds: float = 14.0, count: int = 2) -> Case:
     """A rig, its datasheet and its recordings.
 
     Args:
         shape: One of ``SHAPES``.
         seed: Seed of all that is drawn.
         seconds: Length of each recording, s.
+        count: How many recordings are made.
     """
     rng = np.random.default_rng([seed, SHAPES.index(shape)])
     truth = _truth(shape, rng)
     datasheet = _datasheet(truth, rng)
     rate = float(rng.choice(RATES_HZ))
+    if truth.bodies:  # what steers a joint reads its sensors, and is what records them
+        rate = COMMAND_HZ
     noise = float(rng.uniform(*NOISE_PA))
     plant = truth.model_copy(deep=True)
     plant.grid = plant.grid.model_copy(
         update={"dx_m": PLANT_DX_M, "limiter": "minmod", "wave_speed_m_s": 800.0}
+        | ({"dx_m": JOINT_DX_M, "flux": "exact"} if plant.bodies else {})
     )
     recordings = [
-        record(plant, rng, rate, noise, seconds, f"{shape}_{seed}_{k + 1}") for k in range(2)
+        record(plant, rng, rate, noise, seconds, f"{shape}_{seed}_{k + 1}") for k in range(count)
     ]
     return Case(f"{shape}_{seed}", plant, datasheet, recordings, rate, noise)
 
@@ -82,11 +90,12 @@ def _curve(rng: np.random.Generator) -> list[float]:
 
 
 def _truth(shape: str, rng: np.random.Generator) -> Rig:
-    drawn = draw_rig("line" if shape == "vessel" else shape, rng)
+    joint = shape == "joint"
+    drawn = draw_joint(rng) if joint else draw_rig("line" if shape == "vessel" else shape, rng)
     data: dict[str, Any] = drawn.dump()
     data["name"] = shape
     longest = max(p["length_m"] for n, p in data["pipes"].items() if "feed" not in n)
-    wanted = math.exp(rng.uniform(math.log(0.4), math.log(LENGTHS_M[1])))
+    wanted = math.exp(rng.uniform(math.log(0.4), math.log(LONGEST_M if joint else LENGTHS_M[1])))
     wall = {
         "roughness_m": 2e-6,
         "heat_unsteady": 0.0,
@@ -168,7 +177,9 @@ def _datasheet(truth: Rig, rng: np.random.Generator) -> Rig:
                     "fraction": CATALOGUE,
                 }
     for tap in data["taps"].values():
-        del tap["noise_pa"]
+        tap.pop("noise_pa", None)
+    if truth.bodies:
+        known_of_joint(data, rng)
     data["fit"] = {"warm_up_s": 0.4}
     return Rig.model_validate(data)
 
@@ -219,47 +230,86 @@ def record(
         seconds: Length, s.
         name: Name of the recording.
     """
-    volts = {command: draw_volts(round(seconds * COMMAND_HZ), rng) for command in plant.commands}
-    return sampled(volts, run_plant(plant, volts), rng, rate, noise, name)
+    asked = draw_asked(plant, seconds, rng)
+    return sampled(plant, run_plant(plant, asked, noise), rng, rate, noise, name)
 
 
-def run_plant(plant: Rig, volts: dict[str, np.ndarray]) -> Readings:
-    """What the taps of a plant would read without noise, every ``PLANT_S``.
+def draw_asked(
+    plant: Rig, seconds: float, rng: np.random.Generator
+) -> dict[str, np.ndarray] | Excitation:
+    """What is asked of a plant: volts by command at ``COMMAND_HZ``, or what a joint is to do.
 
     Args:
         plant: The plant.
-        volts: Commands at ``COMMAND_HZ``, V.
+        seconds: How long, s.
+        rng: Source of all that is drawn.
     """
+    samples = round(seconds * COMMAND_HZ)
+    if plant.bodies:
+        return draw_excitation(plant, samples, rng)
+    return {command: draw_volts(samples, rng) for command in plant.commands}
+
+
+def run_plant(
+    plant: Rig,
+    asked: dict[str, np.ndarray] | Excitation,
+    noise: float = 0.0,
+    beside: Rig | None = None,
+) -> Run:
+    """What the sensors of a plant would read without noise, every ``PLANT_S``.
+
+    Args:
+        plant: The plant.
+        asked: What is asked of it.
+        noise: What the controller of a joint reads has this noise, Pa.
+        beside: A joint beside it; see `studies.joint_runs.run_joint`.
+    """
+    if isinstance(asked, Excitation):
+        return run_joint(plant, asked, noise, beside)
     fine = round(1.0 / (COMMAND_HZ * PLANT_S))
-    samples = len(next(iter(volts.values())))
-    along = {command: np.repeat(v, fine) for command, v in volts.items()}
-    return Simulator(plant).run(samples / COMMAND_HZ, along, PLANT_S)
+    samples = len(next(iter(asked.values())))
+    along = {command: np.repeat(v, fine) for command, v in asked.items()}
+    out = Simulator(plant).run(samples / COMMAND_HZ, along, PLANT_S)
+    return Run(asked, out.time_s, {**out.taps, **out.encoders}, {})
 
 
 def sampled(
-    volts: dict[str, np.ndarray],
-    out: Readings,
-    rng: np.random.Generator,
-    rate: float,
-    noise: float,
-    name: str,
+    plant: Rig, run: Run, rng: np.random.Generator, rate: float, noise: float, name: str
 ) -> Recording:
     """The recording of a run, with noise and quantisation.
 
     Args:
-        volts: Commands at ``COMMAND_HZ``, V.
-        out: The run.
-        rng: Source of the noise and of when the taps are read.
-        rate: Readings of each tap per second, Hz.
-        noise: Standard deviation of the noise, Pa.
+        plant: The plant, whose encoders have noise and steps of their own.
+        run: The run.
+        rng: Source of the noise and of when the sensors are read.
+        rate: Readings of each sensor per second, Hz.
+        noise: Standard deviation of the noise of taps, Pa.
         name: Name of the recording.
     """
-    times = np.arange(len(next(iter(volts.values())))) / COMMAND_HZ
+    times = np.arange(len(next(iter(run.volts.values())))) / COMMAND_HZ
     seconds = times.size / COMMAND_HZ
-    pressures = {}
+    pressures, encoders = {}, {}
     phase = float(rng.uniform(0.0, 1.0 / rate))
-    for tap, series in out.taps.items():
-        at = phase + np.arange(round(seconds * rate) - 1) / rate
-        values = np.interp(at, out.time_s, series) + noise * rng.normal(size=at.size)
-        pressures[tap] = Signal(at, np.round(values / 30.0) * 30.0)
-    return Recording(name, {c: Signal(times, v) for c, v in volts.items()}, pressures)
+    at = phase + np.arange(round(seconds * rate) - 1) / rate
+    for sensor, series in run.readings.items():
+        values = np.interp(at, run.time_s, series)
+        if sensor in plant.encoders:
+            own = plant.encoders[sensor]
+            values = values + own.noise * rng.normal(size=at.size)
+            encoders[sensor] = Signal(at, np.round(values / own.quantum) * own.quantum)
+        else:
+            values = values + noise * rng.normal(size=at.size)
+            pressures[sensor] = Signal(at, np.round(values / 30.0) * 30.0)
+    volts = {c: Signal(times, v) for c, v in run.volts.items()}
+    return Recording(name, volts, pressures, encoders=encoders)
+
+
+def noises(plant: Rig, noise: float) -> dict[str, float]:
+    """Standard deviation of the noise of each sensor, Pa or rad, steps of encoders included.
+
+    Args:
+        plant: The plant.
+        noise: That of taps, Pa.
+    """
+    own = {n: math.hypot(e.noise, e.quantum / math.sqrt(12.0)) for n, e in plant.encoders.items()}
+    return dict.fromkeys(plant.taps, noise) | own

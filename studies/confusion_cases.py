@@ -4,7 +4,10 @@
 The plant has a finer grid, another limiter and another flux than the model, valves with curves,
 delays and limits that no datasheet tells, and each rig is calibrated from its datasheet first. What
 is injected has a place, a position and a strength of its own, none of them the catalogue's typical
-one. An effect that changes no tap by a few times its noise is made stronger until it does.
+one. An effect that changes no sensor by a few times its noise is made stronger until it does. A
+joint is steered in a loop of its own, by which an effect changes the commands too: what it changes
+is told by a healthy joint beside it that gets the same commands and is put to where the other is
+several times a second.
 """
 
 import json
@@ -21,17 +24,18 @@ from pneu_sim.effects import registry
 from pneu_sim.effects.base import POSITION, Effect
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig
-from pneu_sim.simulator import Readings
 from pneu_sysid.fit import fit_rig
 from pneu_sysid.records import Recording
-from studies.calibration_rigs import COMMAND_HZ, draw_case, draw_volts, run_plant, sampled
+from studies.calibration_rigs import draw_asked, draw_case, noises, run_plant, sampled
+from studies.joint_runs import Excitation, Floats, Run
 
-RIGS = (("line", 11), ("tee", 12), ("two_valves", 13))
+RIGS = (("line", 11), ("tee", 12), ("two_valves", 13), ("joint", 14))
 """Shape and seed of each rig; other seeds than the calibration's study has."""
 SECONDS = 14.0
 HEALTHY = 10
 FELT = 3.0
-"""An injected effect changes its most affected tap by so many times the noise, root mean square."""
+"""An injected effect changes its most affected sensor by so many times the noise, root mean square.
+"""
 MOST_DOUBLINGS = 5
 COMMANDS = 3
 """Command sequences that the faulty recordings of a rig share."""
@@ -47,7 +51,7 @@ class Injection:
         effect: Name of the effect; empty where there is none.
         place: Its place.
         values: Its parameters.
-        felt: By how many times the noise it changes the tap that feels it most.
+        felt: By how many times the noise it changes the sensor that feels it most.
     """
 
     rig: str
@@ -120,6 +124,8 @@ def shape_of(effect: Effect, rig: Rig, place: str, rng: np.random.Generator) -> 
             values[q.name] = float(rng.uniform(0.1, 0.9) * rig.pipes[place].length_m)
         elif q.fitted and (low, high) != (q.lower, q.upper):
             values[q.name] = float(low + rng.uniform(0.25, 0.75) * (high - low))
+        elif q.name == "at":  # where a spring pulls to, typically zero
+            values[q.name] = float(np.clip(q.step * rng.uniform(-20.0, 20.0), low, high))
         elif q.fitted:
             values[q.name] = float(np.clip(q.typical * rng.uniform(0.5, 2.0), low, high))
         else:
@@ -127,17 +133,17 @@ def shape_of(effect: Effect, rig: Rig, place: str, rng: np.random.Generator) -> 
     return values
 
 
-def apart(faulty: Readings, healthy: Readings, noise: float) -> float:
-    """How much two runs differ at the tap where they differ most, in noise deviations.
+def apart(faulty: dict[str, Floats], healthy: dict[str, Floats], noise: dict[str, float]) -> float:
+    """How much two runs differ at the sensor where they differ most, in noise deviations.
 
     Args:
-        faulty: One run.
-        healthy: The other.
-        noise: Noise, Pa.
+        faulty: What sensors read on one run.
+        healthy: The same on the other.
+        noise: Noise of each, Pa, rad or m.
     """
     return max(
-        float(np.sqrt(np.mean((faulty.taps[tap] - healthy.taps[tap]) ** 2))) / noise
-        for tap in healthy.taps
+        float(np.sqrt(np.mean((faulty[sensor] - healthy[sensor]) ** 2))) / noise[sensor]
+        for sensor in healthy
     )
 
 
@@ -169,20 +175,19 @@ def recordings_of(shape: str, seed: int, folder: Path) -> list[tuple[Injection, 
         What each hides, and where it is; `load_recording` reads it.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    case = draw_case(shape, seed)
+    case = draw_case(shape, seed, count=0)
     plant, rate, noise = case.truth, case.rate_hz, case.noise_pa
-    samples = round(SECONDS * COMMAND_HZ)
     out = []
     for k in range(HEALTHY):
         rng = np.random.default_rng([seed, 1, k])
         key = f"{shape}_{seed}_healthy_{k}"
-        volts = {c: draw_volts(samples, rng) for c in plant.commands}
         injection = Injection(case.name, key)
         if not (folder / f"{key}.pkl").exists():
-            recording = sampled(volts, run_plant(plant, volts), rng, rate, noise, key)
+            run = run_plant(plant, draw_asked(plant, SECONDS, rng), noise)
+            recording = sampled(plant, run, rng, rate, noise, key)
             _keep(folder, injection, recording)
         out.append((injection, folder / f"{key}.pkl"))
-    shared: dict[int, tuple[dict[str, np.ndarray], Readings]] = {}
+    shared: dict[int, tuple[dict[str, Floats] | Excitation, Run | None]] = {}
     for number, effect in enumerate(registry().values()):
         rng = np.random.default_rng([seed, 2, *effect.name.encode()])
         place = place_of(effect, plant, rng)
@@ -194,19 +199,21 @@ def recordings_of(shape: str, seed: int, folder: Path) -> list[tuple[Injection, 
             along = number % COMMANDS
             if along not in shared:
                 own = np.random.default_rng([seed, 3, along])
-                volts = {c: draw_volts(samples, own) for c in plant.commands}
-                shared[along] = volts, run_plant(plant, volts)
-            volts, healthy = shared[along]
+                asked = draw_asked(plant, SECONDS, own)
+                shared[along] = asked, None if plant.bodies else run_plant(plant, asked)
+            asked, alone = shared[along]
             values = shape_of(effect, plant, place, rng)
             for strength in strengths(effect, plant, place, rng):
                 values[effect.strength.name] = strength
                 attached = AttachedEffect(effect=effect.name, place=place, parameters=values)
-                faulty = run_plant(plant.model_copy(update={"effects": [attached]}), volts)
-                felt = apart(faulty, healthy, noise)
+                hiding = plant.model_copy(update={"effects": [attached]})
+                faulty = run_plant(hiding, asked, noise, plant if alone is None else None)
+                healthy = faulty.beside if alone is None else alone.readings
+                felt = apart(faulty.readings, healthy, noises(plant, noise))
                 if felt >= FELT:
                     break
             injection = Injection(case.name, key, effect.name, place, dict(values), felt)
-            _keep(folder, injection, sampled(volts, faulty, rng, rate, noise, key))
+            _keep(folder, injection, sampled(plant, faulty, rng, rate, noise, key))
         out.append((Injection(**json.loads(told.read_text())), folder / f"{key}.pkl"))
     return out
 
