@@ -74,11 +74,22 @@ class Arm(Body):
         return self
 
     def carry(self, field: str, mass_kg: float, distance_m: float) -> None:
-        """See `Body.carry`."""
+        """See `Body.carry`.
+
+        Args:
+            field: The joint's field.
+            mass_kg: The mass; may be negative.
+            distance_m: From the joint.
+        """
         self._link(field).carry(mass_kg, distance_m)
 
     def shift_centre(self, field: str, offset_m: float) -> None:
-        """See `Body.shift_centre`."""
+        """See `Body.shift_centre`.
+
+        Args:
+            field: The joint's field.
+            offset_m: Away from the joint.
+        """
         self._link(field).shift_centre(offset_m)
 
     def _link(self, field: str) -> Link:

@@ -52,14 +52,25 @@ class CartPole(Body):
     pole: Joint = Joint()
 
     def carry(self, field: str, mass_kg: float, distance_m: float) -> None:
-        """See `Body.carry`."""
+        """See `Body.carry`.
+
+        Args:
+            field: The joint's field.
+            mass_kg: The mass; may be negative.
+            distance_m: From the joint.
+        """
         if field == "slide":
             self.cart_kg += mass_kg
         else:
             self.rod.carry(mass_kg, distance_m)
 
     def shift_centre(self, field: str, offset_m: float) -> None:
-        """See `Body.shift_centre`."""
+        """See `Body.shift_centre`.
+
+        Args:
+            field: The joint's field.
+            offset_m: Away from the joint.
+        """
         del field
         self.rod.shift_centre(offset_m)
 

@@ -131,7 +131,11 @@ class Crank(Linkage):
     offset_rad: Finite = 0.0
 
     def lengthen(self, error: float) -> None:
-        """See `Linkage.lengthen`."""
+        """See `Linkage.lengthen`.
+
+        Args:
+            error: By which part of the distance from joint to pin.
+        """
         x, y = self.pin_m
         self.pin_m = (x * (1.0 + error), y * (1.0 + error))
 
@@ -160,7 +164,11 @@ class SliderCrank(Linkage):
     phase_rad: Finite = 0.0
 
     def lengthen(self, error: float) -> None:
-        """See `Linkage.lengthen`."""
+        """See `Linkage.lengthen`.
+
+        Args:
+            error: By which part of the distance from joint to pin.
+        """
         self.crank_m *= 1.0 + error
 
     @property

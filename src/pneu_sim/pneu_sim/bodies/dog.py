@@ -165,7 +165,13 @@ class Dog(Body):
         return self
 
     def carry(self, field: str, mass_kg: float, distance_m: float) -> None:
-        """See `Body.carry`; it lies on the middle of the torso."""
+        """See `Body.carry`; it lies on the middle of the torso.
+
+        Args:
+            field: The joint's field.
+            mass_kg: The mass; may be negative.
+            distance_m: From the joint.
+        """
         del field, distance_m
         self.torso_kg += mass_kg
 

@@ -76,7 +76,13 @@ class Kokoro(Body):
         return self
 
     def carry(self, field: str, mass_kg: float, distance_m: float) -> None:
-        """See `Body.carry`."""
+        """See `Body.carry`.
+
+        Args:
+            field: The joint's field.
+            mass_kg: The mass; may be negative.
+            distance_m: From the joint.
+        """
         del field
         moment = self.mass_kg * self.centre_m + mass_kg * distance_m
         self.mass_kg += mass_kg
@@ -84,7 +90,12 @@ class Kokoro(Body):
         self.theta_inertia_kg_m2 += mass_kg * distance_m**2
 
     def shift_centre(self, field: str, offset_m: float) -> None:
-        """See `Body.shift_centre`; its inertia about the joint is kept, which is what it has."""
+        """See `Body.shift_centre`; kept is the inertia about the joint, which is what it has.
+
+        Args:
+            field: The joint's field.
+            offset_m: Away from the joint.
+        """
         del field
         self.centre_m += offset_m
 

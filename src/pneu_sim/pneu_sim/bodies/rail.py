@@ -32,7 +32,13 @@ class Rail(Body):
     slide: Joint = Joint()
 
     def carry(self, field: str, mass_kg: float, distance_m: float) -> None:
-        """See `Body.carry`."""
+        """See `Body.carry`.
+
+        Args:
+            field: The joint's field.
+            mass_kg: The mass; may be negative.
+            distance_m: From the joint.
+        """
         del field, distance_m
         self.mass_kg += mass_kg
 

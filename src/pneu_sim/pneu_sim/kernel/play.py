@@ -17,7 +17,13 @@ LEANS, LOOSE = 1.0, 2.0
 
 @folded
 def has_play(b, j, bodies):
-    """Whether any joint of a body has play."""
+    """Whether any joint of a body has play.
+
+    Args:
+        b: Which body.
+        j: Which lane.
+        bodies: Bodies.
+    """
     first, n = bodies.table[b, L.B_JOINT], bodies.table[b, L.B_JOINTS]
     widest = 0.0
     for i in range(n):
@@ -56,7 +62,14 @@ def look_from(b, j, c, side, bodies):
 
 @folded
 def is_played(b, j, c, bodies):
-    """Whether a joint that place c drives has play; by the levers at ``bodies.q``."""
+    """Whether a joint that a place drives has play; by the levers at ``bodies.q``.
+
+    Args:
+        b: Which body.
+        j: Which lane.
+        c: Which of its places.
+        bodies: Bodies.
+    """
     first, n = bodies.table[b, L.B_JOINT], bodies.table[b, L.B_JOINTS]
     for i in range(n):
         if bodies.joint[first + i, L.PJ_PLAY, j] > 0.0 and bodies.lever[c, i] != 0.0:
