@@ -13,8 +13,8 @@ BENCH_VENV := .venv-bench
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test bench lint format bags folder-is-named exact calibration thinned confusion \
-	thresholds moved faults fuzz study-pressure clean clean-kernels
+.PHONY: help demo demo-robot test bench lint format bags folder-is-named exact calibration thinned \
+	confusion thresholds moved faults fuzz study-pressure clean clean-kernels
 
 help:  ## list the targets
 	@$(PYTHON) tools/make_help.py $(firstword $(MAKEFILE_LIST))
@@ -22,6 +22,9 @@ help:  ## list the targets
 demo: $(VENV)/.ready-run  ## the whole story on a bag that comes with the repository
 	@$(RUN) examples/demo.py
 	@$(RUN) examples/live.py
+
+demo-robot: $(VENV)/.ready-run  ## a robot behind Modbus with a hidden fault, named live; SEED=n
+	@$(RUN) examples/live_robot.py $(if $(SEED),--seed $(SEED))
 
 test: lint  ## lint, type check and every test
 	@$(RUN) tools/run_tests.py

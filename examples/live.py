@@ -12,53 +12,40 @@ machine.
 The exit status is 0 where the effect that was named is the one under the seal.
 """
 
-import contextlib
 import json
-import os
-import random
-import shutil
-import signal
-import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from emulated_lab import Lab, prepare, record, run, shown
 from rich.console import Console
 from rich.table import Table
 
-from pneu_hw_bridge.lab.asking import ask
 from pneu_hw_bridge.lab.sealed import open_sealed, seal
-from pneu_runtime import hook
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import AttachedEffect
 
-hook.install()  # of the machine's own rclpy, where there is one
-import rclpy  # noqa: E402
-
-ROOT = Path(__file__).resolve().parent.parent
 OUT = Path("out/live")
 RIG = "rigs/lab.yaml"
-REGISTERS = "logging_plc"
-SECONDS = 8.0
-"""Length of a recording by the device's clock."""
-PACE = "1"
-"""Seconds of device time per second."""
-DX_M = "0.035"
-"""Cells of the lab: shorter than the model's, so that the one is not the other."""
+TAPS = ("supply", "valve_out", "middle", "end", "exhaust")
+LAB = Lab(
+    out=OUT,
+    rig=RIG,
+    registers="logging_plc",
+    dx_m=0.035,
+    seconds=8.0,
+    launch=(),
+    topics={
+        "/clock": (1, 2),
+        "/lab/valve/command": (1, 2),
+        "/lab/target": (1, 2),
+        "/lab/valve/applied": (1, 1),
+        **{f"/lab/taps/{tap}/pressure": (1, 2 if tap == "end" else 1) for tap in TAPS},
+    },
+)
 MOST_HEALTHY_PA = 2500.0
 """Ten times the sensors' noise: an error that hides what could be learned."""
-READY_S = 120.0
-"""How long the lab may take to be ready; the first time it compiles its kernels."""
-END_S = 20.0
-"""How long a command may take to end after it was asked to."""
-GRAPH_S = 60.0
-"""How long the nodes may take to find each other."""
-MATCH_S = 0.5
-"""For the last of them to be known on both sides."""
-LONGEST_S = 120.0
-"""How long the machine may take for one recording."""
 
 
 def hidden(seed: int) -> AttachedEffect:
@@ -78,128 +65,6 @@ def hidden(seed: int) -> AttachedEffect:
     return AttachedEffect(effect=effect, place=place, parameters=parameters)
 
 
-@contextlib.contextmanager
-def pneu(*words: str, log: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """A `pneu` command in the background; ended as by Ctrl-C, and for good.
-
-    Args:
-        *words: Its arguments.
-        log: File for what it prints.
-    """
-    with log.open("wb") as stream:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "pneu_common.cli", *words],
-            stdout=stream,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
-        try:
-            yield process
-            process.send_signal(signal.SIGINT)
-            process.wait(END_S)
-        finally:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-
-
-def wait_for(path: Path, process: subprocess.Popen[bytes], log: Path, seconds: float) -> None:
-    """Waits for a file that a process writes; its log tells why where it does not.
-
-    Args:
-        path: The file.
-        process: The process.
-        log: What the process printed.
-        seconds: How long to wait, s.
-    """
-    end = time.monotonic() + seconds
-    while not path.exists():
-        if process.poll() is not None or time.monotonic() > end:
-            raise SystemExit(f"{path} did not appear:\n{log.read_text(errors='replace')}")
-        time.sleep(0.05)
-
-
-def wait_for_graph(process: subprocess.Popen[bytes], log: Path) -> None:
-    """Waits until controller, target, bridge and recorder have found each other.
-
-    Args:
-        process: The launch.
-        log: What it printed.
-    """
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context)
-    node = rclpy.create_node("live", context=context)
-    needed = {"valve/command": (1, 2), "target": (1, 2), "valve/applied": (1, 1)}
-    needed |= {f"taps/{tap}/pressure": (1, 1) for tap in load_rig(RIG).taps}
-    needed["taps/end/pressure"] = (1, 2)
-    topics = {f"/lab/{name}": counts for name, counts in needed.items()} | {"/clock": (1, 2)}
-    end = time.monotonic() + GRAPH_S
-    try:
-        while not all(
-            node.count_publishers(topic) >= publishers and node.count_subscribers(topic) >= heard
-            for topic, (publishers, heard) in topics.items()
-        ):
-            if process.poll() is not None or time.monotonic() > end:
-                raise SystemExit(f"the graph is not whole:\n{log.read_text(errors='replace')}")
-            time.sleep(0.05)
-    finally:
-        node.destroy_node()
-        rclpy.shutdown(context=context)
-    time.sleep(MATCH_S)
-
-
-def record(name: str, sealed: list[str], console: Console) -> Path:
-    """Runs lab, bridge and controller, and returns the bag.
-
-    Args:
-        name: Of the bag.
-        sealed: Options of the lab that hide an effect.
-        console: Where to say what is done.
-    """
-    ready, bag, log = OUT / f"{name}.ready", OUT / name, OUT / f"{name}.lab.log"
-    lab = ["lab", "--rig", RIG, *sealed, "--registers", REGISTERS, "--paced", PACE, "--standing"]
-    lab += ["--port", "0", "--dx", DX_M, "--control-port", "0", "--ready-file", str(ready)]
-    console.print(f"$ pneu {' '.join(lab)}", style="cyan")
-    with pneu(*lab, log=log) as device:
-        wait_for(ready, device, log, READY_S)
-        ports = json.loads(ready.read_text())
-        words = ["launch", "pneu_bringup", "rig.launch.yaml", "backend:=modbus"]
-        words += [f"registers:={REGISTERS}", f"port:={ports['modbus_port']}", f"record:={bag}"]
-        words += ["use_sim_time:=true"]
-        console.print(f"$ pneu {' '.join(words)}", style="cyan")
-        launch_log = OUT / f"{name}.launch.log"
-        with pneu(*words, log=launch_log) as launch:
-            wait_for(bag, launch, launch_log, 30.0)
-            wait_for_graph(launch, launch_log)
-            go = {"do": "go", "seconds": SECONDS}
-            console.print(f"$ pneu lab go --seconds {SECONDS:g}", style="cyan")
-            ask(ports["control_port"], go)
-            end = time.monotonic() + LONGEST_S
-            while not ask(ports["control_port"], {"do": "status"})["plant"]["standing"]:
-                if launch.poll() is not None or device.poll() is not None:
-                    raise SystemExit(launch_log.read_text(errors="replace"))
-                if time.monotonic() > end:
-                    raise SystemExit(f"{SECONDS:g} s of the device took more than {LONGEST_S:g} s")
-                time.sleep(0.1)
-            time.sleep(MATCH_S)  # for the last samples to be written
-    return bag
-
-
-def run(console: Console, *words: str) -> None:
-    """Runs a `pneu` command to its end; its failure is ours.
-
-    Args:
-        console: Where to say what is done.
-        *words: Its arguments.
-    """
-    console.print(f"$ pneu {' '.join(words)}", style="cyan")
-    status = subprocess.run(
-        [sys.executable, "-m", "pneu_common.cli", *words], check=False
-    ).returncode
-    if status:
-        raise SystemExit(status)
-
-
 def check(console: Console, model: str) -> None:
     """Says so where the model does not explain a healthy lab.
 
@@ -215,15 +80,6 @@ def check(console: Console, model: str) -> None:
             f"[yellow]The model leaves {worst_pa:.0f} Pa of a healthy lab, more than"
             f" {MOST_HEALTHY_PA:.0f} Pa. What is learned below may be wrong.[/yellow]"
         )
-
-
-def shown(parameters: dict[str, float]) -> str:
-    """Numbers of an effect in words.
-
-    Args:
-        parameters: By name.
-    """
-    return ", ".join(f"{name} {value:.3g}" for name, value in parameters.items())
 
 
 def judge(console: Console, sealed: AttachedEffect) -> bool:
@@ -265,28 +121,23 @@ def judge(console: Console, sealed: AttachedEffect) -> bool:
 
 def main() -> int:
     """Runs the story; returns the exit status."""
-    os.chdir(ROOT)
-    console = Console(width=140) if not sys.stdout.isatty() else Console()
     if len(sys.argv) > 1 and not sys.argv[1].isdigit():
         sys.exit(f"seed: found {sys.argv[1]!r}, a whole number is needed")
     seed = int(sys.argv[1]) if len(sys.argv) > 1 else 1
     began = time.monotonic()
-    shutil.rmtree(OUT, ignore_errors=True)
-    OUT.mkdir(parents=True)
-    os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(1, 100)))
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    console = prepare(OUT)
     seal([hidden(seed)], OUT / "hidden.sealed")
     model = str(OUT / "calibrated.yaml")
     console.rule()
     console.print(
         "[bold]A healthy lab, to calibrate the model's delay from the device to the valve.[/bold]"
     )
-    healthy = record("healthy", [], console)
+    healthy = record(LAB, "healthy", console)
     run(console, "fit", str(healthy), "--rig", RIG, "-o", model)
     check(console, model)
     console.rule()
     console.print("[bold]A lab with a fault that nobody is told, and a controller on it.[/bold]")
-    bag = record("faulty", ["--sealed", str(OUT / "hidden.sealed")], console)
+    bag = record(LAB, "faulty", console, "--sealed", str(OUT / "hidden.sealed"))
     console.rule()
     console.print("[bold]What does the model lack?[/bold]")
     run(console, "learn", str(bag), "--rig", model, "-o", str(OUT / "learned"))

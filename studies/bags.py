@@ -3,7 +3,7 @@
 
 Bags are named ``<rig>_<what>``: ``a_healthy_1`` calibrates rig A, ``a_healthy_2`` validates it,
 every other ``a_*`` hides something. A rig is the one in the folder (``rig_a.yaml``), or else the
-project's (``rigs/rig_a.yaml``, or as ``RIG_FILES`` has it), whose shipped calibration is used if
+project's (``rigs/rig_a.yaml``), whose shipped calibration is used if
 there is one. What a bag hides is in the folder's ``labels.json``, or in ``KNOWN``. Writes
 ``docs/bags.md`` and ``out/bags/``.
 """
@@ -43,8 +43,6 @@ from studies.digest import digest_of, sources_digest
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "out" / "bags"
-RIG_FILES = {"j": "kokoro"}
-"""Rig files of the project by the letter of their bags, where they are not ``rig_<letter>``."""
 AFTER_WITHIN = 1.2
 """Error kept aside after adding, as a multiple of the healthy recording's."""
 
@@ -101,7 +99,7 @@ def rig_file(letter: str) -> Path:
     Args:
         letter: What the names of its bags begin with.
     """
-    return ROOT / "rigs" / f"{RIG_FILES.get(letter, f'rig_{letter}')}.yaml"
+    return ROOT / "rigs" / f"rig_{letter}.yaml"
 
 
 def calibrated(letter: str, folder: Path, refit: bool, console: Console) -> Rig:

@@ -28,6 +28,7 @@ setup(
             "pid = pneu_policy.nodes.pid:main",
             "policy = pneu_policy.nodes.policy:main",
             "excite = pneu_policy.nodes.excite:main",
+            "joint = pneu_policy.nodes.joint:main",
             "target = pneu_policy.nodes.target:main",
         ],
         "pneu.commands": ["5-policy = pneu_policy.commands:register"],

@@ -147,6 +147,16 @@ def test_an_arm_that_begins_to_move_slowly_is_not_frozen():
         assert taken.read(0.5 * (0.05 + 0.002 * k) ** 2, 80.0)[0] == ""
 
 
+def test_samples_that_come_late_freeze_by_their_own_time():
+    for pace, freezes in ((1.0, True), (0.2, False)):  # device time per steady time
+        watch = EncoderWatch("elbow", LIMITS)
+        said = ""
+        for k in range(40):  # 78 ms of steady time
+            now_s = 100.0 + 0.002 * k
+            said = said or watch.take(0.1, now_s, 1e9 + pace * (now_s - 100.0), 200.0, 1.0)
+        assert bool(said) is freezes
+
+
 def test_unknown_pressures_prove_nothing():
     assert Taken().read(0.3, None, 500)[0] == ""
 

@@ -800,17 +800,12 @@ def write_json(path: str | Path, result: Head | dict[str, Any]) -> None:
 _PAGE = """\
 # JSON results
 
-`--json FILE` of `pneu compare`, `fit`, `diagnose` and `learn` writes one object as below. All
-quantities are SI, pressures absolute pascals, times from the start of the recording; the unit is in
-a key's name (`rmse_pa`). Encoders stand apart from taps: their keys have no unit in their names
-(`rmse`), and `encoders` says of each whether it is rad or m. There is never NaN or infinity: where
-a number does not exist, `null` stands. `schema` names the command and the version; the version
-rises when a key changes its meaning or goes away, not when one is added.
 `--json FILE` of `pneu compare`, `fit`, `diagnose`, `learn` and `friction` writes one object as
 below. All quantities are SI, pressures absolute pascals, times from the start of the recording; the
-unit is in a key's name (`rmse_pa`). There is never NaN or infinity: where a number does not exist,
-`null` stands. `schema` names the command and the version; the version rises when a key changes its
-meaning or goes away, not when one is added.
+unit is in a key's name (`rmse_pa`). Encoders stand apart from taps: their keys have no unit in
+their names (`rmse`), and `encoders` says of each whether it is rad or m. There is never NaN or
+infinity: where a number does not exist, `null` stands. `schema` names the command and the version;
+the version rises when a key changes its meaning or goes away, not when one is added.
 
 Residuals are measured minus model everywhere: `bias_pa` is positive where the sensor reads above
 the model. `lag_s` is positive where the measurement is later than the model.

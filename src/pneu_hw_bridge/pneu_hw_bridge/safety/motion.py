@@ -92,7 +92,7 @@ class EncoderWatch:
         """Begins anew: neither movement nor standing still from before counts."""
         self._recent: deque[tuple[float, float]] = deque()
         self._anchor = math.nan
-        self._pushed_s = math.nan
+        self._pushed_s = self._pushed_taken_s = math.nan
 
     def take(
         self, value: float, now_s: float, taken_s: float | None, force: float | None, gap_s: float
@@ -117,7 +117,7 @@ class EncoderWatch:
             self.forget()
         beyond = self.beyond()
         moved = "" if taken_s is None or not math.isfinite(value) else self._moved(value, taken_s)
-        stuck = self._stuck(value, now_s, force)
+        stuck = self._stuck(value, now_s, taken_s, force)
         return beyond or moved or stuck
 
     def beyond(self) -> str:
@@ -155,7 +155,7 @@ class EncoderWatch:
             )
         return said
 
-    def _stuck(self, value: float, now_s: float, force: float | None) -> str:
+    def _stuck(self, value: float, now_s: float, taken_s: float | None, force: float | None) -> str:
         """Whether it shows no movement while the gas pushes with more than can be held."""
         frozen = self._limits.frozen
         if frozen is None:
@@ -172,10 +172,15 @@ class EncoderWatch:
             return ""
         if math.isnan(self._pushed_s):
             self._pushed_s = now_s
-        if now_s - self._pushed_s < frozen.after_s:
+            self._pushed_taken_s = math.nan if taken_s is None else taken_s
+        pushed_s = now_s - self._pushed_s
+        if taken_s is not None and taken_s >= self._pushed_taken_s:
+            # Samples that come late show no less movement than their own time lets the joint have.
+            pushed_s = min(pushed_s, taken_s - self._pushed_taken_s)
+        if pushed_s < frozen.after_s:
             return ""
         return (
             f"{self._name} is frozen at {value:.4g}: pushed by {abs(force):.4g} for"
-            f" {1e3 * (now_s - self._pushed_s):.0f} ms it shows no movement; at rest"
+            f" {1e3 * pushed_s:.0f} ms it shows no movement; at rest"
             f" {frozen.hold:.4g} can be held"
         )
