@@ -3,6 +3,7 @@
 
 from pneu_sim.effects.registry import registry
 from pneu_sim.rig.schema import Rig
+from pneu_sysid.sensor_units import encoder_units
 
 PURE = frozenset({
         "centre_opening", "cfl", "critical_ratio", "damping", "discharge",
@@ -21,8 +22,14 @@ JOINT = {
     "dry_friction": ("N m", "N"),
     "stop_stiffness": ("N m/rad", "N/m"),
     "stop_damping": ("N m s/rad", "N s/m"),
+    "stop_hold": ("1", "1"),
+    "spring": ("N m/rad", "N/m"),
+    "spring_at": ("rad", "m"),
+    "play": ("rad", "m"),
 }
 """Numbers of a joint, and their units where it turns and where it slides."""
+ENCODER = frozenset({"bias", "noise", "quantum"})
+"""Numbers of an encoder in the unit of what it reads."""
 SUFFIXES = (
     ("_m3_rad", "m^3/rad"),
     ("_n_per_pa", "N/Pa"),
@@ -73,6 +80,8 @@ def unit_of_parameter(rig: Rig, path: str) -> str | None:
         body = rig.bodies.get(parts[1])
         slides = body is not None and parts[2] in body.slides
         return JOINT[parts[3]][slides]
+    if len(parts) == 3 and parts[0] == "encoders" and parts[2] in ENCODER:
+        return encoder_units(rig).get(parts[1])
     named = [part for part in parts if not part.isdigit()]
     return unit_of_name(named[-1]) if named else None
 

@@ -13,9 +13,9 @@ from pydantic import BaseModel
 
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.plausible import RANGES
-from pneu_sim.rig.schema import AttachedEffect, FitParameter, Rig
+from pneu_sim.rig.schema import AttachedEffect, Calibration, FitParameter, Rig
 from pneu_sysid.commands import fit_result
-from pneu_sysid.parameter_units import JOINT, PURE, unit_of_name, unit_of_parameter
+from pneu_sysid.parameter_units import ENCODER, JOINT, PURE, unit_of_name, unit_of_parameter
 from pneu_sysid.parameters import calibrated_parameters
 
 RIGS = sorted((Path(__file__).parents[3] / "rigs").glob("*.yaml"))
@@ -23,6 +23,7 @@ NOT_OF_THE_RIG = {"Fit", "FitParameter", "Calibration", "TextFormat", "Channel"}
 """Parts of a rig file that say how it is recorded and fitted."""
 NO_UNIT_IN_THE_NAME = {
     "area_profile", "newton_iterations", "order", "pneu_rig", "masses_kg", *JOINT,
+    *ENCODER,
 }  # fmt: skip
 
 
@@ -113,7 +114,11 @@ def test_the_result_of_a_fit_carries_units() -> None:
     )
     outcome = SimpleNamespace(
         rig=SimpleNamespace(
-            calibration=SimpleNamespace(noise_floor_pa={}), name="rig", taps={}, effects=rig.effects
+            calibration=Calibration(recording="bag", rmse_pa={}, noise_floor_pa={}),
+            name="rig",
+            taps={},
+            encoders={},
+            effects=rig.effects,
         ),
         parameters=[FitParameter(path=path, lower=0.0, upper=100.0) for path in paths],
         values=[50.0, 1.0],
@@ -121,8 +126,6 @@ def test_the_result_of_a_fit_carries_units() -> None:
         known=known,
         shortfall=None,
         warnings=[],
-        rmse_pa={},
-        held_out_rmse_pa={},
         estimate=SimpleNamespace(history=[]),
     )
     result: Any = fit_result("rig.yaml", None, [], outcome)  # type: ignore[arg-type]
