@@ -24,7 +24,7 @@ from pneu_sim.rig import load_rig  # noqa: E402
 from pneu_sim.rig.encoder import Encoder  # noqa: E402
 from pneu_sim.simulator import Simulator  # noqa: E402
 
-KOKORO = Path(__file__).parents[3] / "rigs" / "kokoro.yaml"
+KOKORO = Path(__file__).parents[3] / "rigs" / "rig_j.yaml"
 APART = {"head": 8.0, "rod": 3.0}
 STEP_S = 2e-3
 

@@ -26,13 +26,13 @@ DEGREE = np.pi / 180.0
 
 @pytest.fixture(scope="module")
 def rig() -> Rig:
-    return load_rig(ROOT / "rigs" / "kokoro.yaml")
+    return load_rig(ROOT / "rigs" / "rig_j.yaml")
 
 
 @pytest.fixture(scope="module")
 def sled() -> Rig:
     """A mass on a rail; one encoder on the cylinder, one on its joint, which has no stops."""
-    rig = load_rig(ROOT / "rigs" / "kokoro.yaml").dump()
+    rig = load_rig(ROOT / "rigs" / "rig_j.yaml").dump()
     rig["bodies"] = {"sled": {"kind": "rail", "cylinder": "forearm", "mass_kg": 1.0}}
     rig["bodies"]["sled"]["slide"] = {"name": "way", "start": 0.03}
     rig["encoders"] = {"rod": {"cylinder": "forearm"}, "way": {}}
