@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_common.files import scratch_beside
+from pneu_runtime import interfaces
 from pneu_sim.channels import Channel
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Motion, Signal
@@ -20,6 +21,7 @@ from pneu_sim.topics import (
     FLUID_PRESSURE,
     JOINT_STATE,
     JOINTS_TOPIC,
+    VALVE_COMMAND,
     encoder_channel,
     encoder_topics,
     same_topic,
@@ -27,6 +29,9 @@ from pneu_sim.topics import (
 
 FIELD_OF = {FLUID_PRESSURE: "fluid_pressure", FLOAT64: "data"}
 """Message types that are written, and the field that holds the number."""
+
+NAMED_FIELDS = {VALVE_COMMAND: "voltage_v", JOINT_STATE: "position"}
+"""Those with the values of several signals, and where they are; told by name."""
 
 JOINTS_IN_BAG = f"/{JOINTS_TOPIC}"
 """Topic of the joints; topics in a bag are absolute."""
@@ -49,6 +54,7 @@ def write_bag(
 
     Pressures go out as stamped ``FluidPressure`` and commands as ``Float64``, unless the channel
     names the other type; scale and offset of the channel are undone. NaN samples are left out.
+    Commands of a ``ValveCommand`` go out in one message where they change at one instant, by name.
     Joints go out together as ``JointState`` on ``/joint_states``; and so does what encoders read,
     those of one topic and instant together, or as a ``Float64`` where the channel says so.
 
@@ -85,16 +91,24 @@ def write_bag(
         for name, signal in of_encoders.items()
     }
     signals += [signal for signal in read.values() if signal.kind != JOINT_STATE]
-    motions = [
-        _together(topic.name, [read[one.name] for one in topic.signals if one.name in read])
+    valves = [signal for signal in signals if signal.kind == VALVE_COMMAND]
+    signals = [signal for signal in signals if signal.kind != VALVE_COMMAND]
+    groups = [
+        _together(topic, VALVE_COMMAND, [one for one in valves if one.topic == topic])
+        for topic in dict.fromkeys(signal.topic for signal in valves)
+    ]
+    groups += [
+        _together(
+            topic.name, JOINT_STATE, [read[one.name] for one in topic.signals if one.name in read]
+        )
         for topic in encoder_topics(rig)
         if topic.type == JOINT_STATE and any(one.name in read for one in topic.signals)
     ]
     if motion is not None and not motion.positions:
         motion = None
     if motion is not None:
-        motions.append((JOINTS_IN_BAG, motion))
-    if not signals and not motions:
+        groups.append(_Group(JOINTS_IN_BAG, JOINT_STATE, motion))
+    if not signals and not groups:
         raise InputError(f"{path}: found no signal to write, at least one is needed")
     topics = [signal.topic for signal in signals]
     for signal in signals:
@@ -103,13 +117,18 @@ def write_bag(
                 f"{path}: {signal.name}: topic {signal.topic!r} is that of another signal of the"
                 " rig too; a bag needs one for each"
             )
-        if any(same_topic(f"/{topic.lstrip('/')}", signal.topic) for topic, _ in motions):
+        if any(same_topic(group.topic, signal.topic) for group in groups):
             raise InputError(
-                f"{path}: {signal.name}: topic {signal.topic!r} is that of the rig's joints; a bag"
-                " needs one for each"
+                f"{path}: {signal.name}: topic {signal.topic!r} is that of the rig's joints or"
+                " valves; a bag needs one for each"
             )
-    if len({topic for topic, _ in motions}) < len(motions):
-        raise InputError(f"{path}: encoders and joints are on one topic, {JOINTS_IN_BAG!r}")
+    shared = [group.topic for group in groups]
+    if len(set(shared)) < len(shared):
+        topic = next(topic for topic in shared if shared.count(topic) > 1)
+        raise InputError(
+            f"{path}: topic {topic!r} is that of valves, encoders or joints at once; a bag needs"
+            " one for each"
+        )
     times = [s.time_s for s in (*commands.values(), *pressures.values(), *of_encoders.values())]
     times += [] if motion is None else [motion.time_s]
     earliest_s = min((float(time_s[0]) for time_s in times if len(time_s)), default=0.0)
@@ -119,7 +138,7 @@ def write_bag(
     begin_ns = round(begin_s * 1e9)
     with scratch_beside(path) as aside:
         name = path.name.removesuffix(".mcap")
-        _write(aside / name, signals, begin_ns, motions, rig.name)
+        _write(aside / name, signals, begin_ns, groups, rig.name)
         written = aside / name
         if path.suffix == ".mcap":
             written = next(written.glob("*.mcap"))
@@ -145,6 +164,21 @@ class _Channel:
     raw: NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class _Group:
+    """Signals that are written together, by name.
+
+    Attributes:
+        topic: Topic, absolute.
+        kind: Message type, one of ``NAMED_FIELDS``.
+        rows: The values as the topic carries them, as positions; NaN where nothing is told.
+    """
+
+    topic: str
+    kind: str
+    rows: Motion
+
+
 def _signal(
     path: Path,
     where: str,
@@ -161,10 +195,13 @@ def _signal(
     kind = channel.type or usual
     if kind.count("/") == 1:
         kind = kind.replace("/", "/msg/")
-    if FIELD_OF.get(kind) != channel.field and (kind, channel.field) != (JOINT_STATE, "position"):
+    # Of a valve's voltage the name counts, not its number; joints may also be told by number.
+    field = channel.field.partition("[")[0] if kind == VALVE_COMMAND else channel.field
+    written = FIELD_OF | NAMED_FIELDS
+    if written.get(kind) != field:
         raise InputError(
             f"{path}: {where}: found field {channel.field!r} of {kind}, written are"
-            f" {' and '.join(f'{field!r} of {t}' for t, field in FIELD_OF.items())}"
+            f" {', '.join(f'{field!r} of {t}' for t, field in written.items())}"
         )
     time_s, values = np.asarray(signal.time_s), np.asarray(signal.values, dtype=float)
     if time_s.shape != values.shape:
@@ -176,37 +213,38 @@ def _signal(
     return _Channel(channel.topic, kind, name, np.rint(time_s[good] * 1e9).astype(np.int64), raw)
 
 
-def _together(topic: str, channels: list[_Channel]) -> tuple[str, Motion]:
-    """Encoders of one topic at all their times; NaN where one was not read."""
+def _together(topic: str, kind: str, channels: list[_Channel]) -> _Group:
+    """Signals of one topic at all their times; NaN where one has no value."""
     time_ns = np.unique(np.concatenate([channel.time_ns for channel in channels]))
-    positions = {}
+    values = {}
     for channel in channels:
         row = np.full(time_ns.size, np.nan)
         row[np.searchsorted(time_ns, channel.time_ns)] = channel.raw
-        positions[channel.name] = row
-    return f"/{topic.lstrip('/')}", Motion(1e-9 * time_ns, positions, {})
+        values[channel.name] = row
+    return _Group(f"/{topic.lstrip('/')}", kind, Motion(1e-9 * time_ns, values, {}))
 
 
 def _write(
     folder: Path,
     channels: list[_Channel],
     begin_ns: int,
-    motions: list[tuple[str, Motion]],
+    groups: list[_Group],
     frame: str,
 ) -> None:
     from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(interfaces.full_text(VALVE_COMMAND), VALVE_COMMAND))
     header = store.types["std_msgs/msg/Header"]
     time = store.types["builtin_interfaces/msg/Time"]
     topics = [(channel.topic, channel.kind) for channel in channels]
     time_ns = [channel.time_ns for channel in channels]
     rows = [channel.raw for channel in channels]
-    for topic, motion in motions:
-        topics.append((topic, JOINT_STATE))
-        time_ns.append(np.rint(motion.time_s * 1e9).astype(np.int64))
-        rows.append(np.arange(motion.time_s.size, dtype=float))
+    for group in groups:
+        topics.append((group.topic, group.kind))
+        time_ns.append(np.rint(group.rows.time_s * 1e9).astype(np.int64))
+        rows.append(np.arange(group.rows.time_s.size, dtype=float))
 
     def message(k: int, value: float, stamp: int) -> Any:
         """A message of the k-th topic, of a value or of the row of that number."""
@@ -216,18 +254,21 @@ def _write(
         at = time(stamp // 10**9, stamp % 10**9)
         if kind == FLUID_PRESSURE:
             return store.types[kind](header(at, channels[k].name), value, 0.0)
-        row, of = int(value), motions[k - len(channels)][1]
+        row, of = int(value), groups[k - len(channels)].rows
         told = [n for n, position in of.positions.items() if np.isfinite(position[row])]
         place, speed = (
             np.array([values[name][row] for name in told if name in values], dtype=float)
             for values in (of.positions, of.speeds)
         )
+        if kind == VALVE_COMMAND:
+            return store.types[kind](header(at, frame), told, place)
         return store.types[kind](header(at, frame), told, place, speed, np.zeros(0))
 
     # In the order of time, as a recorder writes; at one instant commands come before readings.
     which = np.repeat(np.arange(len(rows)), [of.size for of in rows])
     after_ns = np.concatenate(time_ns)
-    order = np.argsort(after_ns, kind="stable")
+    reading = np.array([kind != VALVE_COMMAND for _, kind in topics])
+    order = np.lexsort((reading[which], after_ns))  # keeps what is equal in its order
     values = np.concatenate(rows)
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connections = [

@@ -14,6 +14,7 @@ from rosbags.rosbag2 import Reader
 from pneu_common.errors import InputError
 from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import Rig
+from pneu_sysid.problem import record_for
 from pneu_sysid.records import Recording, Signal, bag_topics, read_recording
 from pneu_sysid.records.write import write_bag
 
@@ -131,3 +132,21 @@ def test_refusals_are_one_sentence_and_leave_nothing(
     with pytest.raises(InputError, match="found no signal to write"):
         write_bag(tmp_path / "bag", rig, Recording("empty", {}, {}))
     assert [p.name for p in tmp_path.iterdir()] == ["old"]
+
+
+def test_commands_of_valves_on_one_topic_read_back_by_name(tmp_path: Path) -> None:
+    """Two valves that move at instants of their own, in the messages of the graph."""
+    rig = load_rig(Path(__file__).parents[3] / "rigs" / "kokoro.yaml")
+    taps = {name: Signal(np.linspace(0.0, 2.0, 401), np.full(401, 2e5)) for name in rig.taps}
+    head = Signal(np.array([0.0, 0.5, 1.1]), np.array([5.0, 8.0, 2.0]))
+    rod = Signal(np.array([0.0, 0.7, 1.1]), np.array([5.0, 1.5, 6.0]))
+    elbow = Signal(np.linspace(0.0, 2.0, 401), np.linspace(-0.5, 0.5, 401))
+    recording = Recording("run", {"head": head, "rod": rod}, taps, encoders={"elbow": elbow})
+    path = tmp_path / "run.mcap"
+    write_bag(path, rig, recording)
+    assert bag_topics(path)["/valve/command"] == ("pneu_msgs/msg/ValveCommand", 4)
+    back = record_for(rig, path)
+    for name, signal in recording.commands.items():
+        np.testing.assert_allclose(back.commands[name].time_s, signal.time_s, atol=1e-9)
+        np.testing.assert_array_equal(back.commands[name].values, signal.values)
+    np.testing.assert_array_equal(back.encoders["elbow"].values, elbow.values)

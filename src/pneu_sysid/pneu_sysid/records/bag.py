@@ -33,12 +33,21 @@ from pneu_common.errors import InputError
 from pneu_graph.bag.unpacking import Allowance, Bounded, chunk_records, unzstd
 from pneu_sim.channels import Channel
 from pneu_sim.signals import velocity_of
-from pneu_sim.topics import JOINT_STATE, JOINTS_TOPIC, same_topic
+from pneu_sim.topics import (
+    JOINT_STATE,
+    JOINTS_TOPIC,
+    NAMED_VALUES,
+    TAP_PRESSURES,
+    VALVE_COMMAND,
+    same_topic,
+)
 from pneu_sysid.records.recording import Finding, absent
 from pneu_sysid.records.stream import STAMP_LIMIT_NS, Role, Stream
 
 OF_JOINTS = ("position", "velocity", "effort")
 """Fields of a ``JointState`` that hold a number for each joint that it names."""
+OF_NAMES = {kind: NAMED_VALUES[kind] for kind in (VALVE_COMMAND, TAP_PRESSURES)}
+"""Fields of other types with a number for each name; as nodes read them."""
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no CDR message starts so: its first byte is 0
 _DATA_OPCODES = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK}
 _STEP = re.compile(r"([A-Za-z]\w*)((?:\[\d+\])*)$")
@@ -137,6 +146,7 @@ def read_bag(
             of_joint = (
                 role == "encoder" and topic.msgtype == JOINT_STATE and channel.field in OF_JOINTS
             )
+            named = _named_field(topic.msgtype, channel.field)
             if not of_joint:
                 _check_number(where, store, topic.msgtype, channel.field)
             key = (topic.name, topic.msgtype)
@@ -144,9 +154,12 @@ def read_bag(
                 decoded[key] = _decode(where, store, topic)
             messages = decoded[key]
             if of_joint:
-                raw = _of_joint(where, messages, name, channel.field)
+                raw, said = _of_joint(where, messages, name, channel.field)
+            elif named and any(len(message.name) for message in messages):
+                raw, said = _of_name(where, messages, name, named)
             else:
                 raw = _values(where, messages, channel.field)
+                said = np.ones(raw.size, dtype=bool)
             log_ns = np.array(topic.log_ns, dtype=np.int64)
             stamp = _stamp_path(store, topic.msgtype)
             if channel.stamp == "header" and stamp is None:
@@ -165,7 +178,7 @@ def read_bag(
                     values=channel.convert(raw),
                     stamp_ns=log_ns,
                     applied=applied,
-                )
+                ).pick(said)
             )
     return streams, findings
 
@@ -616,16 +629,17 @@ def _values(where: str, messages: list[Any], path: str) -> np.ndarray:
     return values
 
 
-def _of_joint(where: str, messages: list[Any], joint: str, field: str) -> np.ndarray:
-    """(n,) what each message says of a joint by its name; NaN where it says nothing."""
-    values = np.full(len(messages), np.nan)
-    named: dict[str, None] = {}
-    for k, message in enumerate(messages):
-        names = [str(name) for name in message.name]
-        named |= dict.fromkeys(names)
-        said = getattr(message, field)
-        if joint in names and (at := names.index(joint)) < len(said):
-            values[k] = said[at]
+def _named_field(msgtype: str, path: str) -> str:
+    """Field whose values belong to the names beside it, whatever number the path has; or empty."""
+    field = path.partition("[")[0]
+    return field if field in OF_NAMES.get(_full_type(msgtype), ()) else ""
+
+
+def _of_joint(
+    where: str, messages: list[Any], joint: str, field: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) what each message says of a joint by its name, and (n,) whether it says anything."""
+    values, said, named = _said_of(messages, joint, field)
     if joint not in named:
         raise InputError(
             f"{where}: no joint {joint!r}, it has {', '.join(map(repr, named)) or 'none'}; name the"
@@ -633,7 +647,39 @@ def _of_joint(where: str, messages: list[Any], joint: str, field: str) -> np.nda
         )
     if np.isnan(values).all():
         raise InputError(f"{where}: no message has a {field} of joint {joint!r}")
-    return values
+    return values, said
+
+
+def _of_name(
+    where: str, messages: list[Any], name: str, field: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `_of_joint`, of a command or tap; NaN says nothing of it."""
+    values, _, named = _said_of(messages, name, field)
+    if name not in named:
+        raise InputError(
+            f"{where}: found values of {', '.join(map(repr, named))}, none of {name!r}; the rig"
+            " file names them as the bag does"
+        )
+    said = ~np.isnan(values)
+    if not said.any():
+        raise InputError(f"{where}: no message has a number in {field} of {name!r}")
+    return values, said
+
+
+def _said_of(
+    messages: list[Any], wanted: str, field: str
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """As `_of_joint`, and all names that there are."""
+    values = np.full(len(messages), np.nan)
+    said = np.zeros(len(messages), dtype=bool)
+    named: dict[str, None] = {}
+    for k, message in enumerate(messages):
+        names = [str(name) for name in message.name]
+        named |= dict.fromkeys(names)
+        row = getattr(message, field)
+        if wanted in names and (at := names.index(wanted)) < len(row):
+            values[k], said[k] = row[at], True
+    return values, said, list(named)
 
 
 def _stamps_ns(messages: list[Any], path: str) -> np.ndarray:
