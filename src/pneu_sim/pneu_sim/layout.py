@@ -131,7 +131,8 @@ Q_LAMINAR: Final = 3  # pressure ratio above which flow is linear in the pressur
 Q_JET: Final = 4  # velocity heads of the entered line that the port's jet does not recover
 Q_HEAD: Final = 5  # share of the velocity head of the line it leaves that drives the port
 Q_WIDENING: Final = 6  # exponent with which the linear range grows with the opening
-PORT_PARAMS: Final = 7
+Q_SHARE: Final = 7  # flow at the end of the linear range, share of what ISO 6358 gives there
+PORT_PARAMS: Final = 8
 
 # --- pressure regulators --------------------------------------------------------------------------
 REG_FILL: Final = 0  # integer columns: the port that fills its outlet, the one that vents it

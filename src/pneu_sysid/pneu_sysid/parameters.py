@@ -45,8 +45,9 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
             # One block holds all ports; apart, a recording that seldom opens one tells little of it
             add(f"valves.{v}.ports.*.laminar_ratio", 0.85, 0.9995, 0.02)
             add(f"valves.{v}.ports.*.laminar_widening", 0.0, 4.0, 2.0)
-            add(f"valves.{v}.ports.*.jet_loss", 0.0, 4.0, 0.1)
-            add(f"valves.{v}.ports.*.inlet_head", 0.0, 2.0, 0.1)
+            add(f"valves.{v}.ports.*.laminar_share", 0.1, 1.0, 0.3)
+            add(f"valves.{v}.ports.*.jet_loss", 0.0, 4.0, 0.25)
+            add(f"valves.{v}.ports.*.inlet_head", 0.0, 2.0, 0.25)
         for p, port in valve.ports.items():
             base = f"valves.{v}.ports.{p}"
             size = "conductance_m3_s_pa" if port.model == "iso6358" else "area_m2"

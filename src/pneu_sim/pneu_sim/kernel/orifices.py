@@ -10,7 +10,7 @@ ANR_TEMPERATURE = 293.15  # K
 
 
 @folded
-def iso6358_flow(p_a, z_a, t_a, p_b, z_b, t_b, conductance, ratio, laminar=1.0):
+def iso6358_flow(p_a, z_a, t_a, p_b, z_b, t_b, conductance, ratio, laminar=1.0, share=1.0):
     """Mass flow a to b through an ISO 6358 port between two lines, in closed form.
 
     The pressures at the port follow the flow along the characteristics that reach it,
@@ -27,6 +27,7 @@ def iso6358_flow(p_a, z_a, t_a, p_b, z_b, t_b, conductance, ratio, laminar=1.0):
         conductance: Sonic conductance C times opening, m^3/(s Pa).
         ratio: Critical pressure ratio b.
         laminar: Pressure ratio above which the flow is linear in the pressure drop; 1 is never.
+        share: Flow where that range ends, of what ISO 6358 gives there; below 1 it jumps.
 
     Returns:
         Mass flow in kg/s, positive from a to b.
@@ -42,7 +43,7 @@ def iso6358_flow(p_a, z_a, t_a, p_b, z_b, t_b, conductance, ratio, laminar=1.0):
     k = conductance * ANR_DENSITY * math.sqrt(ANR_TEMPERATURE / t_a)
     if laminar < 1.0:
         g = (laminar - ratio) / (1.0 - ratio)
-        slope = k * math.sqrt(1.0 - g * g) / (1.0 - laminar)
+        slope = share * k * math.sqrt(1.0 - g * g) / (1.0 - laminar)
         m = slope * (p_a - p_b) / (1.0 + slope * (z_a + z_b))
         if p_b + z_b * m > laminar * (p_a - z_a * m):
             return sign * m
@@ -56,6 +57,9 @@ def iso6358_flow(p_a, z_a, t_a, p_b, z_b, t_b, conductance, ratio, laminar=1.0):
         b1 = z * e + d * g
         disc = b1 * b1 + 4.0 * a2 * d * e
         m = 2.0 * d * e / (b1 + math.sqrt(max(disc, 0.0)) + 1e-300)
+        if share < 1.0 and laminar < 1.0 and p_b + z_b * m > laminar * (p_a - z_a * m):
+            # what the lines let through lies within the jump, where the pressures' ratio stands
+            m = (laminar * p_a - p_b) / max(z_b + laminar * z_a, 1e-300)
     return sign * m
 
 

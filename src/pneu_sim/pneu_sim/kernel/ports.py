@@ -124,7 +124,18 @@ def _through_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
     width = 1.0 - ports.par[k, L.Q_LAMINAR, j]
     if ports.par[k, L.Q_WIDENING, j] != 0.0:
         width *= min(opening, 1.0) ** ports.par[k, L.Q_WIDENING, j]
-    m = iso6358_flow(pa, za, ta, pb, zb, tb, c, ports.par[k, L.Q_RATIO, j], 1.0 - width)
+    m = iso6358_flow(
+        pa,
+        za,
+        ta,
+        pb,
+        zb,
+        tb,
+        c,
+        ports.par[k, L.Q_RATIO, j],
+        1.0 - width,
+        ports.par[k, L.Q_SHARE, j],
+    )
     if m > 0.0 and ka == L.SIDE_END:
         most = _most_out(j, ia, m, gas, order, cells, ends)
         m = min(m, max(most - ported[ia, L.N_MASS, j], 0.0))

@@ -163,11 +163,21 @@ def _ports(rig: Rig, plan: Plan) -> tuple[Floats, Floats, Floats, Floats]:
                 p.jet_loss,
                 p.inlet_head,
                 p.laminar_widening,
+                p.laminar_share,
             )
             curve[q], curve_v[q] = _curve(p, valve)
             q += 1
     for o in rig.orifices.values():
-        port[q] = (o.conductance_m3_s_pa, o.critical_ratio, 0.0, o.laminar_ratio, 1.0, 1.0, 0.0)
+        port[q] = (
+            o.conductance_m3_s_pa,
+            o.critical_ratio,
+            0.0,
+            o.laminar_ratio,
+            1.0,
+            1.0,
+            0.0,
+            1.0,
+        )
         q += 1
     return port, curve, curve_v, spool
 

@@ -84,6 +84,8 @@ class Port(Part):
         laminar_widening: Exponent n with which that range of ratios, 1 - ``laminar_ratio``, grows
             with the opening. 0 fixes the ratio, as ISO 6358 does; 2 fixes the slope of the flow
             where the pressures meet, as a flutter of the flow through the port makes it.
+        laminar_share: Flow at the end of that range, as a share of what ISO 6358 gives there; below
+            1 the flow jumps, where it turns turbulent or its flutter ends.
         jet_loss: Velocity heads of the entered pipe that the jet behind the port does not recover;
             1 makes its stagnation pressure the downstream pressure.
         inlet_head: Share of the velocity head of the pipe it leaves that drives the port; 1 makes
@@ -101,6 +103,7 @@ class Port(Part):
     critical_ratio: Ratio = 0.3
     laminar_ratio: Annotated[float, Field(gt=0.8, le=1.0)] = 0.999
     laminar_widening: Annotated[float, Field(ge=0.0, le=4.0)] = 0.0
+    laminar_share: Annotated[float, Field(ge=0.1, le=1.0)] = 1.0
     jet_loss: NonNegative = 1.0
     inlet_head: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0
     area_m2: NonNegative = 0.0
