@@ -150,3 +150,15 @@ def test_commands_of_valves_on_one_topic_read_back_by_name(tmp_path: Path) -> No
         np.testing.assert_allclose(back.commands[name].time_s, signal.time_s, atol=1e-9)
         np.testing.assert_array_equal(back.commands[name].values, signal.values)
     np.testing.assert_array_equal(back.encoders["elbow"].values, elbow.values)
+
+
+def test_a_bag_that_names_other_valves_is_refused(tmp_path: Path) -> None:
+    rig = load_rig(Path(__file__).parents[3] / "rigs" / "kokoro.yaml")
+    taps = {name: Signal(np.linspace(0.0, 2.0, 401), np.full(401, 2e5)) for name in rig.taps}
+    volts = Signal(np.array([0.0, 0.5]), np.array([5.0, 8.0]))
+    elbow = Signal(np.linspace(0.0, 2.0, 401), np.linspace(-0.5, 0.5, 401))
+    recording = Recording("run", {"head": volts}, taps, encoders={"elbow": elbow})
+    path = tmp_path / "run.mcap"
+    write_bag(path, rig, recording)
+    with pytest.raises(InputError, match=r"found values of 'head', none of 'rod'"):
+        record_for(rig, path)
