@@ -41,8 +41,8 @@ format: $(VENV)/.ready-dev  ## let ruff put the sources in order
 bench: $(BENCH_VENV)/.ready-bench  ## speed and accuracy beside other solvers
 	@NUMBA_CACHE_DIR=$(abspath $(BENCH_VENV))/numba $(BENCH_VENV)/bin/python -m benchmarks
 
-bags: folder-is-named $(VENV)/.ready-run  ## slow: fit and diagnose every bag of folders, BAGS=folders
-	@$(RUN) -m studies.bags $(BAGS)
+bags: folder-is-named $(VENV)/.ready-run  ## slow: fit and diagnose every bag of folders, BAGS=folders; PAGE=file
+	@$(RUN) -m studies.bags $(BAGS) $(if $(PAGE),--page $(PAGE))
 
 folder-is-named:
 	@test -n "$(BAGS)" || { echo "which folder holds the bags? make bags BAGS=folder" >&2; exit 2; }

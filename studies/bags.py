@@ -5,7 +5,7 @@ Bags are named ``<rig>_<what>``: ``a_healthy_1`` calibrates rig A, ``a_healthy_2
 every other ``a_*`` hides something. A rig is the one in the folder (``rig_a.yaml``), or else the
 project's (``rigs/rig_a.yaml``), whose shipped calibration is used if
 there is one. What a bag hides is in the folder's ``labels.json``, or in ``KNOWN``. Writes
-``docs/bags.md`` and ``out/bags/``.
+``docs/bags.md``, or the page that is named, and ``out/bags/``.
 """
 
 import argparse
@@ -196,6 +196,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("folders", type=Path, nargs="+")
     parser.add_argument("--refit", action="store_true", help="calibrate anew from the datasheet")
     parser.add_argument("--only", nargs="*", help="bags to run")
+    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "bags.md", help="to write")
     options = parser.parse_args(arguments)
     console = Console(width=170)
     for folder in options.folders:
@@ -230,7 +231,7 @@ def main(arguments: list[str] | None = None) -> int:
     text = page(digests, healthy, cases, failed)
     console.print(text)
     if not options.only:
-        (ROOT / "docs" / "bags.md").write_text(text, encoding="utf-8")
+        options.page.write_text(text, encoding="utf-8")
     return 0
 
 

@@ -17,6 +17,7 @@ from pneu_sysid.dependence import dependences, seldom
 from pneu_sysid.evidence import lead
 from pneu_sysid.fit import sensor_rmse
 from pneu_sysid.heading import heading
+from pneu_sysid.left_open import left_open
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.refits import Refit, refit
@@ -55,6 +56,7 @@ class Diagnosis:
         bench: What it was found with.
         statements: Of a change since the calibration, and of the noise, a sentence each.
         unchanged: Recordings that the verdict is not about, the model explaining them as it is.
+        left_open: Whether what explains it is no more than what the calibration left open.
     """
 
     verdict: Verdict
@@ -71,6 +73,7 @@ class Diagnosis:
     bench: Bench = field(repr=False)
     statements: list[str] = field(default_factory=list)
     unchanged: list[str] = field(default_factory=list)
+    left_open: bool = False
 
     @property
     def problem(self) -> Problem:
@@ -134,6 +137,8 @@ def diagnose(
         since_calibration(bench.standing, names, something),
         against_noise(bench.standing, limits),
     ]
+    if found.left_open:
+        found.statements[0] = "Nothing is known to have changed since the calibration."
     if found.verdict == "ambiguous":
         found.statements.append(words.to_tell_apart(found.finalists[0]))
     return found
@@ -354,6 +359,10 @@ def _judge(
     )
     if top is not None:
         explained = left <= bench.allowed(before)
+        if explained and left_open(top.rig):
+            result.verdict, result.believed, result.left_open = "nothing_missing", 0, True
+            result.sentence = words.left_open(top)
+            return result
         mostly = top.held_out >= limits.mostly
         if explained or mostly or _second_helps(bench, top, scores):
             result.verdict = "ambiguous" if tied[0] else "effect"

@@ -26,6 +26,19 @@ def nothing_missing(standing: Standing, left_times: float) -> str:
     )
 
 
+def left_open(top: Refit) -> str:
+    """The best candidate says no more than what the calibration left open.
+
+    Args:
+        top: It.
+    """
+    return (
+        f"Nothing changed that the calibration knew: {top.site.label} would explain the error, but"
+        " changes no number by more than two standard errors. To know them better:"
+        f" {top.site.effect.next_experiment}"
+    )
+
+
 def strength_in_words(strength: float, std_error: float, unit: str) -> str:
     """A strength with its unit and standard error.
 
