@@ -120,7 +120,7 @@ def judge(console: Console, sealed: AttachedEffect) -> bool:
     learned = json.loads((OUT / "learned" / "learn.json").read_text())
     console.print(errors(learned))
     named = [step for step in learned["steps"] if step["added"]]
-    console.print(f"[bold]The verdict: {learned['sentence']}.[/bold]")
+    console.print(f"[bold]The verdict: {learned['sentence']}[/bold]")
     console.rule()
     console.print(
         f"[bold]Under the seal: {sealed.effect} at {sealed.place} ({shown(sealed.parameters)})."
