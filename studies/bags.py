@@ -3,9 +3,9 @@
 
 Bags are named ``<rig>_<what>``: ``a_healthy_1`` calibrates rig A, ``a_healthy_2`` validates it,
 every other ``a_*`` hides something. A rig is the one in the folder (``rig_a.yaml``), or else the
-project's (``rigs/rig_a.yaml``), whose shipped calibration is used if
-there is one. What a bag hides is in the folder's ``labels.json``, or in ``KNOWN``. Writes
-``docs/bags.md``, or the page that is named, and ``out/bags/``.
+project's (``rigs/rig_a.yaml``), whose shipped calibration is used if there is one. What a bag hides
+is in the folder's ``labels.json``, or in ``KNOWN``. Writes ``docs/bags.md``, or the page that is
+named, and ``out/bags/``.
 """
 
 import argparse

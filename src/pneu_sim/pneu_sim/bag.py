@@ -21,6 +21,7 @@ from pneu_sim.topics import (
     FLUID_PRESSURE,
     JOINT_STATE,
     JOINTS_TOPIC,
+    NAMED_VALUES,
     VALVE_COMMAND,
     encoder_channel,
     encoder_topics,
@@ -30,7 +31,7 @@ from pneu_sim.topics import (
 FIELD_OF = {FLUID_PRESSURE: "fluid_pressure", FLOAT64: "data"}
 """Message types that are written, and the field that holds the number."""
 
-NAMED_FIELDS = {VALVE_COMMAND: "voltage_v", JOINT_STATE: "position"}
+NAMED_FIELDS = {kind: NAMED_VALUES[kind][0] for kind in (VALVE_COMMAND, JOINT_STATE)}
 """Those with the values of several signals, and where they are; told by name."""
 
 JOINTS_IN_BAG = f"/{JOINTS_TOPIC}"

@@ -16,7 +16,7 @@ Ints = NDArray[np.int64]
 LONGEST_PULL = 3.0
 """A reading after a gap corrects the gas no more than one after this many of its periods."""
 
-OF_JOINTS = float(np.sqrt(3.0 / np.sqrt(20.0)))
+POSITION_PULL = float(np.sqrt(3.0 / np.sqrt(20.0)))
 """Time constant of the pull of a position, of that of the gas. Runs of the length T that begin at
 the right place and speed are off by a T^2 / sqrt(20), root mean square, where a force makes the
 acceleration wrong by a; a spring of the time constant t is off by a t^2. For the gas, whose flow is
@@ -50,7 +50,7 @@ def course_of(recording: Recording, sensors: list[str], pull_s: float | None) ->
                 np.diff(signal.time_s, prepend=signal.time_s[0] - usual), LONGEST_PULL * usual
             )
             if sensors[t] in recording.encoders:
-                joint_s = pull_s * OF_JOINTS
+                joint_s = pull_s * POSITION_PULL
                 gain[t, :n] = 1.0 - np.exp(-2.0 * since / joint_s)
                 push[t, :n] = since / joint_s**2
             else:

@@ -10,9 +10,8 @@ PURE = frozenset({
         "exhaust_critical_ratio", "exponent", "fraction", "friction_coefficient", "gain",
         "gas_friction", "gear", "heat_kappa", "heat_turbulent", "heat_unsteady", "inlet_head",
         "inlet_loss", "integral", "jet_loss", "k", "laminar", "laminar_ratio", "laminar_share",
-        "laminar_widening",
-        "leakage", "loss_from", "loss_to", "nusselt", "onset_reynolds", "opening",
-        "port_critical_ratio", "turbulent", "turbulent_fade", "unsteady",
+        "laminar_widening", "leakage", "loss_from", "loss_to", "nusselt", "onset_reynolds",
+        "opening", "port_critical_ratio", "turbulent", "turbulent_fade", "unsteady",
     })  # fmt: skip
 """Numbers without a unit."""
 JOINT = {

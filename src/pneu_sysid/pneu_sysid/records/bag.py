@@ -44,7 +44,7 @@ from pneu_sim.topics import (
 from pneu_sysid.records.recording import Finding, absent
 from pneu_sysid.records.stream import STAMP_LIMIT_NS, Role, Stream
 
-OF_JOINTS = ("position", "velocity", "effort")
+OF_JOINTS = NAMED_VALUES[JOINT_STATE]
 """Fields of a ``JointState`` that hold a number for each joint that it names."""
 OF_NAMES = {kind: NAMED_VALUES[kind] for kind in (VALVE_COMMAND, TAP_PRESSURES)}
 """Fields of other types with a number for each name; as nodes read them."""
