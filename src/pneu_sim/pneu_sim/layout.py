@@ -204,7 +204,8 @@ H_TEMPERATURE: Final = 1  # K
 H_MIDDLE: Final = 2  # pressure at the middle of the step, Pa
 H_WEIGHT: Final = 3  # of its own pressure in that
 H_INFLOW: Final = 4  # what enters in this step, kg/s
-CHAMBER_ROWS: Final = 5
+H_SHUT: Final = 5  # part of the way into a pipe that is shut for what leaves (a cushion)
+CHAMBER_ROWS: Final = 6
 
 # --- cylinders (integer columns): what each side is, head first, then rod ---------------------
 Y_KIND: Final = 0  # of the head side: one of GAS_*; of the rod side the same COLUMNS_PER_SIDE later
@@ -242,7 +243,7 @@ PY_HEAT: Final = 18  # heat conductance of the covers, W/K; of the rod side the 
 PY_HEAT_ROD: Final = 19
 PY_CUSHION: Final = 20  # length of the head side's cushion, m, 0 has none; of the rod side the next
 PY_CUSHION_ROD: Final = 21
-PY_LEFT: Final = 22  # share of the port that it leaves; of the rod side the next
+PY_LEFT: Final = 22  # share of the way in that it leaves; of the rod side the next
 PY_LEFT_ROD: Final = 23
 PY_ROOM_P: Final = 24  # Pa
 PY_ROOM_T: Final = 25  # K

@@ -158,9 +158,13 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         changed(cylinders__c__head={**SEALED, "node": "lonely"}),
         "cylinders.c.head.node: found 'lonely', which no pipe, valve port, orifice or tap names",
     ),
-    "a cushion without a port": (
+    "a cushion without a way out": (
         changed(cylinders__c__head={**SEALED, "cushion": {"length_m": 0.01}}),
-        "cylinders.c.head: a cushion needs port_conductance_m3_s_pa",
+        "cylinders.c.head: a cushion needs a way out: node closed has none",
+    ),
+    "a cushion without a pipe": (
+        changed(cylinders__c__head={**SEALED, "node": "lonely", "cushion": {"length_m": 0.01}}),
+        "cylinders.c.head.node: found 'lonely', where no pipe ends; a cushion throttles",
     ),
     "no such kind": (
         changed(bodies__b__kind="train"),

@@ -23,8 +23,9 @@ HOUSE = Path(__file__).parents[3]
 DT_S = 0.002
 NOISE_PA = 250.0
 NOISE_RAD = 0.25e-3
-CURVED = {"backlash": 0.4}
-"""Small strengths act in proportion to within this: with its play a face is met at other times."""
+CURVED = {"backlash": 0.4, "end_cushion": 0.6}
+"""Small strengths act in proportion to within this: with its play a face is met at other times; a
+loss in velocity heads acts by the root of its sum with what else the gas meets there."""
 JUMP = 0.2
 """In deviations of the noise, root mean square."""
 EFFECTS = [kind() for kind in BUILT_IN]
@@ -81,8 +82,9 @@ def readings(base: Rig, rigs: list[Rig]) -> np.ndarray:
     command = exciting_command()
     commands = {"voltage": command}
     first = [635e3, 3e5, 3e5, 3e5, 101e3]
-    if base.moves:  # the two valves against each other, at a quarter of the way
-        swing = 5.0 + 0.15 * (np.roll(command, 100) - 5.0)
+    if base.moves:  # the two valves against each other, gently; from end to end of a short stroke
+        short = min(c.stroke for c in base.cylinders.values()) < 0.02
+        swing = 5.0 + (0.6 if short else 0.15) * (np.roll(command, 100) - 5.0)
         commands = {"head": swing, "rod": 10.0 - swing}
         first = [3e5, 3e5, 3.5e5, 3.5e5, 0.0]
     models = [build(r, plan) for r in rigs]
@@ -120,10 +122,22 @@ def robot() -> Rig:
     return rig
 
 
+def short_robot() -> Rig:
+    """The joint with a cylinder so short that its piston is always near both ends."""
+    rig = robot()
+    cylinder, arm = rig.cylinders["forearm"], rig.bodies["arm"]
+    cylinder.stroke_m = 0.014
+    arm.slider.closed_length_m = math.hypot(0.160, 0.035) - 0.5 * cylinder.stroke_m  # type: ignore[union-attr]
+    arm.joints[1].lower, arm.joints[1].upper = -0.17, 0.17
+    return rig
+
+
 def base_for(effect: Effect, rig: Rig) -> Rig:
     """Rig A, or the same with what an effect needs to have a place and to be felt."""
     if effect.name in ("spool_speed_limit", "spool_acceleration_limit"):
         return with_limits(rig)
+    if effect.name == "end_cushion":
+        return short_robot()
     candidates = (rig, with_chamber(rig), with_junction(rig), robot())
     return next(base for base in candidates if effect.places(base))
 

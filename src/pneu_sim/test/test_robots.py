@@ -165,6 +165,42 @@ def test_a_cushion_throttles_what_leaves_and_lets_in_what_enters() -> None:
     assert flow(0.0, 1e5, 8e5) == pytest.approx(sonic * 8e5, rel=0.05)
 
 
+def test_a_cushion_without_a_port_throttles_the_end_of_the_pipe() -> None:
+    """What leaves a chamber passes the share of the pipe that is left, choked (ISO 6358's C)."""
+    area, left = 5e-5, 0.05
+
+    def flow(start_m: float, pressure: float, line: float) -> float:
+        side = {"node": "line", "dead_volume_m3": 1e-2,
+                "cushion": {"length_m": 0.02, "opening": left}}  # fmt: skip
+        rig = Rig.model_validate(
+            {"pneu_rig": 1, "name": "r", "grid": {"dx_m": 0.05},
+             "reservoirs": {"tank": {"pressure_pa": line}},
+             "pipes": {"p": {"from": "tank", "to": "line", "length_m": 0.2, "area_m2": area}},
+             "cylinders": {"c": {"bore_m": 0.025, "stroke_m": 0.1, "head": side,
+                                 "rod": {"node": "closed", "dead_volume_m3": 1e-4},
+                                 "start_m": start_m}},
+             "taps": {"t": {"pipe": "p", "position_m": 0.1}}}
+        )  # fmt: skip
+        simulator = Simulator(rig)
+        simulator.reset({"c.head": pressure, "c.rod": 1e5, "p": line})
+        simulator.run(0.01, {}, 1e-3)  # the line is steady then, and the chamber much as it was
+        before = float(simulator.mass_kg())
+        simulator.run(0.01, {}, 1e-3)
+        return (before - float(simulator.mass_kg())) / 0.01
+
+    def passed(share: float, pressure: float) -> float:
+        r, t, g = 287.05, 293.15, 1.4
+        choked = math.sqrt(g) * (2.0 / (g + 1.0)) ** ((g + 1.0) / (2.0 * (g - 1.0)))
+        return share * area * pressure / math.sqrt(r * t) * choked
+
+    shut = flow(0.0, 8e5, 1e5)
+    assert shut == pytest.approx(passed(left, 8e5), rel=0.1)
+    half = flow(0.01, 8e5, 1e5)
+    assert half == pytest.approx(passed(0.5 * (1.0 + left), 8e5), rel=0.15)
+    assert half < 0.8 * flow(0.05, 8e5, 1e5)
+    assert flow(0.0, 1e5, 8e5) == pytest.approx(flow(0.05, 1e5, 8e5), rel=0.02)
+
+
 def test_a_piston_beyond_its_stroke_is_refused() -> None:
     simulator = Simulator(arm_rig(1e-4))
     with pytest.raises(InputError, match=r"cylinders\.one: found an extension of .* past its"):

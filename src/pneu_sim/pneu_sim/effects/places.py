@@ -210,6 +210,24 @@ def cylinder_sides(rig: Rig) -> dict[str, Side]:
     }
 
 
+def ways_in(rig: Rig) -> list[str]:
+    """Sides of cylinders that move a body and have a port, or a chamber that a pipe opens into.
+
+    Args:
+        rig: The rig.
+    """
+    ends = {node for pipe in rig.pipes.values() for node in (pipe.from_node, pipe.to_node)}
+    return [
+        place
+        for place, side in cylinder_sides(rig).items()
+        if side.node != CLOSED
+        and (
+            side.port_conductance_m3_s_pa is not None
+            or (rig.cylinders[place.rsplit(".", 1)[0]].gas == "chamber" and side.node in ends)
+        )
+    ]
+
+
 def on_pipe(pipe: Pipe, position_m: float) -> float:
     """Keeps a position on a pipe, since a difference step may reach just past its end.
 

@@ -36,6 +36,7 @@ from pneu_sim.effects.dead_volume import DeadVolume
 from pneu_sim.effects.encoder_bias import EncoderBias
 from pneu_sim.effects.encoder_gain import EncoderGain
 from pneu_sim.effects.encoder_lag import EncoderLag
+from pneu_sim.effects.end_cushion import EndCushion
 from pneu_sim.effects.external_spring import ExternalSpring
 from pneu_sim.effects.fill_exhaust_asymmetry import FillExhaustAsymmetry
 from pneu_sim.effects.flow_gain import FlowGain
@@ -131,6 +132,7 @@ BUILT_IN: tuple[type[Effect], ...] = (
     RodLeak,
     CylinderVolume,
     CylinderHeat,
+    EndCushion,
     JointFriction,
     JointDamping,
     Payload,

@@ -174,7 +174,7 @@ def advance(rigs, moving, clock, opening, record):
             at = (s + 0.5) / clock.steps * clock.knots
             open_ports(k * (clock.knots + 1) + int(at), at - int(at), opening, ports)
             if moving is not None:
-                open_cushions(ports, moving.cylinders)
+                open_cushions(ports, chambers, moving.cylinders)
                 foresee(dt, moving.bodies, moving.cylinders)
             if ports.regulators.table.shape[0] > 0:
                 regulate_ports(dt, cells, ends, ports, chambers)

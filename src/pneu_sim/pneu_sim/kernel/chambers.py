@@ -80,6 +80,8 @@ def find_middle(gas, order, dt, cells, ends, ports, chambers, moving):
                 )
                 a = cells.par[L.FACE, ends.table[e, L.E_FACE] * w + j]
                 k = 0.5 * dt * gamma * q * a / (z * vol)
+                if p + z * v < q:
+                    k *= 1.0 - work[c, L.H_SHUT, j]  # a cushion lets it follow the less
                 work[c, L.H_MIDDLE, j] += k * (p + z * v)
                 work[c, L.H_WEIGHT, j] += k
     if moving is not None:

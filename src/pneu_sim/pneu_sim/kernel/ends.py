@@ -5,6 +5,11 @@ import math
 
 from pneu_sim import layout as L
 from pneu_sim.compiling import branching, folded
+from pneu_sim.kernel.orifices import orifice_flow
+
+JET_STEPS, JET_FOUND = 40, 1e-10
+"""Of the search for the pressure behind a cushion, at most; the share of the chamber's to which it
+is found."""
 
 
 @folded
@@ -62,6 +67,61 @@ def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
     pf = wave + z * w if w < w_max else p0 * math.exp(e * math.log(1.0 - k * w * w))
     tf = t0 - 0.5 * (gamma - 1.0) / (gamma * r_gas) * w * w
     return pf / (r_gas * tf), -w, pf
+
+
+@folded
+def _jet(p, wave, z, p0, t0, left, gamma, r_gas):
+    """By how much the flow that a pressure at a pipe's end takes exceeds what a jet brings."""
+    w = (p - wave) / z
+    t = max(t0 - 0.5 * (gamma - 1.0) / (gamma * r_gas) * w * w, 0.5 * t0)
+    return p / (r_gas * t) * w - orifice_flow(p0, t0, p, left, gamma, r_gas)
+
+
+@folded
+def cushioned_state(d, v, p, p0, t0, shut, gamma, r_gas):
+    """State at a pipe end that opens into a chamber whose way out is partly shut.
+
+    Outflow of the pipe is as in `vessel_state`. What enters it comes through the part of its end
+    that is left, an isentropic orifice (thesis eq. 3.15-3.17), and mixes behind that without
+    getting back any pressure.
+
+    Args:
+        d: Density in the pipe's end, kg/m^3.
+        v: Velocity there, positive out of the pipe, m/s.
+        p: Pressure there, Pa.
+        p0: Pressure of the chamber, Pa.
+        t0: Temperature of the chamber, K.
+        shut: Part of the end that is shut.
+        gamma: Ratio of specific heats.
+        r_gas: Specific gas constant, J/(kg K).
+
+    Returns:
+        Density, outward velocity and pressure at the end.
+    """
+    z = math.sqrt(gamma * p * d)
+    wave = p + z * v
+    if shut <= 0.0 or wave >= p0:
+        return vessel_state(d, v, p, p0, t0, 0.0, gamma, r_gas)
+    left = 1.0 - shut
+    low, high = max(wave, 0.02 * p0), p0
+    below = _jet(low, wave, z, p0, t0, left, gamma, r_gas)
+    above = _jet(high, wave, z, p0, t0, left, gamma, r_gas)
+    for _ in range(JET_STEPS):
+        if below >= 0.0:  # what went out of the pipe draws in more than the jet brings
+            high = low
+            break
+        pf = high - above * (high - low) / (above - below)
+        f = _jet(pf, wave, z, p0, t0, left, gamma, r_gas)
+        if f > 0.0:  # regula falsi, its other end drawn in (Illinois)
+            high, above, below = pf, f, 0.5 * below
+        else:
+            low, below, above = pf, min(f, -1e-300), 0.5 * above
+        if high - low < JET_FOUND * p0 or abs(f) <= JET_FOUND * p0 / z:
+            high = pf
+            break
+    w = (high - wave) / z
+    t = max(t0 - 0.5 * (gamma - 1.0) / (gamma * r_gas) * w * w, 0.5 * t0)
+    return high / (r_gas * t), -w, high
 
 
 @folded
@@ -157,7 +217,8 @@ def _beyond_vessel(e, j, gas, cells, ends, reservoirs, chambers):
     elif kind == L.CHAMBER:
         p0 = chambers.work[ref, L.H_PRESSURE, j]
         t0 = chambers.work[ref, L.H_TEMPERATURE, j]
-        d1, v1, q1 = vessel_state(d, v, q, p0, t0, 0.0, gas.gamma, gas.r)
+        shut = chambers.work[ref, L.H_SHUT, j]
+        d1, v1, q1 = cushioned_state(d, v, q, p0, t0, shut, gas.gamma, gas.r)
     else:
         q1 = ends.joint[e, L.J_PRESSURE, j]
         d1 = d * (1.0 + (q1 - q) / (gas.gamma * q))
@@ -283,13 +344,15 @@ def _into_vessel(e, j, gas, order, cells, ends, reservoirs, chambers):
     if ends.table[e, L.E_KIND] == L.CHAMBER:
         p0 = chambers.work[ref, L.H_MIDDLE, j]
         t0 = chambers.work[ref, L.H_TEMPERATURE, j]
-        loss = 0.0
+        shut = chambers.work[ref, L.H_SHUT, j]
+        d, v, p = face_state(e, j, order, cells, ends)
+        d, v, p = cushioned_state(d, v, p, p0, t0, shut, gamma, gas.r)
     else:
         p0 = reservoirs.supplied[ref, j]
         t0 = reservoirs.par[ref, L.R_TEMPERATURE, j]
         loss = reservoirs.par[ref, L.R_LOSS, j]
-    d, v, p = face_state(e, j, order, cells, ends)
-    d, v, p = vessel_state(d, v, p, p0, t0, loss, gamma, gas.r)
+        d, v, p = face_state(e, j, order, cells, ends)
+        d, v, p = vessel_state(d, v, p, p0, t0, loss, gamma, gas.r)
     m = d * v
     return m, p + m * v, v * (gamma / (gamma - 1.0) * p + 0.5 * m * v)
 

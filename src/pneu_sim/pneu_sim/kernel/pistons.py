@@ -150,24 +150,33 @@ def _last(k, side, j, cells, cylinders):
 
 
 @branching
-def open_cushions(ports, cylinders):
-    """Throttle the ports of sides whose pistons come to their ends; inflow finds them open.
+def open_cushions(ports, chambers, cylinders):
+    """Throttle the ways in of sides whose pistons come to their ends; inflow finds them open.
+
+    A port shrinks; where there is none, the pipe's end.
 
     Args:
         ports: Ports; those of cylinders are orifices.
+        chambers: Chambers.
         cylinders: Cylinders.
     """
     for k in range(cylinders.table.shape[0]):
         for side in range(2):
             q = cylinders.table[k, L.Y_PORT + side]
-            if q < 0:
+            if q < 0 and cylinders.table[k, L.COLUMNS_PER_SIDE * side] != L.GAS_CHAMBER:
                 continue
             for j in range(ports.opening.shape[1]):
                 length = cylinders.par[k, L.PY_CUSHION + side, j]
                 way = _way(k, side, j, cylinders)
-                if length > 0.0 and way < length and ports.flow[q, 0, j] <= 0.0:
+                share = 1.0
+                if length > 0.0 and way < length:
                     left = cylinders.par[k, L.PY_LEFT + side, j]
-                    ports.opening[q, j] *= left + (1.0 - left) * max(way, 0.0) / length
+                    share = left + (1.0 - left) * max(way, 0.0) / length
+                if q < 0:
+                    c = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_REF]
+                    chambers.work[c, L.H_SHUT, j] = 1.0 - share
+                elif ports.flow[q, 0, j] <= 0.0:
+                    ports.opening[q, j] *= share
 
 
 @branching

@@ -44,8 +44,9 @@ class Cushion(Part):
 
     Attributes:
         length_m: How far from the end it begins, m, or rad of a rotary one.
-        opening: Share of the side's port that is left at the end; it shrinks in proportion to the
-            way. Gas that enters finds the port open (a check valve).
+        opening: Share of the way in that is left at the end: of the side's port, or, where it has
+            none, of the end of its pipe. It shrinks in proportion to the piston's way. Gas that
+            enters finds it open (a check valve).
     """
 
     length_m: Positive
@@ -61,7 +62,7 @@ class Side(Part):
         heat_w_per_k: Heat conductance of its wall that does not change with the piston's way.
         port_conductance_m3_s_pa: Sonic conductance of the way in; None does not throttle.
         port_critical_ratio: Critical pressure ratio of that.
-        cushion: Throttling at this end; needs a conductance of the port.
+        cushion: Throttling at this end of what leaves through a port or, of a chamber, a pipe.
     """
 
     node: str
@@ -73,8 +74,8 @@ class Side(Part):
 
     @model_validator(mode="after")
     def _check(self) -> "Side":
-        if self.cushion is not None and self.port_conductance_m3_s_pa is None:
-            raise ValueError("a cushion needs port_conductance_m3_s_pa, which it throttles")
+        if self.cushion is not None and self.node == "closed":
+            raise ValueError("a cushion needs a way out: node closed has none")
         if self.node == "closed" and self.port_conductance_m3_s_pa is not None:
             raise ValueError("node closed has no port: leave port_conductance_m3_s_pa out")
         return self
@@ -167,7 +168,13 @@ class Cylinder(Part):
             )
         for name, side in (("head", self.head), ("rod", self.rod)):
             cushion = None if side is None else side.cushion
-            if cushion is not None and cushion.length_m > self.stroke:
+            if cushion is None or side is None:
+                continue
+            if self.gas == "cells" and side.port_conductance_m3_s_pa is None:
+                raise ValueError(
+                    f"{name}.cushion: needs {name}.port_conductance_m3_s_pa where gas is cells"
+                )
+            if cushion.length_m > self.stroke:
                 raise ValueError(
                     f"{name}.cushion.length_m: found {cushion.length_m:g}, beyond the stroke of"
                     f" {self.stroke:g}"
