@@ -3,8 +3,10 @@
 
 from collections.abc import Collection, Iterator
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pneu_sim.rig.opening import opening_at
 from pneu_sim.rig.schema import FitParameter, Opening, Port, Rig, Spool, Valve
@@ -105,9 +107,38 @@ def mirrors_of(rig: Rig) -> Mirrors:
     }
 
 
+class Bends(NamedTuple):
+    """How much curves are expected to bend, as shares of what is expected beforehand.
+
+    Attributes:
+        change: Of slopes and exponents between neighbouring intervals.
+        apart: Of the exponents of curves that the file calls mirrors.
+    """
+
+    change: float = 1.0
+    apart: float = 1.0
+
+
+class Ties(NamedTuple):
+    """Prior relations between the points of curves, in units of their standard deviations.
+
+    Attributes:
+        matrix: (K, P).
+        right: (K,) right side.
+        group: (K,) which of `Bends` each belongs to.
+    """
+
+    matrix: NDArray[np.float64]
+    right: NDArray[np.float64]
+    group: NDArray[np.int64]
+
+
 def curve_ties(
-    rig: Rig, parameters: list[FitParameter], mirrors: Mirrors | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+    rig: Rig,
+    parameters: list[FitParameter],
+    mirrors: Mirrors | None = None,
+    bends: Bends | None = None,
+) -> Ties:
     """Smoothness of the opening curves as prior relations between their points.
 
     The slope of a curve may change from one interval to the next by about ``SLOPE_CHANGE`` of its
@@ -118,32 +149,36 @@ def curve_ties(
         rig: The rig.
         parameters: What is estimated.
         mirrors: Which curves are about the mirrors of which.
+        bends: How much they bend, where that is known better (`bends.bends_told`).
 
     Returns:
-        (K, P) matrix and (K,) right side for ``gauss_newton.minimise``.
+        The ties; the first two for ``gauss_newton.minimise``.
     """
     index = {p.path: k for k, p in enumerate(parameters)}
     ties = [
-        tie
+        (0, tie)
         for v, valve in rig.valves.items()
         for p, port in valve.ports.items()
         if port.opening.mirror is None
         for tie in _smooth(valve, f"valves.{v}.ports.{p}", port)
     ]
     for (v, p), source in (mirrors or {}).items():
-        ties += _alike(rig.valves[v], f"valves.{v}.ports", p, source)
-    rows, sides = [], []
-    for tie in ties:
+        ties += [(1, tie) for tie in _alike(rig.valves[v], f"valves.{v}.ports", p, source)]
+    rows, sides, groups = [], [], []
+    for group, tie in ties:
         row, side = np.zeros(len(parameters)), 0.0
+        narrower = 1.0 / (bends or Bends())[group]
         for path, weight, value in tie:
             if path in index:
-                row[index[path]] += weight
+                row[index[path]] += narrower * weight
             else:
-                side -= weight * value
+                side -= narrower * weight * value
         if row.any():
             rows.append(row)
             sides.append(side)
-    return np.array(rows).reshape(-1, len(parameters)), np.array(sides)
+            groups.append(group)
+    matrix = np.array(rows).reshape(-1, len(parameters))
+    return Ties(matrix, np.array(sides), np.array(groups, dtype=np.int64))
 
 
 Tie = list[tuple[str, float, float]]

@@ -11,7 +11,7 @@ from pneu_common.errors import InputError
 from pneu_common.progress import Tell
 from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import Calibration, FitParameter, Rig
-from pneu_sysid.curves import Mirrors, mirrors_of, with_own_curves
+from pneu_sysid.curves import Bends, Mirrors, mirrors_of, with_own_curves
 from pneu_sysid.gauss_newton import Estimate, jacobian
 from pneu_sysid.parameters import (
     calibrated_parameters,
@@ -270,6 +270,7 @@ class _Taken:
         estimate: Its estimate.
         fresh: Whether it began with a Jacobian of its own.
         stale: Whether its Jacobian is not to be used again.
+        bends: How much opening curves bend by it; None where it cannot tell, as valves may be off.
     """
 
     step: Step
@@ -279,6 +280,7 @@ class _Taken:
     estimate: Estimate
     fresh: bool
     stale: bool = False
+    bends: Bends | None = None
 
 
 def _list_of(
@@ -356,7 +358,7 @@ def _taken(
     alike = before is not None and before.step.dx_m == step.dx_m and not before.stale
     if before is not None and alike and before.step.pull_s == step.pull_s:
         slope = _slope(before, fitted, problem, job.used(problem))
-    now, estimate = take(
+    now, estimate, bends = take(
         rig,
         problem,
         fitted,
@@ -367,8 +369,17 @@ def _taken(
         told,
         slope,
         job.mirrors,
+        None if before is None else before.bends,
     )
-    return _Taken(step, now, fitted, problem, estimate, fresh=slope is None)
+    return _Taken(
+        step,
+        now,
+        fitted,
+        problem,
+        estimate,
+        fresh=slope is None,
+        bends=None if step.part else bends,
+    )
 
 
 def _at_known_scale(job: _Job, last: _Taken) -> _Taken:

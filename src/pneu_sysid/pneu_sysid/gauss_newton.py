@@ -69,6 +69,7 @@ class Estimate:
         left_out: (n_clusters, m) residual of each cluster at the estimate from all others.
         at_bound: (P,) which estimates sit on a bound.
         visible: (P,) whether the data constrain the parameter at all.
+        weight: Deviations of noise that count as one against the prior (`_noise_of_scores`).
     """
 
     values: Floats
@@ -85,6 +86,7 @@ class Estimate:
     left_out: Floats
     at_bound: NDArray[np.bool_]
     visible: NDArray[np.bool_]
+    weight: float = 1.0
 
     def amounts(self, residuals: Floats) -> Floats:
         """How far the variables would move for other residuals, to first order, without bounds.
@@ -383,6 +385,7 @@ def _summary(
         left_out=_left_out(r, r + np.einsum("smp,sp->sm", j, moves / scale)),
         at_bound=at_bound,
         visible=visible,
+        weight=weight,
     )
 
 

@@ -18,7 +18,8 @@ from pneu_sim.models import kind_of
 from pneu_sim.rig.parameters import value_of
 from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import FitParameter, Rig
-from pneu_sysid.curves import Mirrors, curve_ties
+from pneu_sysid.bends import bends_told
+from pneu_sysid.curves import Bends, Mirrors, curve_ties
 from pneu_sysid.gauss_newton import DAMPINGS, Estimate, Variable, minimise
 from pneu_sysid.parameters import rig_at, variables_of
 from pneu_sysid.problem import Problem, make_problem, pull_of
@@ -333,8 +334,9 @@ def take(
     told: Callable[[int], Callable[[float], None]] | None = None,
     slope: Floats | None = None,
     mirrors: Mirrors | None = None,
-) -> tuple[Rig, Estimate]:
-    """Takes one step: the rig after it, and the estimate.
+    bends: Bends | None = None,
+) -> tuple[Rig, Estimate, Bends]:
+    """Takes one step: the rig after it, the estimate, and how much opening curves bend by it.
 
     Args:
         rig: The rig.
@@ -347,17 +349,20 @@ def take(
         told: See `residual_function`.
         slope: Jacobian to begin with, where it is known.
         mirrors: Opening curves that are about the mirrors of others.
+        bends: How much opening curves bend, as far as that is known.
     """
+    variables = centred(rig, parameters, centres)
     estimate = minimise(
         residual_function(problem, used, partial(rig_at, rig, parameters), told),
-        centred(rig, parameters, centres),
+        variables,
         iterations=iterations,
         robust=robust,
-        ties=curve_ties(rig, parameters, mirrors),
+        ties=curve_ties(rig, parameters, mirrors, bends)[:2],
         secants=SECANTS,
         slope=slope,
     )
-    return rig_at(rig, parameters, estimate.values), estimate
+    after = rig_at(rig, parameters, estimate.values)
+    return after, estimate, bends_told(estimate, variables, curve_ties(after, parameters, mirrors))
 
 
 def start_of(rig: Rig, parameters: list[FitParameter]) -> list[float]:

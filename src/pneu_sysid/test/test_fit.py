@@ -64,8 +64,8 @@ def test_a_curve_follows_the_one_whose_mirror_the_file_calls_it() -> None:
     rig = draw_rig("line", np.random.default_rng(1))
     own = with_own_curves(rig)
     points = [p for p in calibrated_parameters(own) if ".opening.fraction." in p.path]
-    ties, sides = curve_ties(own, points, mirrors_of(rig))
-    free, _ = curve_ties(own, points)
+    ties, sides, group = curve_ties(own, points, mirrors_of(rig))
+    free, _, _ = curve_ties(own, points)
 
     def logs(**exponents: float) -> np.ndarray:
         """Logarithms of the points of power laws of some exponents, full opening 1."""
@@ -82,6 +82,7 @@ def test_a_curve_follows_the_one_whose_mirror_the_file_calls_it() -> None:
     np.testing.assert_allclose(mirrored, 1.0, rtol=1e-9)
     assert len(mirrored) == len(own.valves["valve"].ports["exhaust"].opening.fraction) - 1
     assert len(ties) == len(free) + len(mirrored)
+    assert np.sum(group == 1) == len(mirrored)
 
 
 def test_the_file_adds_drops_and_holds() -> None:
