@@ -22,7 +22,7 @@ from pneu_common.errors import InputError
 from pneu_graph.bag.reader import BagReader
 from pneu_sim.init import TEMPLATES
 from pneu_sim.rig.load import load_rig
-from pneu_sim.rig.schema import Rig
+from pneu_sim.rig.schema import HORIZON_MOVING_S, HORIZON_S, Calibration, Rig
 from pneu_sim.run import run_from_rest, run_rig
 
 SEALED = {"node": "closed", "dead_volume_m3": 1e-8}
@@ -193,6 +193,22 @@ def test_what_cannot_be_is_refused_in_one_line_with_file_and_field(
 def test_a_sealed_side_may_have_a_node_for_its_tap(run: Run) -> None:
     rig = changed(cylinders__c__head={**SEALED, "node": "n"}, taps={"gauge": {"chamber": "n"}})
     assert run("check", written(rig)).exit_code == 0
+
+
+@pytest.mark.parametrize("given", [None, 0.5, 0.15, 0.3, "null"])
+def test_what_moves_is_predicted_less_far_unless_the_file_says_how_far(given: Any) -> None:
+    """So it stands in a file that is written, too, and in a calibration whatever it is."""
+    fit = {} if given is None else {"fit": {"horizon_s": None if given == "null" else given}}
+    rig = Rig.model_validate(deepcopy(SPRING) | fit)
+    wanted = HORIZON_MOVING_S if given is None else rig.fit.horizon_s
+    assert rig.fit.horizon_s == wanted
+    assert Rig.model_validate(rig.dump()).fit.horizon_s == wanted
+    assert ("fit" in rig.dump()) == (given not in (None, HORIZON_MOVING_S))
+    calibration = Calibration(recording="bag", rmse_pa={}, noise_floor_pa={})
+    calibrated = rig.model_copy(update={"calibration": calibration})
+    assert calibrated.dump()["fit"]["horizon_s"] == wanted
+    still = Rig.model_validate({k: v for k, v in deepcopy(SPRING).items() if k != "bodies"})
+    assert still.fit.horizon_s == HORIZON_S and "fit" not in still.dump()
 
 
 def test_other_models_than_the_full_one_say_that_they_move_nothing(tmp_path: Path) -> None:

@@ -4,12 +4,15 @@
 from typing import ClassVar
 
 from pneu_sim.effects.base import Effect, EffectParameter
-from pneu_sim.effects.places import driven_joints, joint_at
+from pneu_sim.effects.places import driven_joints, joint_at, joints
 from pneu_sim.rig.schema import Rig
 
 
 class Backlash(Effect):
-    """Width of the play, added to the rig's."""
+    """Width of the play, added to the rig's, and the mass of what is loose in it.
+
+    That mass, of piston, rod and clevis, is part of the joint's inertia while both touch.
+    """
 
     name: ClassVar[str] = "backlash"
     title: ClassVar[str] = "play of a joint"
@@ -23,6 +26,7 @@ class Backlash(Effect):
     )
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("width", "rad or m", 0.0, 0.0, 0.5, 0.01, 3e-4),
+        EffectParameter("loose_kg", "kg", 0.3, 0.02, 20.0, 0.3, 0.05, fitted=True),
     )
     order: ClassVar[int] = 6
     curved: ClassVar[bool] = True
@@ -36,4 +40,10 @@ class Backlash(Effect):
         return driven_joints(rig)
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
+        if values["width"] <= 0.0:
+            return
         joint_at(rig, place).play += values["width"]
+        body, _ = joints(rig)[place]
+        for name in body.driven_by:
+            if rig.cylinders[name].rotary is None:
+                rig.cylinders[name].loose_kg = values["loose_kg"]

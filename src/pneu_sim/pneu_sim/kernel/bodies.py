@@ -12,7 +12,15 @@ import math
 from pneu_sim import layout as L
 from pneu_sim.compiling import branching, folded
 from pneu_sim.kernel.equations.kinds import levers, mechanics
-from pneu_sim.kernel.play import LEANS, LOOSE, has_play, lean, look_from, stay_within
+from pneu_sim.kernel.play import (
+    LEANS,
+    LOOSE,
+    has_play,
+    is_played,
+    lean,
+    look_from,
+    stay_within,
+)
 
 HOLD_STEPS, HELD = 30, 1e-12
 """Of Newton's method for friction of soft seals, at most; the share of the greatest impulse to
@@ -21,6 +29,8 @@ SWEEPS = 12
 """Of Gauss-Seidel, for bodies of several joints; one joint needs two."""
 LET_GO = -2.0
 """What ``Bodies.row`` says of a piston that lets go of the face of its play."""
+MOST_LOOSE = 0.9
+"""Part of a body's mass that its loose pistons may be, seen from each joint."""
 AT_REST = 1e-7
 """Speed, m/s or rad/s, below which seals hold as at rest."""
 
@@ -209,6 +219,31 @@ def _load_cylinder(k, c, b, j, dt, bodies, cylinders):
         if stiff > 0.0:
             for m in range(n):
                 bodies.mass[i, m] += stiff * lever[c, i] * lever[c, m]
+
+
+@folded
+def _leave_behind(b, j, bodies, cylinders):
+    """Take the mass of pistons that are loose out of that of their body, of which it is part.
+
+    Args:
+        b: Which body.
+        j: Which lane.
+        bodies: Bodies, with their mass and the levers of all places.
+        cylinders: Cylinders.
+    """
+    n, place = bodies.table[b, L.B_JOINTS], bodies.table[b, L.B_PLACE]
+    for c in range(bodies.table[b, L.B_PLACES]):
+        k = bodies.driven_by[place + c]
+        if cylinders.state[k, L.SY_SIDE, j] != 0.0 or not is_played(b, j, c, bodies):
+            continue
+        own = cylinders.par[k, L.PY_MASS, j]
+        for i in range(n):
+            square = bodies.lever[c, i] * bodies.lever[c, i]
+            if square > 0.0:  # something is left of a body, whatever a file says
+                own = min(own, MOST_LOOSE * bodies.mass[i, i] / square)
+        for i in range(n):
+            for m in range(n):
+                bodies.mass[i, m] -= own * bodies.lever[c, i] * bodies.lever[c, m]
 
 
 @folded
@@ -518,6 +553,7 @@ def _move_body(b, j, dt, bodies, cylinders):
     levers(kind, bodies.par, b, j, bodies.q, bodies.x, bodies.lever)
     played = has_play(b, j, bodies)
     if played:
+        _leave_behind(b, j, bodies, cylinders)
         lean(b, j, bodies, cylinders)
     _load_joints(b, j, dt, bodies)
     for c in range(places):
