@@ -98,6 +98,34 @@ def test_a_body_falls_through_its_play_and_no_farther(incline: float) -> None:
     assert np.ptp(out.extensions["c"]) < 2e-5
 
 
+def test_a_loose_piston_is_no_part_of_its_body() -> None:
+    """The piston sticks in the middle of its play; a spring moves what is left of the mass."""
+    mass, loose, rate = 2.0, 0.8, 5e3
+    slide = {"play": 0.02, "spring": rate, "spring_at": 0.503}
+    out = run(rail(slide, {"coulomb_n": 1e5}, mass_kg=mass, loose_kg=loose), 0.3)
+    omega = math.sqrt(rate / (mass - loose))
+    expected = 0.503 - 0.003 * np.cos(omega * out.time_s)
+    assert np.abs(out.joints["b_slide"] - expected).max() < 1e-5
+
+
+def test_meeting_a_face_keeps_the_momentum_of_both() -> None:
+    """A spring draws the mass to a face of a piston at rest; they go on together, as heavy as both.
+
+    They do so until the spring is slack, where they are fastest.
+    """
+    mass, loose, rate, drawn, way = 2.0, 0.8, 5e3, 0.003, 0.002
+    slide = {"play": 2.0 * way, "spring": rate, "spring_at": 0.5 + drawn}
+    out = run(rail(slide, mass_kg=mass, loose_kg=loose), 0.05, sample_s=1e-4)
+    apart = out.joints["b_slide"] - out.extensions["c"]
+    meeting = math.acos(1.0 - way / drawn) / math.sqrt(rate / (mass - loose))
+    assert out.time_s[np.argmax(apart > way - 1e-7)] == pytest.approx(meeting, abs=2e-4)
+    before = math.sqrt(rate / (mass - loose) * (drawn**2 - (drawn - way) ** 2))
+    both = (mass - loose) / mass * before
+    fastest = math.sqrt(both**2 + rate / mass * (drawn - way) ** 2)
+    after = out.time_s > meeting + 2e-4
+    assert out.speeds["b_slide"][after].max() == pytest.approx(fastest, rel=2e-3)
+
+
 def test_a_piston_takes_its_body_along_from_face_to_face() -> None:
     """A spring of the cylinder draws the piston in; the mass follows by the play behind."""
     slow = {"viscous_n_s_m": 200.0}

@@ -11,7 +11,7 @@ import math
 
 from pneu_sim import layout as L
 from pneu_sim.compiling import branching, folded
-from pneu_sim.kernel.equations.kinds import levers, mechanics
+from pneu_sim.kernel.equations.kinds import RAIL, levers, mechanics
 from pneu_sim.kernel.play import (
     LEANS,
     LOOSE,
@@ -225,6 +225,8 @@ def _load_cylinder(k, c, b, j, dt, bodies, cylinders):
 def _leave_behind(b, j, bodies, cylinders):
     """Take the mass of pistons that are loose out of that of their body, of which it is part.
 
+    Its weight too, where that is the body's: on a rail.
+
     Args:
         b: Which body.
         j: Which lane.
@@ -241,6 +243,8 @@ def _leave_behind(b, j, bodies, cylinders):
             square = bodies.lever[c, i] * bodies.lever[c, i]
             if square > 0.0:  # something is left of a body, whatever a file says
                 own = min(own, MOST_LOOSE * bodies.mass[i, i] / square)
+        if bodies.table[b, L.B_KIND] == RAIL:
+            bodies.force[0] *= 1.0 - own / bodies.mass[0, 0]
         for i in range(n):
             for m in range(n):
                 bodies.mass[i, m] -= own * bodies.lever[c, i] * bodies.lever[c, m]

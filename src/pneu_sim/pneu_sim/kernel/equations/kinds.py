@@ -4,6 +4,9 @@
 from pneu_sim.compiling import branching
 from pneu_sim.kernel.equations import arm, cart_pole, dog, kokoro, rail
 
+RAIL = 0
+"""The kind whose piston moves along with it, and so is a part of its weight."""
+
 
 @branching
 def mechanics(kind, par, b, j, q, v, mass, force):
@@ -19,7 +22,7 @@ def mechanics(kind, par, b, j, q, v, mass, force):
         mass: (joints, joints) written.
         force: (joints,) written.
     """
-    if kind == 0:
+    if kind == RAIL:
         rail.mechanics(par, b, j, q, v, mass, force)
     elif kind == 1:
         cart_pole.mechanics(par, b, j, q, v, mass, force)
@@ -44,7 +47,7 @@ def levers(kind, par, b, j, q, extension, lever):
         extension: (cylinders,) written, m or rad.
         lever: (cylinders, joints) written.
     """
-    if kind == 0:
+    if kind == RAIL:
         rail.levers(par, b, j, q, extension, lever)
     elif kind == 1:
         cart_pole.levers(par, b, j, q, extension, lever)
