@@ -412,6 +412,8 @@ def diagnosis_table(found: "Diagnosis") -> NamedTable:
     Args:
         found: The diagnosis.
     """
+    from pneu_sysid.sensor_units import strength_unit
+
     table = NamedTable(
         "candidates, best first",
         [
@@ -426,7 +428,8 @@ def diagnosis_table(found: "Diagnosis") -> NamedTable:
         ],
     )
     for k, r in enumerate(found.finalists):
-        strength = f"{r.strength:.3g} ± {r.std_error:.1g} {r.site.effect.strength.unit}"
+        unit = strength_unit(r.rig, r.site.effect, r.site.place)
+        strength = f"{r.strength:.3g} ± {r.std_error:.1g} {unit}"
         table.add_row(
             r.site.effect.name,
             r.site.label.split("@", 1)[1],

@@ -28,7 +28,7 @@ from pneu_sysid.results import (
     Numerics,
     Verdict,
 )
-from pneu_sysid.sensor_units import apart
+from pneu_sysid.sensor_units import apart, strength_unit
 from pneu_sysid.standing import Standing, against_noise, since_calibration, standing_of
 from pneu_sysid.thresholds import Thresholds
 from pneu_sysid.together import each_of
@@ -414,7 +414,7 @@ def result_of_diagnosis(name: str, found: Diagnosis, findings: list[str]) -> Dia
                 position_m=r.site.shape.get(POSITION),
                 position_error_m=r.position_error_m,
                 strength=r.strength,
-                unit=effect.strength.unit,
+                unit=strength_unit(r.rig, effect, r.site.place),
                 std_error=r.std_error,
                 explained_fraction=r.score_explained,
                 refit_fraction=r.explained,
@@ -437,7 +437,7 @@ def result_of_diagnosis(name: str, found: Diagnosis, findings: list[str]) -> Dia
                 place=s.site.place,
                 position_m=s.site.shape.get(POSITION),
                 strength=s.strength,
-                unit=effect.strength.unit,
+                unit=strength_unit(found.bench.rig, effect, s.site.place),
                 std_error=abs(s.strength) / s.t if s.t > 0.0 else None,
                 explained_fraction=s.explained,
                 significance=s.t,

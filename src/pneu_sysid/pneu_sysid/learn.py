@@ -28,7 +28,7 @@ from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.refits import effect_variables, refit_effects
 from pneu_sysid.results import LearnResult, Step, Verdict, write_json
-from pneu_sysid.sensor_units import apart
+from pneu_sysid.sensor_units import apart, strength_unit
 from pneu_sysid.sites import all_sites
 from pneu_sysid.thresholds import Thresholds
 from pneu_sysid.words import strength_in_words
@@ -167,7 +167,7 @@ def _step(
         added=added.effect if added is not None else None,
         place=place,
         strength=strength,
-        unit=effect.strength.unit if effect is not None else None,
+        unit=None if effect is None or added is None else strength_unit(rig, effect, added.place),
         std_error=None if std_errors is None else float(std_errors[0]),
         position_error_m=_position_error(rig, added, std_errors, untold_m),
         rmse_pa=dict(rmse_pa),

@@ -13,6 +13,7 @@ from pneu_sysid.gauss_newton import Estimate
 from pneu_sysid.nuisance import Nuisance
 from pneu_sysid.problem import Problem, Rollouts
 from pneu_sysid.regimes import Operation, operation
+from pneu_sysid.sensor_units import strength_unit
 from pneu_sysid.sites import all_sites
 from pneu_sysid.thresholds import Thresholds
 
@@ -139,7 +140,7 @@ def effects_that_help(
     best = [s for s in best_per_place(scores) if s.explained > TELLS and s.t > 3.0][:2]
     return [
         f"{s.site.label} would explain {100.0 * s.explained:.0f} % of it (about"
-        f" {s.strength:.2g} {s.site.effect.strength.unit}): see `pneu diagnose`, or add it with"
-        " `pneu add`"
+        f" {s.strength:.2g} {strength_unit(rig, s.site.effect, s.site.place)}): see"
+        " `pneu diagnose`, or add it with `pneu add`"
         for s in best
     ]

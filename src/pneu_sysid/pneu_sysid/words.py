@@ -3,6 +3,7 @@
 
 from pneu_sim.effects.base import POSITION
 from pneu_sysid.refits import Refit
+from pneu_sysid.sensor_units import strength_unit
 from pneu_sysid.standing import Standing
 
 
@@ -66,9 +67,10 @@ def missing(top: Refit, alike: list[str], alone: bool) -> str:
         alone: Whether it explains all that needs an explanation.
     """
     effect = top.site.effect
+    unit = strength_unit(top.rig, effect, top.site.place)
     text = (
         f"Missing: {effect.title} {_where(top)},"
-        f" {strength_in_words(top.strength, top.std_error, effect.strength.unit)}; it explains"
+        f" {strength_in_words(top.strength, top.std_error, unit)}; it explains"
         f" {100.0 * top.held_out:.0f} % of the held-out squared residual"
     )
     if alike:

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from pneu_sim.effects import registry
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.plausible import RANGES
 from pneu_sim.rig.schema import AttachedEffect, Calibration, FitParameter, Rig
 from pneu_sysid.commands import fit_result
 from pneu_sysid.parameter_units import ENCODER, JOINT, PURE, unit_of_name, unit_of_parameter
 from pneu_sysid.parameters import calibrated_parameters
+from pneu_sysid.sensor_units import strength_unit
 
 RIGS = sorted((Path(__file__).parents[3] / "rigs").glob("*.yaml"))
 NOT_OF_THE_RIG = {"Fit", "FitParameter", "Calibration", "TextFormat", "Channel"}
@@ -130,3 +132,25 @@ def test_the_result_of_a_fit_carries_units() -> None:
     )
     result: Any = fit_result("rig.yaml", None, [], outcome)  # type: ignore[arg-type]
     assert [p["unit"] for p in result.as_dict()["parameters"]] == ["Hz", "1"]
+
+
+@pytest.mark.parametrize(
+    ("file", "effect", "place", "unit"),
+    [
+        ("kokoro", "backlash", "elbow", "rad"),
+        ("kokoro", "encoder_bias", "elbow", "rad"),
+        ("cart_pole", "backlash", "cart", "m"),
+        ("cart_pole", "external_spring", "cart", "N/m"),
+        ("cart_pole", "external_spring", "pole", "N m/rad"),
+        ("rig_a", "leak", "tube", "m^2, effective"),
+    ],
+)
+def test_strengths_have_the_unit_of_their_place(
+    file: str, effect: str, place: str, unit: str
+) -> None:
+    """Not of what turns and of what slides, both at once."""
+    rig = load_rig(next(path for path in RIGS if path.stem == file))
+    assert strength_unit(rig, registry()[effect], place) == unit
+    for other in registry().values():
+        for at in other.places(rig):
+            assert " or " not in strength_unit(rig, other, at)
