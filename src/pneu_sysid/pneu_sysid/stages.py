@@ -107,8 +107,9 @@ def steps_of(rig: Rig, approach: bool, iterations: int) -> list[Step]:
     coarse = rig.grid.dx_m * float(np.clip(cells_of(rig) / FEWEST_CELLS, 1.0, COARSEST))
     pull = pull_of(rig)
     out = []
-    if pull is None or pull > 1.5 * SLOW_PULL_S:
-        out.append(Step("slow: what flows", coarse, SLOW_PULL_S, 3, slow=True, part=True))
+    if rig.moves or pull is None or pull > 1.5 * SLOW_PULL_S:
+        near = SLOW_PULL_S if pull is None else min(SLOW_PULL_S, pull)
+        out.append(Step("slow: what flows", coarse, near, 3, slow=True, part=True))
     few = max(1, iterations // 4)
     out.append(Step("fast: spools and waves", coarse, None, few, part=True, tries=True))
     out.append(Step("fast: limits of spools", coarse, None, few, limits=True))

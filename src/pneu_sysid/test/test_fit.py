@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from studies.exact_rigs import draw_rig, record
 
 from pneu_common.errors import InputError
+from pneu_sim.rig import load_rig
 from pneu_sim.rig.build import build, spool_row
 from pneu_sim.rig.schema import AttachedEffect, FitParameter, Opening, Rig
 from pneu_sim.signals import Signal
@@ -15,8 +18,11 @@ from pneu_sim.valve import positions_along
 from pneu_sysid.curves import EXPONENT_APART, WIDEST, curve_ties, mirrors_of, with_own_curves
 from pneu_sysid.fit import FitOutcome, fit_rig, parameters_of
 from pneu_sysid.parameters import calibrated_parameters, listed_parameters
-from pneu_sysid.problem import make_problem
+from pneu_sysid.problem import make_problem, pull_of
 from pneu_sysid.records import Recording
+from pneu_sysid.stages import steps_of
+
+ROOT = Path(__file__).parents[3]
 
 BANDWIDTH = "valves.valve.spool.bandwidth_hz"
 SUPPLY = "valves.valve.ports.supply.conductance_m3_s_pa"
@@ -273,3 +279,13 @@ def test_the_first_part_of_a_recording() -> None:
     assert part.end_s <= 1.0 < recording.end_s
     assert part.commands["voltage"].time_s[0] == recording.commands["voltage"].time_s[0]
     assert recording.until(10.0) is recording
+
+
+@pytest.mark.parametrize(("horizon_s", "moves"), [(0.5, False), (0.15, True), (0.5, True)])
+def test_what_flows_is_fitted_first_of_whatever_moves(horizon_s: float, moves: bool) -> None:
+    """From a datasheet's flows a robot's joints are far off, and what they tell leads astray."""
+    rig = load_rig(ROOT / "rigs" / ("kokoro.yaml" if moves else "rig_a.yaml"))
+    rig.fit.horizon_s = horizon_s
+    steps = steps_of(rig, approach=True, iterations=8)
+    assert steps[0].slow and steps[0].part
+    assert (steps[0].pull_s or 0.0) <= (pull_of(rig) or 0.0)
