@@ -280,6 +280,7 @@ def main(arguments: list[str] | None = None) -> int:
     shapes = [shape for shape, _ in RIGS]
     parser.add_argument("--rigs", nargs="*", help="shapes", default=shapes, choices=shapes)
     parser.add_argument("--without", action="store_true", help="each taken out of the catalogue")
+    parser.add_argument("--page", type=Path, help="file that receives the page, whatever was run")
     parser.add_argument("--budget-s", type=float, default=float("inf"))
     options = parser.parse_args(arguments)
     console = Console(width=170)
@@ -309,10 +310,12 @@ def main(arguments: list[str] | None = None) -> int:
                 found = found_of(injection, rig, learned, time.monotonic() - started)
                 store.add(name, found)
                 console.print(line_of(name, found), soft_wrap=True)
-    text = page(store.cases, total)
+    text = page(store.cases, total, options.rigs)
     console.print(text)
-    if len(options.rigs) == len(RIGS) and not options.only:
-        (ROOT / "docs" / "confusion.md").write_text(text, encoding="utf-8")
+    whole = ROOT / "docs" / "confusion.md"
+    file = options.page or (whole if len(options.rigs) == len(RIGS) and not options.only else None)
+    if file is not None:
+        file.write_text(text, encoding="utf-8")
     return 0
 
 
@@ -428,13 +431,15 @@ def places_line(located: list[Found]) -> str:
     return f"* place right, of those: {right}, or within twice the error that is told of it {told}"
 
 
-def page(cases: dict[str, Found], planned: int) -> str:
+def page(cases: dict[str, Found], planned: int, shapes: list[str]) -> str:
     """The results as a page.
 
     Args:
         cases: What was found, by name.
         planned: How many there are to be.
+        shapes: Of which rigs.
     """
+    cases = {k: f for k, f in cases.items() if k.startswith(tuple(shapes))}
     taken_out = {k: f for k, f in cases.items() if k.endswith("without it")}
     whole = {k: f for k, f in cases.items() if k not in taken_out}
     healthy = [f for f in whole.values() if f.healthy]
@@ -448,7 +453,7 @@ def page(cases: dict[str, Found], planned: int) -> str:
     lines = [
         "# Confusion matrix",
         "",
-        "Made by `make confusion`: rigs of lines of three shapes and a joint, drawn at random and"
+        f"Made by `make confusion` of these rigs: {', '.join(shapes)}; drawn at random and"
         f" calibrated from their datasheets; every effect hidden in a recording of {SECONDS:g} s of"
         " each, from a plant of finer cells and other numerics, at a place, a position and a"
         f" strength of its own. An effect that changes no sensor by {FELT:g} times the noise,"
