@@ -30,6 +30,9 @@ LADDER = (3.0, 10.0, 30.0)
 ELSEWHERE = 0.2
 """A place is tried with another strength too where that would be other by this share."""
 LOOKS = 5
+LEAST_SHARE = 1e-2
+"""Of its variance the strength keeps so much at least with the shape as found: few stretches tell
+how both go together no better."""
 KEPT = 4
 """So many of the best points are kept with their residuals; the estimate is nearly always one."""
 WORTH_ANOTHER = 1e-3
@@ -47,7 +50,7 @@ class Refit:
         position_error_m: Standard error of its position; None where it has none.
         explained: Fraction of the squared residual explained where it was fitted.
         held_out: The same on the part kept aside.
-        t: Strength over its standard error.
+        t: Strength over its standard error with the shape as found.
         score_explained: The score's explained fraction.
         residual: (n_stretches, m) what is left, in noise units, without what is uncertain anyway.
         change: (n_stretches, m) change of the prediction.
@@ -186,12 +189,32 @@ def refit(
         position_error_m=None if position is None else float(estimate.std_errors[position]),
         explained=share_explained(base[used], residual[used]),
         held_out=share_explained(base[~used], residual[~used]),
-        t=abs(value - strength.absent) / max(error, 1e-300),
+        t=abs(value - strength.absent) / max(_error_of_this_shape(estimate), 1e-300),
         score_explained=candidate.explained,
         residual=residual,
         change=base - residual,
         rig=better,
     )
+
+
+def _error_of_this_shape(estimate: Estimate) -> float:
+    """Standard error of the strength, the first variable, with the others as found.
+
+    Whether there is any of an effect is asked of the shape that it has: without strength there is
+    no shape (Davies 1987, Biometrika 74(1), 33). Strength and shape may make up for each other, as
+    the force and the speed of stiction do, so that neither is known well, though the effect is.
+
+    Args:
+        estimate: The estimate.
+    """
+    error = float(estimate.std_errors[0])
+    free = np.flatnonzero(estimate.visible[1:] & ~estimate.at_bound[1:]) + 1
+    if not free.size or not np.isfinite(error):
+        return error
+    c = estimate.covariance
+    with_shape = c[0, free] @ np.linalg.lstsq(c[np.ix_(free, free)], c[free, 0], rcond=None)[0]
+    rest = c[0, 0] - float(with_shape)
+    return error * float(np.sqrt(np.clip(rest / max(c[0, 0], 1e-300), LEAST_SHARE, 1.0)))
 
 
 def _stronger(
