@@ -195,12 +195,15 @@ def test_fit():
 
 
 def test_diagnose():
-    unit = SimpleNamespace(unit="m^2, effective")
+    unit = SimpleNamespace(unit="m^2, effective")  # one that needs no look at the rig
     finalists = [
         SimpleNamespace(
             site=SimpleNamespace(
-                effect=SimpleNamespace(name=effect, strength=unit), label=f"{effect}@{place}"
+                effect=SimpleNamespace(name=effect, strength=unit),
+                place=place,
+                label=f"{effect}@{place}",
             ),
+            rig=None,
             strength=1.23e-8,
             std_error=1e-10,
             score_explained=0.5,

@@ -50,7 +50,7 @@ class Refit:
         position_error_m: Standard error of its position; None where it has none.
         explained: Fraction of the squared residual explained where it was fitted.
         held_out: The same on the part kept aside.
-        t: Strength over its standard error with the shape as found.
+        t: Strength over its standard error; that with the shape as found, where both are traded.
         score_explained: The score's explained fraction.
         residual: (n_stretches, m) what is left, in noise units, without what is uncertain anyway.
         change: (n_stretches, m) change of the prediction.
@@ -177,6 +177,7 @@ def refit(
     fitted = placed(estimate.values)
     position = next((k for k, p in enumerate(shape, start=1) if p.name == POSITION), None)
     value, error = float(estimate.values[0]), float(estimate.std_errors[0])
+    sure = _error_of_this_shape(estimate) if site.effect.traded else error
     better = fitted.attached(rig, value)
     residual = residuals.at(estimate.values)
     if project is not None:
@@ -189,7 +190,7 @@ def refit(
         position_error_m=None if position is None else float(estimate.std_errors[position]),
         explained=share_explained(base[used], residual[used]),
         held_out=share_explained(base[~used], residual[~used]),
-        t=abs(value - strength.absent) / max(_error_of_this_shape(estimate), 1e-300),
+        t=abs(value - strength.absent) / max(sure, 1e-300),
         score_explained=candidate.explained,
         residual=residual,
         change=base - residual,
@@ -202,7 +203,9 @@ def _error_of_this_shape(estimate: Estimate) -> float:
 
     Whether there is any of an effect is asked of the shape that it has: without strength there is
     no shape (Davies 1987, Biometrika 74(1), 33). Strength and shape may make up for each other, as
-    the force and the speed of stiction do, so that neither is known well, though the effect is.
+    the force and the speed of stiction do, so that neither is known well, though the effect
+    is. An effect says so of itself (`Effect.traded`): a valve that opens above some pressure is
+    found at one or another by chance.
 
     Args:
         estimate: The estimate.

@@ -41,7 +41,7 @@ def test_a_limit_that_is_none_goes_and_the_bandwidth_comes_back(rig: Rig) -> Non
     used = np.ones(problem.stretches, dtype=bool)
     variables = variables_of(wrong, parameters)
     centres = {(p.path, p.recording): v.value for p, v in zip(parameters, variables, strict=True)}
-    limited, estimate = take(wrong, problem, parameters, centres, used, 2, False)
+    limited, estimate, _ = take(wrong, problem, parameters, centres, used, 2, False)
     assert limited.valves["valve"].spool.max_acceleration_v_s2 is not None
     found, changed = try_limits(limited, problem, used, estimate, parameters)
     assert changed

@@ -83,6 +83,8 @@ class Effect(ABC):
             tried for all of it; its position is fitted all the same.
         curved: Whether what it changes is far from proportional to its strength: a small one looks
             unlike a large one, and it is tried at several strengths.
+        traded: Whether strength and shape make up for each other, so that neither is known well
+            though that there is the effect is.
         contains: Name of an effect that is a special case of this one; it is named instead, unless
             this one explains more.
         next_experiment: Recording that shows this effect apart from its look-alikes.
@@ -97,6 +99,7 @@ class Effect(ABC):
     order: ClassVar[int] = 5
     spread_out: ClassVar[bool] = False
     curved: ClassVar[bool] = False
+    traded: ClassVar[bool] = False
     contains: ClassVar[str | None] = None
     next_experiment: ClassVar[str]
 

@@ -29,6 +29,7 @@ class PistonStiction(Effect):
         EffectParameter("stribeck_m_s", "m/s", 0.01, 1e-3, 0.1, 0.01, 5e-4, fitted=True),
     )
     order: ClassVar[int] = 6
+    traded: ClassVar[bool] = True
     next_experiment: ClassVar[str] = (
         "Let the piston rest for some seconds, then raise the pressure slowly until it breaks"
         " away, and repeat: the force at which it starts is above that at which it goes on."
