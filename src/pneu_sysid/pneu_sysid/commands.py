@@ -412,7 +412,7 @@ def diagnosis_table(found: "Diagnosis") -> NamedTable:
     Args:
         found: The diagnosis.
     """
-    from pneu_sysid.sensor_units import strength_unit
+    from pneu_sysid.parameter_units import strength_unit
 
     table = NamedTable(
         "candidates, best first",

@@ -18,6 +18,7 @@ from pneu_sysid.evidence import lead
 from pneu_sysid.fit import sensor_rmse
 from pneu_sysid.heading import heading
 from pneu_sysid.left_open import left_open
+from pneu_sysid.parameter_units import strength_unit
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.refits import Refit, refit
@@ -28,7 +29,7 @@ from pneu_sysid.results import (
     Numerics,
     Verdict,
 )
-from pneu_sysid.sensor_units import apart, strength_unit
+from pneu_sysid.sensor_units import apart
 from pneu_sysid.standing import Standing, against_noise, since_calibration, standing_of
 from pneu_sysid.thresholds import Thresholds
 from pneu_sysid.together import each_of

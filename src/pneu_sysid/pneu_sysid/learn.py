@@ -23,12 +23,13 @@ from pneu_sysid.evidence import lead
 from pneu_sysid.fit import fit_rig, sensor_rmse
 from pneu_sysid.gauss_newton import Estimate
 from pneu_sysid.heading import heading
+from pneu_sysid.parameter_units import strength_unit
 from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.refits import effect_variables, refit_effects
 from pneu_sysid.results import LearnResult, Step, Verdict, write_json
-from pneu_sysid.sensor_units import apart, strength_unit
+from pneu_sysid.sensor_units import apart
 from pneu_sysid.sites import all_sites
 from pneu_sysid.thresholds import Thresholds
 from pneu_sysid.words import strength_in_words

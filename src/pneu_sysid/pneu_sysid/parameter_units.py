@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The unit of a number of a rig, told by its path: the file has it in the key's name."""
 
+from pneu_sim.effects.base import Effect
 from pneu_sim.effects.registry import registry
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.sensor_units import encoder_units
+from pneu_sysid.sensor_units import encoder_unit, encoder_units, joints_of
 
 PURE = frozenset({
         "centre_opening", "cfl", "critical_ratio", "damping", "discharge",
@@ -101,6 +102,34 @@ def _of_effect(rig: Rig, place: str, name: str) -> str | None:
     """The unit that the catalogue has for a parameter of an attached effect."""
     if not place.isdigit() or int(place) >= len(rig.effects):
         return unit_of_name(name)
-    effect = registry().get(rig.effects[int(place)].effect)
+    attached = rig.effects[int(place)]
+    effect = registry().get(attached.effect)
     known = () if effect is None else effect.parameters
-    return next((p.unit for p in known if p.name == name), unit_of_name(name))
+    units = (_own(rig, p.unit, attached.place) for p in known if p.name == name)
+    return next(units, unit_of_name(name))
+
+
+def strength_unit(rig: Rig, effect: Effect, place: str) -> str:
+    """The unit of an effect's strength at a place.
+
+    Args:
+        rig: The rig.
+        effect: The effect.
+        place: The place.
+    """
+    return _own(rig, effect.strength.unit, place)
+
+
+def _own(rig: Rig, unit: str, place: str) -> str:
+    """Of two units that the catalogue has, for what turns and for what slides, a place's own."""
+    options = unit.split(" or ")
+    if len(options) == 1:
+        return unit
+    if place in rig.encoders:
+        slides = encoder_unit(rig, place) == "m"
+    elif place in (joints := joints_of(rig)):
+        slides = joints[place][1] == "m"
+    else:
+        slides = rig.cylinders[place.split(".", 1)[0]].rotary is None
+    turning = next(o for o in options if "rad" in o or "N m" in o)
+    return next(o for o in options if (o == turning) != slides)

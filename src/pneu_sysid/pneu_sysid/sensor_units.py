@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 from pneu_sim.bodies.base import Joint
-from pneu_sim.effects.base import Effect
 from pneu_sim.rig.schema import Rig
 
 EncoderUnit = Literal["rad", "m"]
@@ -111,26 +110,6 @@ def unit_of(sensor: str, encoders: Mapping[str, str]) -> Unit:
         encoders: What the encoders read.
     """
     return UNITS[encoders.get(sensor, "Pa")]
-
-
-def strength_unit(rig: Rig, effect: Effect, place: str) -> str:
-    """The unit of an effect's strength at a place: of those for turning and sliding, its own.
-
-    Args:
-        rig: The rig.
-        effect: The effect.
-        place: The place.
-    """
-    turning, _, sliding = effect.strength.unit.partition(" or ")
-    if not sliding:
-        return turning
-    if place in rig.encoders:
-        slides = encoder_unit(rig, place) == "m"
-    elif place in (joints := joints_of(rig)):
-        slides = joints[place][1] == "m"
-    else:
-        slides = rig.cylinders[place.split(".", 1)[0]].rotary is None
-    return sliding if slides else turning
 
 
 def shared(encoders: Mapping[str, str], sensors: Iterable[str]) -> Unit | None:

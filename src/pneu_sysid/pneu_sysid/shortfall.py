@@ -11,9 +11,9 @@ from pneu_sim.rig.schema import FitParameter, Rig
 from pneu_sysid.candidates import best_per_place, residual_matrix, scores_of, sensitivities
 from pneu_sysid.gauss_newton import Estimate
 from pneu_sysid.nuisance import Nuisance
+from pneu_sysid.parameter_units import strength_unit
 from pneu_sysid.problem import Problem, Rollouts
 from pneu_sysid.regimes import Operation, operation
-from pneu_sysid.sensor_units import strength_unit
 from pneu_sysid.sites import all_sites
 from pneu_sysid.thresholds import Thresholds
 

@@ -2,8 +2,8 @@
 """Verdicts in words."""
 
 from pneu_sim.effects.base import POSITION
+from pneu_sysid.parameter_units import strength_unit
 from pneu_sysid.refits import Refit
-from pneu_sysid.sensor_units import strength_unit
 from pneu_sysid.standing import Standing
 
 

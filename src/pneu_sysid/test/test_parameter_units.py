@@ -16,9 +16,15 @@ from pneu_sim.rig import load_rig
 from pneu_sim.rig.plausible import RANGES
 from pneu_sim.rig.schema import AttachedEffect, Calibration, FitParameter, Rig
 from pneu_sysid.commands import fit_result
-from pneu_sysid.parameter_units import ENCODER, JOINT, PURE, unit_of_name, unit_of_parameter
+from pneu_sysid.parameter_units import (
+    ENCODER,
+    JOINT,
+    PURE,
+    strength_unit,
+    unit_of_name,
+    unit_of_parameter,
+)
 from pneu_sysid.parameters import calibrated_parameters
-from pneu_sysid.sensor_units import strength_unit
 
 RIGS = sorted((Path(__file__).parents[3] / "rigs").glob("*.yaml"))
 NOT_OF_THE_RIG = {"Fit", "FitParameter", "Calibration", "TextFormat", "Channel"}
@@ -154,3 +160,9 @@ def test_strengths_have_the_unit_of_their_place(
     for other in registry().values():
         for at in other.places(rig):
             assert " or " not in strength_unit(rig, other, at)
+            values = {p.name: p.typical for p in other.parameters}
+            attached = AttachedEffect(effect=other.name, place=at, parameters=values)
+            having = rig.model_copy(update={"effects": [attached]})
+            for p in other.parameters:  # as the table of a fit tells them, one unit each
+                told = unit_of_parameter(having, f"effects.0.parameters.{p.name}")
+                assert told in p.unit.split(" or ")
