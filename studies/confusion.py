@@ -315,7 +315,7 @@ def main(arguments: list[str] | None = None) -> int:
     whole = ROOT / "docs" / "confusion.md"
     file = options.page or (whole if len(options.rigs) == len(RIGS) and not options.only else None)
     if file is not None:
-        file.write_text(text, encoding="utf-8")
+        write_whole(file, text)
     return 0
 
 
