@@ -32,7 +32,9 @@ BagPaths = Annotated[
         metavar="BAG...", help="rosbag2 folders, .mcap files, or text recordings, of one rig."
     ),
 ]
-RigPath = Annotated[Path, typer.Option("--rig", help="Rig file (YAML).", show_default=False)]
+RigPath = Annotated[
+    Path, typer.Option("--rig", help="Rig file, or scene file (YAML).", show_default=False)
+]
 JsonPath = Annotated[
     Path | None, typer.Option("--json", help="Write the result as JSON.", show_default=False)
 ]
@@ -80,6 +82,19 @@ def _folder(path: Path, rig: Path, force: bool) -> None:
     except OSError as error:
         raise InputError(f"{path}: cannot be made a folder ({error.strerror})") from None
     check_output(path / "learn.json", force)
+
+
+def _is_scene(rig: Path, report: Path | None = None, effects: Path | None = None) -> bool:
+    """Whether a file says that it is a scene, for which not every option of a rig is there."""
+    from pneu_sysid.contacts.scene import is_scene
+
+    if not is_scene(rig):
+        return False
+    if report is not None:
+        raise InputError(f"{rig}: is a scene; --report is of rigs")
+    if effects is not None:
+        raise InputError(f"{rig}: is a scene; --effects is of rigs")
+    return True
 
 
 def _load(rig: Path, effects: Path | None) -> "Rig":
@@ -172,6 +187,10 @@ def fit(
     console = _console()
     for path in (output, json_path, report):
         check_output(path, force)
+    if _is_scene(rig, report, effects):
+        from pneu_sysid.contacts.commands import fit as fit_scene
+
+        return fit_scene(bag, rig, output, json_path, workers, console)
     start = _load(rig, effects)
     if show_list:
         console.print(_parameter_list(start, parameters_of(start)))
@@ -357,6 +376,10 @@ def compare(
     console = _console()
     for path in (json_path, report):
         check_output(path, force)
+    if _is_scene(rig[0], report, effects):
+        from pneu_sysid.contacts.commands import compare as compare_scenes
+
+        return compare_scenes(bag, rig, json_path, console)
     rigs = [_load(path, effects if k == 0 else None) for k, path in enumerate(rig)]
     recordings = _read(bag, rigs[0], console)
     with progress("comparing") as tell:
@@ -392,6 +415,10 @@ def diagnose(
     console = _console()
     for path in (json_path, report):
         check_output(path, force)
+    if _is_scene(rig, report, effects):
+        from pneu_sysid.contacts.commands import diagnose as diagnose_scene
+
+        return diagnose_scene(bag, rig, json_path, workers, console)
     loaded = _load(rig, effects)
     recordings = _read(bag, loaded, console)
     with progress("diagnosing") as tell:
@@ -473,6 +500,10 @@ def add(
     for path in (output, json_path):
         check_output(path, force)
     name, _, where = effect.partition("@")
+    if _is_scene(rig, None, effects):
+        from pneu_sysid.contacts.commands import add as add_to_scene
+
+        return add_to_scene(name, where, bag, rig, output, workers, console)
     place, _, position = where.partition(":")
     try:
         at = float(position) if position else None
@@ -555,6 +586,10 @@ def learn(
     console = _console()
     check_output(json_path, force)
     _folder(output, rig, force)
+    if _is_scene(rig, None, effects):
+        from pneu_sysid.contacts.commands import learn as learn_scene
+
+        return learn_scene(bag, rig, output, json_path, workers, console)
     loaded = _load(rig, effects)
     recordings = _read(bag, loaded, console)
     with progress("learning") as tell:

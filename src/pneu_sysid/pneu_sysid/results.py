@@ -14,33 +14,19 @@ from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
 from pneu_common.validation import sentence
+from pneu_sysid.result_base import Number, Perhaps, Result, Verdict
+from pneu_sysid.scene_results import (
+    SceneCompareResult,
+    SceneDiagnoseResult,
+    SceneFitResult,
+    SceneLearnResult,
+)
 from pneu_sysid.sensor_units import EncoderUnit
-
-
-def _finite(value: Any) -> Any:
-    """None for a number that JSON cannot hold."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Perhaps = Annotated[float | None, BeforeValidator(_finite)]
-
-
-class Result(BaseModel):
-    """Base of everything in a result file: unknown keys are refused."""
-
-    model_config = ConfigDict(extra="forbid", populate_by_name=True, use_attribute_docstrings=True)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Returns the result as plain data, as it is written to JSON."""
-        return self.model_dump(mode="json", by_alias=True)
 
 
 class Head(Result):
@@ -492,8 +478,6 @@ class FitResult(Head):
 
 # ---- diagnose ------------------------------------------------------------------------------
 
-Verdict = Literal["nothing_missing", "effect", "ambiguous", "unknown"]
-
 
 class Candidate(Result):
     """An effect at a place that could explain the residual."""
@@ -736,12 +720,16 @@ class FrictionResult(Head):
     """What else the strokes say, or cannot."""
 
 
-RESULTS: tuple[type[Head], ...] = (
+RESULTS: tuple[type[Result], ...] = (
     CompareResult,
     FitResult,
     DiagnoseResult,
     LearnResult,
     FrictionResult,
+    SceneCompareResult,
+    SceneFitResult,
+    SceneDiagnoseResult,
+    SceneLearnResult,
 )
 
 
@@ -755,7 +743,7 @@ def pneu_version() -> str:
     return "(not installed)"
 
 
-def result_of(data: dict[str, Any]) -> Head:
+def result_of(data: dict[str, Any]) -> Any:
     """Checks plain data against the schema it names.
 
     Args:
@@ -777,7 +765,7 @@ def result_of(data: dict[str, Any]) -> Head:
         raise InputError(f"result of schema {name}: {sentence(error, kinds[name])}") from None
 
 
-def write_json(path: str | Path, result: Head | dict[str, Any]) -> None:
+def write_json(path: str | Path, result: Result | dict[str, Any]) -> None:
     """Writes a result file, whole or not at all.
 
     Args:
@@ -788,7 +776,7 @@ def write_json(path: str | Path, result: Head | dict[str, Any]) -> None:
         InputError: The file cannot be written, or the data do not follow their schema.
     """
     path = Path(path)
-    checked = result if isinstance(result, Head) else result_of(result)
+    checked = result if isinstance(result, Result) else result_of(result)
     data = checked.as_dict()
     data = {"schema": data.pop("schema"), **data}
     lines = [f"  {json.dumps(k)}: {json.dumps(v, allow_nan=False)}" for k, v in data.items()]
@@ -801,9 +789,10 @@ _PAGE = """\
 # JSON results
 
 `--json FILE` of `pneu compare`, `fit`, `diagnose`, `learn` and `friction` writes one object as
-below. All quantities are SI, pressures absolute pascals, times from the start of the recording; the
-unit is in a key's name (`rmse_pa`). Encoders stand apart from taps: their keys have no unit in
-their names (`rmse`), and `encoders` says of each whether it is rad or m. There is never NaN or
+below; where a scene stands for a rig, one of those whose names begin with `pneu.scene`. All
+quantities are SI, pressures absolute pascals, times from the start of the recording; the unit is in
+a key's name (`rmse_pa`). Encoders stand apart from taps: their keys have no unit in their names
+(`rmse`), and `encoders` says of each whether it is rad or m. There is never NaN or
 infinity: where a number does not exist, `null` stands. `schema` names the command and the version;
 the version rises when a key changes its meaning or goes away, not when one is added.
 

@@ -688,3 +688,50 @@ def _stamps_ns(messages: list[Any], path: str) -> np.ndarray:
     seconds = np.fromiter((stamp(m).sec for m in messages), np.int64, count)
     nanoseconds = np.fromiter((stamp(m).nanosec for m in messages), np.int64, count)
     return seconds * 1_000_000_000 + nanoseconds
+
+
+@dataclass(frozen=True)
+class Messages:
+    """All messages of one topic of a bag.
+
+    Attributes:
+        topic: The topic as the bag has it.
+        msgtype: Its type.
+        stamp_ns: (n,) when: by their headers, or when they were written where they have none.
+        messages: They, decoded.
+    """
+
+    topic: str
+    msgtype: str
+    stamp_ns: np.ndarray
+    messages: list[Any]
+
+
+def read_messages(path: Path, wanted: dict[str, str]) -> tuple[dict[str, Messages], list[Finding]]:
+    """Read whole messages of a bag.
+
+    Args:
+        path: rosbag2 folder or bare .mcap file.
+        wanted: Topics by the names that messages to people call them.
+
+    Returns:
+        Messages by topic as it was asked for, and the findings about the files.
+
+    Raises:
+        InputError: The bag is unreadable, or a topic is not in it.
+    """
+    topics, findings = _collect(path, set(wanted.values()))
+    out: dict[str, Messages] = {}
+    for name, asked in wanted.items():
+        if asked in out:
+            continue
+        topic = _find_topic(path, name, Channel(topic=asked), topics)
+        where = f"{path}: topic '{topic.name}' ({topic.msgtype})"
+        store = _typestore(where, topic, name, findings)
+        messages = _decode(where, store, topic)
+        stamp = _stamp_path(store, topic.msgtype)
+        stamps = np.array(topic.log_ns, dtype=np.int64)
+        if stamp is not None and np.any(own := _stamps_ns(messages, stamp)):
+            stamps = own
+        out[asked] = Messages(topic.name, topic.msgtype, stamps, messages)
+    return out, findings

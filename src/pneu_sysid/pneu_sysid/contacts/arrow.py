@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Linear systems of one trajectory and the parameters that all its knots share.
+
+A knot's residuals know three knots, so that the Hessian of a trajectory is a band of blocks, two
+off the diagonal; parameters add dense rows and columns to it, an arrow (thesis 2.4). The band is
+factored by LAPACK's banded Cholesky; what is left of the parameters is a small dense system.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpbtrf, dpbtrs
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Arrow:
+    """Gradient and Gauss-Newton Hessian of one trajectory's cost.
+
+    Attributes:
+        diagonal: (n, k, k) blocks on the diagonal.
+        next: (n - 1, k, k) blocks below: rows of knot ``i + 1``, columns of knot ``i``.
+        after: (n - 2, k, k) blocks two below.
+        shaft: (n, k, c) knots by parameters.
+        tip: (c, c) parameters.
+        slope: (n, k) gradient by knots.
+        tip_slope: (c,) gradient by parameters.
+        cost: The cost.
+    """
+
+    diagonal: Floats
+    next: Floats
+    after: Floats
+    shaft: Floats
+    tip: Floats
+    slope: Floats
+    tip_slope: Floats
+    cost: float
+
+    def dense(self) -> Floats:
+        """The whole Hessian, (n k + c) square: for tests and small problems."""
+        n, k, c = self.shaft.shape
+        out = np.zeros((n * k + c, n * k + c))
+        for off, blocks in enumerate((self.diagonal, self.next, self.after)):
+            for i, block in enumerate(blocks):
+                rows = slice((i + off) * k, (i + off + 1) * k)
+                columns = slice(i * k, (i + 1) * k)
+                out[rows, columns] = block
+                out[columns, rows] = block.T
+        out[: n * k, n * k :] = self.shaft.reshape(n * k, c)
+        out[n * k :, : n * k] = self.shaft.reshape(n * k, c).T
+        out[n * k :, n * k :] = self.tip
+        return out
+
+    def gradient(self) -> Floats:
+        """(n k + c,) the whole gradient."""
+        return np.concatenate([self.slope.ravel(), self.tip_slope])
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """A trajectory taken out of its arrow: what is left is of the parameters alone.
+
+    Attributes:
+        hessian: (c, c) Schur complement.
+        slope: (c,) its gradient.
+        step: (n, k) step of the trajectory with the parameters held.
+        lever: (n, k, c) what that step changes by per unit of the parameters' step.
+    """
+
+    hessian: Floats
+    slope: Floats
+    step: Floats
+    lever: Floats
+
+
+def band_of(arrow: Arrow, damping: float) -> Floats:
+    """The band of a trajectory's Hessian as LAPACK stores its lower half.
+
+    Args:
+        arrow: The Hessian.
+        damping: What is added to the diagonal, as a share of it (Levenberg and Marquardt).
+
+    Returns:
+        (3 k, n k), one row per diagonal, columns first in memory.
+    """
+    n, k, _ = arrow.shaft.shape
+    band = np.zeros((3 * k, n * k), order="F")
+    for off, blocks in enumerate((arrow.diagonal, arrow.next, arrow.after)):
+        for row in range(k):
+            for column in range(row + 1 if off == 0 else k):
+                below = off * k + row - column
+                band[below, column : (n - off) * k : k] = blocks[:, row, column]
+    # What nothing sees would stand still; a share of the largest keeps it so.
+    least = 1e-14 * float(band[0].max(initial=1e-300))
+    band[0] = np.maximum(band[0] * (1.0 + damping), least)
+    return band
+
+
+def eliminate(arrow: Arrow, damping: float = 0.0) -> Eliminated | None:
+    """Takes a trajectory out of its arrow.
+
+    Args:
+        arrow: Gradient and Hessian.
+        damping: See `band_of`.
+
+    Returns:
+        What is left; None where the Hessian is not positive definite in floating point, which
+        more damping mends.
+    """
+    n, k, c = arrow.shaft.shape
+    factor, failed = dpbtrf(band_of(arrow, damping), lower=1, overwrite_ab=1)
+    if failed:
+        return None
+    right = np.empty((n * k, 1 + c), order="F")
+    right[:, 0] = -arrow.slope.ravel()
+    right[:, 1:] = -arrow.shaft.reshape(n * k, c)
+    solved, failed = dpbtrs(factor, right, lower=1)
+    if failed or not np.all(np.isfinite(solved)):
+        return None
+    lever = solved[:, 1:]
+    flat = arrow.shaft.reshape(n * k, c)
+    return Eliminated(
+        hessian=arrow.tip + flat.T @ lever,
+        slope=arrow.tip_slope + flat.T @ solved[:, 0],
+        step=solved[:, 0].reshape(n, k),
+        lever=lever.reshape(n, k, c),
+    )

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every effect that a scene lacks, scored at the strength that it has: more columns of one arrow.
+
+With the trajectory taken out, what is left of a candidate is one row and column beside those of the
+fitted parameters: its step, the cost that it would take away, and by leaving out one recording
+after another, or one stretch of a long one, whether that may be chance.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sysid.contacts.arrow import eliminate
+from pneu_sysid.contacts.estimate import Parameter, Problem, State
+
+Floats = NDArray[np.float64]
+
+SEEN = 1e-6
+"""Share of a candidate's column that must be left beside the fitted parameters."""
+
+
+@dataclass(frozen=True)
+class SceneScore:
+    """What a candidate would do, to first order.
+
+    Attributes:
+        parameter: The candidate.
+        step: By how much its coordinate would change.
+        std_error: Of that, by leaving out one recording after another.
+        gain: Cost that it would take away.
+        share: Part of its column that is its own.
+    """
+
+    parameter: Parameter
+    step: float
+    std_error: float
+    gain: float
+    share: float
+
+    @property
+    def t(self) -> float:
+        """Step over its standard error."""
+        return abs(self.step) / self.std_error if self.std_error > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class Scores:
+    """All candidates.
+
+    Attributes:
+        scores: Each, the one of largest gain first.
+        alike: (K, K) cosines between what is left of their columns.
+        gain: Cost that the fitted parameters alone would still take away.
+        cost: The cost.
+    """
+
+    scores: list[SceneScore]
+    alike: Floats
+    gain: float
+    cost: float
+
+
+def scored(problem: Problem, state: State, candidates: Sequence[Parameter]) -> Scores:
+    """Scores candidates beside the parameters that a problem fits.
+
+    Args:
+        problem: The problem, its parameters fitted.
+        state: Trajectories and parameters.
+        candidates: Effects that it does not fit.
+
+    Returns:
+        Their scores.
+    """
+    c = len(problem.parameters)
+    wider = problem.fitting([*problem.parameters, *candidates])
+    arrows = wider.arrows(State(state.q, wider.start()))
+    hessians, slopes = [], []
+    for arrow in arrows:
+        gone = eliminate(arrow, 1e-12) or eliminate(arrow, 1e-6)
+        if gone is not None:
+            hessians.append(gone.hessian)
+            slopes.append(gone.slope)
+    H, g = np.array(hessians), np.array(slopes)
+    _, prior_slope, prior_bend = problem.prior(state.x)
+    known = np.zeros(g.shape[1])
+    known[:c] = prior_bend
+    start = np.zeros(g.shape[1])
+    start[:c] = prior_slope
+    whole, slope = H.sum(axis=0) + np.diag(known), g.sum(axis=0) + start
+    base = _gain(whole[:c, :c], slope[:c])
+    own = whole[c:, c:] - whole[c:, :c] @ _inverse(whole[:c, :c]) @ whole[:c, c:]
+    scores = []
+    for k, candidate in enumerate(candidates):
+        at = [*range(c), c + k]
+        here = whole[np.ix_(at, at)]
+        step = -_inverse(here) @ slope[at]
+        left = []
+        for r in range(len(g)):
+            rest = here - H[r][np.ix_(at, at)]
+            left.append(float((-_inverse(rest) @ (slope[at] - g[r][at]))[-1]))
+        n = len(left)
+        spread = np.array(left) - np.mean(left)
+        error = float(np.sqrt((n - 1) / n * np.sum(spread**2))) if n > 1 else np.inf
+        share = float(own[k, k] / whole[c + k, c + k]) if whole[c + k, c + k] > 0.0 else 0.0
+        gain = _gain(here, slope[at]) - base if share > SEEN else 0.0
+        scores.append(SceneScore(candidate, float(step[-1]), error, gain, share))
+    scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
+    order = np.argsort([-s.gain for s in scores])
+    alike = (own / np.outer(scale, scale))[np.ix_(order, order)]
+    return Scores([scores[i] for i in order], alike, base, sum(a.cost for a in arrows))
+
+
+def _inverse(matrix: Floats) -> Floats:
+    """Inverse of a Hessian whose columns differ by orders; of what is seen."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.asarray(
+        np.linalg.pinv(matrix / np.outer(scale, scale), 1e-10) / np.outer(scale, scale)
+    )
+
+
+def _gain(hessian: Floats, slope: Floats) -> float:
+    return float(0.5 * slope @ _inverse(hessian) @ slope) if len(slope) else 0.0

@@ -1,0 +1,480 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `pneu fit`, `compare`, `diagnose` and `learn` do where they are given a scene for a rig."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from pneu_common.errors import InputError
+from pneu_common.progress import progress
+from pneu_common.tables import Column, NamedTable
+from pneu_sysid.contacts.diagnose import SceneDiagnosis, diagnose_scene
+from pneu_sysid.contacts.effects import find_scene_effect
+from pneu_sysid.contacts.effects.base import Setup
+from pneu_sysid.contacts.estimate import Problem, State
+from pneu_sysid.contacts.fit import SceneFit, fit_scene
+from pneu_sysid.contacts.foresee import Foreseen, foresee
+from pneu_sysid.contacts.learn import SceneLearned, learn_scene
+from pneu_sysid.contacts.physics import Physics
+from pneu_sysid.contacts.read import read_tracks
+from pneu_sysid.contacts.scene import Loaded, Value, load_scene, save_scene
+from pneu_sysid.contacts.track import Track
+from pneu_sysid.results import pneu_version, write_json
+from pneu_sysid.scene_results import (
+    Misread,
+    SceneCandidate,
+    SceneCompareResult,
+    SceneDiagnoseResult,
+    SceneFitResult,
+    SceneLearnResult,
+    SceneParameter,
+    SceneStep,
+)
+
+UNITS = {"framepos": "m", "framequat": "rad", "jointpos": "rad or m", "gyro": "rad/s"}
+"""Units of what sensors of usual kinds are off by."""
+OTHERS = {"accelerometer": "m/s^2", "force": "N", "torque": "N m", "jointvel": "rad/s or m/s"}
+
+
+def fit(
+    bags: list[Path],
+    path: Path,
+    output: Path,
+    json_path: Path | None,
+    workers: int | None,
+    console: Console,
+) -> None:
+    """Fits a scene to recordings and writes it.
+
+    Args:
+        bags: The recordings.
+        path: The scene file.
+        output: Where the fitted scene goes.
+        json_path: Where the result goes.
+        workers: Threads.
+        console: Where it is told.
+    """
+    loaded, tracks = _read(bags, path, console)
+    begun = time.monotonic()
+    with progress("fitting") as tell:
+        found = fit_scene(
+            loaded,
+            tracks,
+            physics=Physics(workers),
+            tell=lambda note, done: tell("fitting", done, note),
+        )
+    save_scene(loaded, found.values, output)
+    result = result_of_fit(path, output, found, tracks, time.monotonic() - begun)
+    console.print(parameter_table(result, f"{loaded.scene.name} fitted"))
+    for note in result.notes:
+        console.print(note, style="yellow")
+    console.print(f"{result.unknowns} unknowns; wrote {output}")
+    _write(result, json_path, console)
+
+
+def compare(
+    bags: list[Path], paths: Sequence[Path], json_path: Path | None, console: Console
+) -> None:
+    """Foretells whole recordings from how they begin, by one scene or several.
+
+    Args:
+        bags: The recordings.
+        paths: Scene files.
+        json_path: Where the result of the first goes.
+        console: Where it is told.
+    """
+    table = NamedTable(
+        "off over the whole recording, mean",
+        [Column("scene"), Column("sensor"), Column("unit"), Column("mean", "number"),
+         Column("median", "number"), Column("worst", "number"), Column("in", "words")],
+    )  # fmt: skip
+    first = None
+    for path in paths:
+        loaded, tracks = _read(bags, path, console)
+        with progress("foretelling"):
+            foreseen = foresee(loaded, tracks)
+        result = result_of_compare(path, loaded, tracks, foreseen)
+        first = first or result
+        for sensor, unit in result.sensors.items():
+            each = {f.track.name: f.mean(sensor) for f in foreseen}
+            worst = max(each, key=lambda name: each[name])
+            shown = [result.mean[sensor], result.median[sensor], each[worst]]
+            told = ["ran away" if x is None or not np.isfinite(x) else f"{x:.4g}" for x in shown]
+            table.add_row(loaded.scene.name, sensor, unit, *told, worst)
+    console.print(table)
+    assert first is not None
+    console.print(f"From the first {first.start_s:g} s of each recording, over all of it.")
+    _write(first, json_path, console)
+
+
+def diagnose(
+    bags: list[Path], path: Path, json_path: Path | None, workers: int | None, console: Console
+) -> None:
+    """Says which effect a scene's model is missing.
+
+    Args:
+        bags: The recordings.
+        path: The scene file.
+        json_path: Where the result goes.
+        workers: Threads.
+        console: Where it is told.
+    """
+    loaded, tracks = _read(bags, path, console)
+    with progress("diagnosing") as tell:
+        found = diagnose_scene(
+            loaded,
+            tracks,
+            physics=Physics(workers),
+            tell=lambda note, done: tell("diagnosing", done, note),
+        )
+    console.print(candidate_table(found))
+    console.print(found.sentence, style="bold")
+    console.print(
+        f"Fitted to {len(found.used)} recordings or stretches, judged by {len(found.aside)} others."
+    )
+    _write(result_of_diagnosis(path, loaded, tracks, found), json_path, console)
+
+
+def learn(
+    bags: list[Path],
+    path: Path,
+    output: Path,
+    json_path: Path | None,
+    workers: int | None,
+    console: Console,
+) -> None:
+    """Adds effects to a scene until none is worth it.
+
+    Args:
+        bags: The recordings.
+        path: The scene file.
+        output: Folder of the results.
+        json_path: Where the result goes besides.
+        workers: Threads.
+        console: Where it is told.
+    """
+    loaded, tracks = _read(bags, path, console)
+    with progress("learning") as tell:
+        found = learn_scene(
+            loaded,
+            tracks,
+            output,
+            Physics(workers),
+            lambda note, done: tell("learning", done, note),
+        )
+    table = NamedTable(
+        "loss on what is kept aside",
+        [Column("added"), Column("strength", "words"), Column("loss", "number")],
+    )
+    result = result_of_learning(path, loaded, tracks, found, output)
+    for step in result.steps:
+        name = "nothing yet" if step.added is None else f"{step.added}@{step.place}"
+        strength = (
+            "" if step.strength is None else f"{step.strength:.3g} ± {step.std_error or 0.0:.1g}"
+        )
+        table.add_row(name, f"{strength} {step.unit or ''}".strip(), f"{step.held_out_loss:.4g}")
+    console.print(table)
+    console.print(found.sentence, style="bold")
+    save_scene(loaded, found.values, output / "scene.yaml")
+    write_json(output / "learn.json", result)
+    _write(result, json_path, console)
+    console.print(f"wrote {output / 'scene.yaml'}")
+
+
+def _read(bags: list[Path], path: Path, console: Console) -> tuple[Loaded, list[Track]]:
+    loaded = load_scene(path)
+    tracks = read_tracks(bags, loaded)
+    if not tracks:
+        raise InputError("no recording was given")
+    for finding in dict.fromkeys(f"{t.name}: {f}" for t in tracks for f in t.findings):
+        console.print(finding, style="yellow")
+    return loaded, tracks
+
+
+def _write(
+    result: SceneCompareResult | SceneFitResult | SceneDiagnoseResult | SceneLearnResult,
+    json_path: Path | None,
+    console: Console,
+) -> None:
+    if json_path is not None:
+        write_json(json_path, result)
+        console.print(f"wrote {json_path}")
+
+
+def _head(path: Path, loaded: Loaded, tracks: Sequence[Track]) -> dict[str, object]:
+    setup = loaded.setup()
+    return {
+        "pneu_version": pneu_version(),
+        "scene": str(path),
+        "recordings": [track.name for track in tracks],
+        "sensors": {name: unit_of(setup, name) for name in loaded.names},
+        "findings": [f"{t.name}: {f}" for t in tracks for f in t.findings],
+    }
+
+
+def unit_of(setup: Setup, sensor: str) -> str:
+    """Unit of what a sensor is off by.
+
+    Args:
+        setup: The scene.
+        sensor: Its name.
+    """
+    kind = setup.spec.sensor(sensor).type.name.removeprefix("mjSENS_").lower()
+    return (UNITS | OTHERS).get(kind, "of the sensor")
+
+
+def parameter_table(result: SceneFitResult, title: str) -> NamedTable:
+    """Fitted parameters as a table.
+
+    Args:
+        result: The fit.
+        title: Its title.
+    """
+    table = NamedTable(
+        title,
+        [Column("parameter"), Column("start", "number"), Column("value", "number"),
+         Column("std. error", "number"), Column("unit"), Column("", "words")],
+    )  # fmt: skip
+    for p in result.parameters:
+        error = "-" if p.std_error is None else f"{p.std_error:.2g}"
+        note = "at bound" if p.at_bound else ""
+        name = f"{p.effect}@{p.place}"
+        table.add_row(name, f"{p.start:.5g}", f"{p.value:.5g}", error, p.unit or "-", note)
+    return table
+
+
+def candidate_table(found: SceneDiagnosis) -> NamedTable:
+    """Candidates as a table, those that were refitted first.
+
+    Args:
+        found: The diagnosis.
+    """
+    table = NamedTable(
+        "candidates, best first",
+        [Column("effect"), Column("place"), Column("strength", "words"), Column("score", "number"),
+         Column("held out", "number"), Column("t", "number"), Column("not to be told from")],
+    )  # fmt: skip
+    for f in found.finalists:
+        p = f.score.parameter
+        strength = f"{f.strength:.3g} ± {f.std_error:.1g} {p.effect.unit}".strip()
+        table.add_row(
+            p.effect.name, p.place, strength, f"{f.score.gain:.3g}", f"{100 * f.gain:.0f} %",
+            f"{f.lead:.1f}", ", ".join(f.alike),
+        )  # fmt: skip
+    return table
+
+
+def result_of_fit(
+    path: Path, output: Path | None, found: SceneFit, tracks: Sequence[Track], seconds: float | None
+) -> SceneFitResult:
+    """The JSON result of a fit.
+
+    Args:
+        path: Scene file it started from.
+        output: Scene file written.
+        found: The fit.
+        tracks: The recordings.
+        seconds: How long it took, s.
+    """
+    loaded = found.loaded
+    before = loaded.setup(loaded.scene.values)
+    parameters = []
+    for k, p in enumerate(found.parameters):
+        value, error = found.told(k)
+        near = 1e-6 * (p.upper - p.lower)
+        parameters.append(
+            SceneParameter(
+                effect=p.effect.name, place=p.place, value=value, std_error=error,
+                start=p.effect.value(before, p.place), unit=p.effect.unit,
+                at_bound=value <= p.lower + near or value >= p.upper - near,
+            )
+        )  # fmt: skip
+    problem = Problem(loaded, found.chains, found.values, [], Physics())
+    said, model, setup = problem.outputs(State(found.q, np.zeros(0)))
+    rows = [c.rows(o, setup) for c, o in zip(found.chains, said, strict=True)]
+    force = np.sqrt(np.nanmean(np.concatenate([f for f, _ in rows]) ** 2, axis=0))
+    read = np.concatenate([r for _, r in rows])
+    rmse: dict[str, float | None] = {}
+    at = 0
+    for channel in found.chains[0].channels:
+        part = read[:, at : at + channel.size]
+        rmse[channel.name] = float(np.sqrt(np.nanmean(np.sum(part**2, axis=1))))
+        at += channel.size
+    unknowns = sum(q.shape[0] * int(model.nv) for q in found.q) + len(found.x)
+    return SceneFitResult(
+        **_head(path, loaded, tracks),  # type: ignore[arg-type]
+        output=None if output is None else str(output),
+        parameters=parameters,
+        unknowns=unknowns,
+        history=list(found.estimated.history),
+        converged=found.estimated.converged,
+        loss={t.name: float(x) for t, x in zip(tracks, found.loss, strict=True)},
+        force={name: float(x) for name, x in zip(dof_names(model), force, strict=True)},
+        rmse=rmse,
+        notes=found.notes,
+        seconds=seconds,
+    )
+
+
+def dof_names(model: object) -> list[str]:
+    """A name for each direction of motion, as ``joint`` or ``joint.x``, turns as ``joint.rx``.
+
+    Args:
+        model: An ``MjModel``.
+    """
+    out = []
+    for j in range(model.njnt):  # type: ignore[attr-defined]
+        name = model.joint(j).name  # type: ignore[attr-defined]
+        kind = int(model.jnt_type[j])  # type: ignore[attr-defined]
+        moves = [f"{name}.{a}" for a in "xyz"]
+        turns = [f"{name}.r{a}" for a in "xyz"]
+        out += {0: moves + turns, 1: turns}.get(kind, [name])
+    return out
+
+
+def result_of_compare(
+    path: Path, loaded: Loaded, tracks: Sequence[Track], foreseen: Sequence[Foreseen]
+) -> SceneCompareResult:
+    """The JSON result of a comparison.
+
+    Args:
+        path: Scene file.
+        loaded: The scene.
+        tracks: The recordings.
+        foreseen: What was foretold of each.
+    """
+    off = {}
+    for f in foreseen:
+        off[f.track.name] = {
+            name: Misread(
+                mean=float(np.mean(x)), rms=float(np.sqrt(np.mean(x**2))), last=float(x[-1])
+            )
+            for name, x in f.off.items()
+        }
+    means = {name: [f.mean(name) for f in foreseen] for name in loaded.names}
+    return SceneCompareResult(
+        **_head(path, loaded, tracks),  # type: ignore[arg-type]
+        start_s=loaded.scene.start_s,
+        off=off,
+        mean={name: float(np.mean(x)) for name, x in means.items()},
+        median={name: float(np.median(x)) for name, x in means.items()},
+    )
+
+
+def result_of_diagnosis(
+    path: Path, loaded: Loaded, tracks: Sequence[Track], found: SceneDiagnosis
+) -> SceneDiagnoseResult:
+    """The JSON result of a diagnosis.
+
+    Args:
+        path: Scene file.
+        loaded: The scene.
+        tracks: The recordings.
+        found: The diagnosis.
+    """
+    refitted = {f.label: f for f in found.finalists}
+    order = [*(f.score for f in found.finalists)]
+    order += [s for s in found.scores.scores if s.parameter.label not in refitted]
+    candidates = []
+    for score in order:
+        p, f = score.parameter, refitted.get(score.parameter.label)
+        candidates.append(
+            SceneCandidate(
+                effect=p.effect.name, title=p.effect.title, place=p.place, unit=p.effect.unit,
+                score=score.gain, step=score.step, step_t=score.t,
+                strength=None if f is None else f.strength,
+                std_error=None if f is None else f.std_error,
+                held_out_gain=None if f is None else f.gain,
+                significance=None if f is None else f.lead,
+                indistinguishable_from=[] if f is None else f.alike,
+                tested=f is not None,
+            )
+        )  # fmt: skip
+    return SceneDiagnoseResult(
+        **_head(path, loaded, tracks),  # type: ignore[arg-type]
+        verdict=found.verdict,
+        sentence=found.sentence,
+        used=found.used,
+        aside=found.aside,
+        candidates=candidates,
+    )
+
+
+def result_of_learning(
+    path: Path, loaded: Loaded, tracks: Sequence[Track], found: SceneLearned, output: Path | None
+) -> SceneLearnResult:
+    """The JSON result of the loop.
+
+    Args:
+        path: Scene file.
+        loaded: The scene.
+        tracks: The recordings.
+        found: What was learned.
+        output: Folder of the results.
+    """
+    steps = [SceneStep(step=0, added=None, held_out_loss=found.losses[0])]
+    for k, f in enumerate(found.added):
+        p = f.score.parameter
+        steps.append(
+            SceneStep(
+                step=k + 1, added=p.effect.name, place=p.place, strength=f.strength,
+                std_error=f.std_error, unit=p.effect.unit, held_out_loss=found.losses[k + 1],
+            )
+        )  # fmt: skip
+    return SceneLearnResult(
+        **_head(path, loaded, tracks),  # type: ignore[arg-type]
+        steps=steps,
+        verdict=found.verdict,
+        sentence=found.sentence,
+        output=None if output is None else str(output),
+    )
+
+
+def add(
+    name: str,
+    place: str,
+    bags: list[Path],
+    path: Path,
+    output: Path,
+    workers: int | None,
+    console: Console,
+) -> None:
+    """Adds an effect to a scene and fits it.
+
+    Args:
+        name: The effect.
+        place: Where; empty where it has one place only.
+        bags: The recordings.
+        path: The scene file.
+        output: Where the better scene goes.
+        workers: Threads.
+        console: Where it is told.
+    """
+    loaded, tracks = _read(bags, path, console)
+    effect = find_scene_effect(name)
+    setup = loaded.setup(loaded.scene.values)
+    places = effect.places(setup)
+    at = place or (places[0] if len(places) == 1 else "")
+    if at not in places:
+        raise InputError(
+            f"effect {name!r}: place {place!r} is not one of {', '.join(places) or 'none here'}"
+        )
+    now = effect.value(setup, at)
+    start = now * 1.1 if effect.logarithmic else now + effect.typical
+    value = Value(effect=name, at=at, value=float(np.clip(start, effect.lower, effect.upper)))
+    kept = tuple(v for v in loaded.scene.values if (v.effect, v.at) != (name, at))
+    with progress("adding") as tell:
+        found = fit_scene(
+            loaded,
+            tracks,
+            (*kept, value),
+            Physics(workers),
+            lambda note, done: tell("adding", done, note),
+        )
+    save_scene(loaded, found.values, output)
+    result = result_of_fit(path, output, found, tracks, None)
+    console.print(parameter_table(result, f"{loaded.scene.name} with {name}@{at}"))
+    console.print(f"wrote {output}")

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bodies that are larger or smaller than their drawing."""
+
+from pneu_sysid.contacts.effects.base import ALL, SceneEffect, Setup, touching
+
+
+class GeometryScale(SceneEffect):
+    """Relative error of the size of what touches."""
+
+    name = "geometry_scale"
+    title = "size of bodies"
+    unit = ""
+    lower = -0.3
+    upper = 0.3
+    typical = 0.01
+    absent = 0.0
+    formula = "sizes and places of geoms in their body, times 1 + error"
+    source = "Dojo, system identification of a cube"
+
+    def places(self, setup: Setup) -> list[str]:
+        return [ALL] if any(g.parent.name != "world" for g in touching(setup)) else []
+
+    def value(self, setup: Setup, place: str) -> float:
+        return setup.scaled - 1.0
+
+    def put(self, setup: Setup, place: str, value: float) -> None:
+        by = (1.0 + value) / setup.scaled
+        for geom in touching(setup):
+            if geom.parent.name != "world":
+                mass = geom.mass
+                geom.size = [x * by for x in geom.size]
+                geom.pos = [x * by for x in geom.pos]
+                geom.mass = mass
+        setup.scaled = 1.0 + value

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Forces that are felt before bodies touch, an invisible pillow between them."""
+
+from pneu_sysid.contacts.effects.base import SceneEffect, Setup, of_bodies, touching
+
+
+class RemoteDistance(SceneEffect):
+    """Distance at which contacts begin."""
+
+    name = "remote_distance"
+    title = "remote distance of contacts"
+    unit = "m"
+    lower = 0.0
+    upper = 0.02
+    typical = 2e-4
+    absent = 0.0
+    formula = "contacts begin at this distance (margin)"
+    source = "thesis 2.5.1"
+
+    def places(self, setup: Setup) -> list[str]:
+        return of_bodies(setup)
+
+    def value(self, setup: Setup, place: str) -> float:
+        return float(touching(setup, place)[-1].margin)
+
+    def put(self, setup: Setup, place: str, value: float) -> None:
+        for geom in touching(setup, place):
+            geom.margin = value
