@@ -2,13 +2,16 @@
 """Recordings of a scene, whatever kind of file."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from pneu_common.errors import InputError
 from pneu_sysid.contacts.read_bag import read_scene_bag
 from pneu_sysid.contacts.read_csv import read_csv
 from pneu_sysid.contacts.scene import Loaded
-from pneu_sysid.contacts.track import Track
+from pneu_sysid.contacts.track import Track, unwound
 
 
 def read_track(path: str | Path, loaded: Loaded) -> Track:
@@ -27,10 +30,28 @@ def read_track(path: str | Path, loaded: Loaded) -> Track:
     track = (
         read_csv(path, loaded) if path.suffix.lower() == ".csv" else read_scene_bag(path, loaded)
     )
+    track = _unwound(track, loaded)
     begin, end = track.span_s
     if not end > begin:
         raise InputError(f"{path}: its sensors have no time in common")
     return track
+
+
+def _unwound(track: Track, loaded: Loaded) -> Track:
+    """The recording with hinges' angles that go on past a whole turn; it says so."""
+    spec = loaded.setup().spec
+    sensors, findings = dict(track.sensors), list(track.findings)
+    for name, series in track.sensors.items():
+        sensor = spec.sensor(name)
+        if sensor.type.name != "mjSENS_JOINTPOS":
+            continue
+        if spec.joint(sensor.objname).type.name != "mjJNT_HINGE":
+            continue
+        wraps = int(np.sum(np.abs(np.diff(series.values[:, 0])) > np.pi))
+        if wraps:
+            sensors[name] = unwound(series)
+            findings.append(f"sensor {name!r} begins its turn anew {wraps} times: put together")
+    return replace(track, sensors=sensors, findings=tuple(findings))
 
 
 def read_tracks(paths: Sequence[Path], loaded: Loaded) -> list[Track]:

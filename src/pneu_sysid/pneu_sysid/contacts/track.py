@@ -123,6 +123,15 @@ class Track:
         return Track(name, sensors, dict(self.controls), self.findings)
 
 
+def unwound(series: Series) -> Series:
+    """An angle that goes on where its encoder begins anew after a turn.
+
+    Args:
+        series: (m, 1) rad.
+    """
+    return Series(series.time_s, np.unwrap(series.values, axis=0))
+
+
 def unbroken(q: Floats) -> Floats:
     """Quaternions of unit length without jumps of sign.
 
