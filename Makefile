@@ -13,7 +13,7 @@ BENCH_VENV := .venv-bench
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-robot test bench lint format bags folder-is-named exact calibration thinned \
+.PHONY: help demo demo-robot test bench lint format bags tosses folder-is-named exact calibration thinned \
 	confusion thresholds moved faults fuzz study-pressure clean clean-kernels
 
 help:  ## list the targets
@@ -43,6 +43,10 @@ bench: $(BENCH_VENV)/.ready-bench  ## speed and accuracy beside other solvers
 
 bags: folder-is-named $(VENV)/.ready-run  ## slow: fit and diagnose every bag of folders, BAGS=folders; PAGE=file
 	@$(RUN) -m studies.bags $(BAGS) $(if $(PAGE),--page $(PAGE))
+
+tosses: $(VENV)/.ready-dev  ## slow: objects really tossed, fitted, foretold, diagnosed; TOSSES=folder; PAGE=file
+	@test -n "$(TOSSES)" || { echo "which folder holds the tosses? make tosses TOSSES=folder" >&2; exit 2; }
+	@$(RUN) -m studies.tosses $(TOSSES) $(if $(PAGE),--page $(PAGE))
 
 folder-is-named:
 	@test -n "$(BAGS)" || { echo "which folder holds the bags? make bags BAGS=folder" >&2; exit 2; }

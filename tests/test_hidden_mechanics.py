@@ -78,7 +78,7 @@ def test_nothing_is_missing_of_a_healthy_robot() -> None:
 
 
 HIDDEN = {
-    "payload": ("elbow", {"mass_kg": 0.15, "distance_m": 0.22}),
+    "payload": ("elbow", {"mass_kg": 0.11, "distance_m": 0.38}),
     "seal_friction": ("forearm", {"force_n_per_pa": 2e-5}),
     "piston_leak": ("forearm", {"area_m2": 4e-8}),
     "backlash": ("elbow", {"width": 0.015}),

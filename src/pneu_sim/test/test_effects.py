@@ -282,3 +282,12 @@ def test_table_lists_all_effects_or_those_of_a_rig(rig: Rig) -> None:
     assert "chamber_leak" not in mine  # rig A has no chamber
     assert mine["leak"].where == "supply_line, tube, exhaust_tube"
     assert mine["leak"].shape == POSITION
+
+
+def test_an_arm_is_a_fitted_parameter_that_is_never_nothing() -> None:
+    armed = [effect for effect in registry().values() if effect.arm]
+    assert armed
+    for effect in armed:
+        arm = next(p for p in effect.parameters if p.name == effect.arm)
+        assert arm.fitted and arm.lower > 0.0
+        assert effect.strength.absent == 0.0

@@ -147,18 +147,28 @@ def refit(
     if abs(start) < least:
         start = least if start >= 0.0 or low >= strength.absent else -least
     start = float(np.clip(strength.absent + start, low, high))
-    variables = [Variable(strength.name, start, low, high, strength.step)]
     shape = site.effect.fitted(rig, site.place)
-    variables += [_variable(rig, site, p, p.name, site.shape[p.name]) for p in shape]
+    of_shape = [_variable(rig, site, p, p.name, site.shape[p.name]) for p in shape]
+    arm = next((k for k, v in enumerate(of_shape, start=1) if v.name == site.effect.arm), None)
+    by = 1.0 if arm is None else of_shape[arm - 1].value
+    most = 1.0 if arm is None else of_shape[arm - 1].upper
+    variables = [
+        Variable(strength.name, start * by, low * most, high * most, strength.step * by),
+        *of_shape,
+    ]
 
     def placed(x: Floats) -> Site:
         values = {p.name: float(v) for p, v in zip(shape, x[1:], strict=True)}
         return Site(site.effect, site.place, {**site.shape, **values})
 
-    residuals = _Residuals(problem, lambda x: placed(x).attached(rig, float(x[0])), project)
+    def strong(x: Floats) -> float:
+        """The strength at a point; the first variable may be its product with an arm."""
+        return float(x[0] if arm is None else np.clip(x[0] / x[arm], low, high))
+
+    residuals = _Residuals(problem, lambda x: placed(x).attached(rig, strong(x)), project)
     # whatever else is wrong in the recording must not bend the estimate
     estimate = minimise(residuals, variables, ITERATIONS, TOLERANCE, robust=True)
-    if ladder:
+    if ladder and arm is None:
         at = _stronger(residuals, estimate, variables[0], strength)
         if at is not None:
             again = [replace(v, value=float(x)) for v, x in zip(variables, at, strict=True)]
@@ -176,8 +186,14 @@ def refit(
             estimate = minimise(residuals, again, ITERATIONS, TOLERANCE, robust=True)
     fitted = placed(estimate.values)
     position = next((k for k, p in enumerate(shape, start=1) if p.name == POSITION), None)
-    value, error = float(estimate.values[0]), float(estimate.std_errors[0])
+    value, error = strong(estimate.values), float(estimate.std_errors[0])
     sure = _error_of_this_shape(estimate) if site.effect.traded else error
+    if arm is not None:
+        by = float(estimate.values[arm])
+        slope = np.array([1.0 / by, -value / by])
+        here = np.ix_([0, arm], [0, arm])
+        error = float(np.sqrt(np.maximum(slope @ estimate.covariance[here] @ slope, 0.0)))
+        sure /= by  # whether there is any is asked of what is seen first
     better = fitted.attached(rig, value)
     residual = residuals.at(estimate.values)
     if project is not None:

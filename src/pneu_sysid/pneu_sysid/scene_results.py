@@ -118,7 +118,7 @@ class SceneCandidate(Result):
     std_error: Perhaps = None
     """Standard error of that."""
     held_out_gain: Perhaps = None
-    """Share by which what is misread falls on recordings kept aside."""
+    """Share by which the cost of recordings kept aside falls."""
     significance: Perhaps = None
     """That fall in standard errors over those recordings."""
     indistinguishable_from: list[str] = []
@@ -162,7 +162,7 @@ class SceneStep(Result):
     unit: str | None = None
     """Its unit."""
     held_out_loss: Perhaps
-    """Mean loss on recordings kept aside."""
+    """Mean cost per reading on recordings kept aside."""
 
 
 class SceneLearnResult(SceneHead):

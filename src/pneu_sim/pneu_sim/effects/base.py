@@ -85,6 +85,9 @@ class Effect(ABC):
             unlike a large one, and it is tried at several strengths.
         traded: Whether strength and shape make up for each other, so that neither is known well
             though that there is the effect is.
+        arm: Name of the fitted parameter by which the strength acts as a weight by its arm: their
+            product is seen first, and is fitted in place of the strength; empty for none. Such an
+            effect vanishes at strength zero.
         contains: Name of an effect that is a special case of this one; it is named instead, unless
             this one explains more.
         next_experiment: Recording that shows this effect apart from its look-alikes.
@@ -100,6 +103,7 @@ class Effect(ABC):
     spread_out: ClassVar[bool] = False
     curved: ClassVar[bool] = False
     traded: ClassVar[bool] = False
+    arm: ClassVar[str] = ""
     contains: ClassVar[str | None] = None
     next_experiment: ClassVar[str]
 

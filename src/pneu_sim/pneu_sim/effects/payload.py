@@ -20,8 +20,9 @@ class Payload(Effect):
     source: ClassVar[str] = "Newton's second law"
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("mass_kg", "kg", 0.0, 0.0, 50.0, 0.15, 3e-3),
-        EffectParameter("distance_m", "m", 0.2, 0.02, 1.0, 0.2, 0.01, fitted=True, scanned=15),
+        EffectParameter("distance_m", "m", 0.2, 0.02, 1.0, 0.2, 0.01, fitted=True),
     )
+    arm: ClassVar[str] = "distance_m"
     order: ClassVar[int] = 6
     next_experiment: ClassVar[str] = (
         "Hold the joint at several angles, and swing it fast: the pressures that hold it tell"

@@ -166,8 +166,8 @@ def learn(
             lambda note, done: tell("learning", done, note),
         )
     table = NamedTable(
-        "loss on what is kept aside",
-        [Column("added"), Column("strength", "words"), Column("loss", "number")],
+        "cost per reading of what is kept aside",
+        [Column("added"), Column("strength", "words"), Column("cost", "number")],
     )
     result = result_of_learning(path, loaded, tracks, found, output)
     for step in result.steps:

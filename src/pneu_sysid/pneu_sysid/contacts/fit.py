@@ -183,7 +183,7 @@ def fit_scene(
     if horizon is None or not parameters:
         problem = Problem(loaded, chains, values, parameters, physics)
         found = estimate(problem, State(q, problem.start()), tell=tell, enough=1e-5)
-        readings = np.array([_readings(c) for c in chains])
+        readings = np.array([readings_of(c) for c in chains])
         notes = (
             [] if found.converged else ["The estimate did not settle; more iterations may help."]
         )
@@ -318,7 +318,12 @@ def jackknife(found: Estimated) -> Floats:
     return np.asarray(np.sqrt((n - 1) / n * np.sum((left - left.mean(axis=0)) ** 2, axis=0)))
 
 
-def _readings(chain: Chain) -> int:
+def readings_of(chain: Chain) -> int:
+    """How many numbers sensors told along a chain.
+
+    Args:
+        chain: The chain.
+    """
     return sum(len(c.knots) * c.size for c in chain.channels)
 
 

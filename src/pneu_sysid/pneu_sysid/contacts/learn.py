@@ -25,7 +25,7 @@ class SceneLearned:
         values: Effects of the scene with all that was added.
         added: What was added, in order.
         diagnoses: The diagnosis before each addition, and the last one.
-        losses: Mean loss kept aside: of the base, then after each addition.
+        losses: Mean cost per reading kept aside: of the base, then after each addition.
         verdict: Over all that was added.
         sentence: In words.
     """
@@ -88,7 +88,7 @@ def learn_scene(
         return state
     parts = [f.words for f in state.added]
     state.sentence = (
-        f"Missing: {' and '.join(parts)}; with that the loss on what is kept aside falls from"
+        f"Missing: {' and '.join(parts)}; with that the cost per reading kept aside falls from"
         f" {state.losses[0]:.3g} to {state.losses[-1]:.3g}"
     )
     alike = sorted({label for f in state.added for label in f.alike})
