@@ -3,8 +3,8 @@
 
 A scene is fitted to every second recording of a folder and foretells the others, whole, from how
 each begins; beside it stand the parameters that the authors of the recordings give, in the same
-MuJoCo model. Then it is asked what is missing, and what is named is added. The page says what it was made
-from.
+MuJoCo model. Then it is asked what is missing, and what is named is added. The page says what it
+was made from.
 """
 
 import argparse

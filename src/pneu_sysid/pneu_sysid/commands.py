@@ -18,6 +18,7 @@ from pneu_common.options import Force
 from pneu_common.outputs import check_folder, check_output
 from pneu_common.progress import progress
 from pneu_common.tables import Column, NamedTable
+from pneu_sysid.contacts.table_commands import contacts
 
 if TYPE_CHECKING:
     from pneu_sim.rig.schema import FitParameter, Rig
@@ -62,6 +63,7 @@ def register(app: typer.Typer) -> None:
     app.command("add")(add)
     app.command("learn")(learn)
     app.command("friction")(friction)
+    app.command("contacts")(contacts)
 
 
 def _console() -> Console:

@@ -135,6 +135,22 @@ def touching(setup: Setup, place: str = ALL) -> list[Any]:
     return geoms if place == ALL else [g for g in geoms if g.name == place]
 
 
+def ruling(setup: Setup, place: str) -> list[Any]:
+    """Geoms whose contacts are to be changed; one alone then rules those that it has.
+
+    Of two geoms of equal priority MuJoCo takes the larger friction and mixes the rest.
+
+    Args:
+        setup: The scene.
+        place: `ALL`, or the name of one.
+    """
+    geoms = touching(setup, place)
+    if place != ALL:
+        for geom in geoms:
+            geom.priority = max(1, geom.priority)
+    return geoms
+
+
 def of_bodies(setup: Setup) -> list[str]:
     """`ALL`, and the names of the moving geoms that may touch, where there are several.
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How hard what touches pushes back for how fast it comes."""
 
-from pneu_sysid.contacts.effects.base import SceneEffect, Setup, of_bodies, touching
+from pneu_sysid.contacts.effects.base import SceneEffect, Setup, of_bodies, ruling, touching
 from pneu_sysid.contacts.solref import direct
 
 
@@ -25,5 +25,5 @@ class ContactDamping(SceneEffect):
         return direct(touching(setup, place)[-1])[1]
 
     def put(self, setup: Setup, place: str, value: float) -> None:
-        for geom in touching(setup, place):
+        for geom in ruling(setup, place):
             geom.solref = [-direct(geom)[0], -value]

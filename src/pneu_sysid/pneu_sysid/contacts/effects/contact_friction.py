@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sliding friction between what touches: the slope of the friction cone."""
 
-from pneu_sysid.contacts.effects.base import SceneEffect, Setup, of_bodies, touching
+from pneu_sysid.contacts.effects.base import SceneEffect, Setup, of_bodies, ruling, touching
 
 
 class ContactFriction(SceneEffect):
@@ -23,5 +23,5 @@ class ContactFriction(SceneEffect):
         return float(touching(setup, place)[-1].friction[0])
 
     def put(self, setup: Setup, place: str, value: float) -> None:
-        for geom in touching(setup, place):
+        for geom in ruling(setup, place):
             geom.friction[0] = value

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Friction that keeps what touches from spinning about the normal."""
 
-from pneu_sysid.contacts.effects.base import SceneEffect, Setup, of_bodies, touching
+from pneu_sysid.contacts.effects.base import SceneEffect, Setup, of_bodies, ruling, touching
 
 
 class ContactSpin(SceneEffect):
@@ -13,7 +13,6 @@ class ContactSpin(SceneEffect):
     lower = 0.0
     upper = 0.1
     typical = 0.002
-    absent = 0.0
     candidate = False
     formula = "|moment about the normal| <= coefficient * normal force"
     source = "MuJoCo, computation: friction cones, condim 4"
@@ -25,5 +24,5 @@ class ContactSpin(SceneEffect):
         return float(touching(setup, place)[-1].friction[1])
 
     def put(self, setup: Setup, place: str, value: float) -> None:
-        for geom in touching(setup, place):
+        for geom in ruling(setup, place):
             geom.friction[1] = value

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How deep what touches is in where it has become as hard as it gets."""
 
-from pneu_sysid.contacts.effects.base import SceneEffect, Setup, of_bodies, touching
+from pneu_sysid.contacts.effects.base import SceneEffect, Setup, of_bodies, ruling, touching
 
 
 class ContactWidth(SceneEffect):
@@ -24,5 +24,5 @@ class ContactWidth(SceneEffect):
         return float(touching(setup, place)[-1].solimp[2])
 
     def put(self, setup: Setup, place: str, value: float) -> None:
-        for geom in touching(setup, place):
+        for geom in ruling(setup, place):
             geom.solimp[2] = value

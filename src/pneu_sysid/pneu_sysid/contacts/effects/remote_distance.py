@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Forces that are felt before bodies touch, an invisible pillow between them."""
 
-from pneu_sysid.contacts.effects.base import SceneEffect, Setup, of_bodies, touching
+from pneu_sysid.contacts.effects.base import SceneEffect, Setup, of_bodies, ruling, touching
 
 
 class RemoteDistance(SceneEffect):
@@ -24,5 +24,5 @@ class RemoteDistance(SceneEffect):
         return float(touching(setup, place)[-1].margin)
 
     def put(self, setup: Setup, place: str, value: float) -> None:
-        for geom in touching(setup, place):
+        for geom in ruling(setup, place):
             geom.margin = value

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every effect of scenes: what it declares, that it is where it says, and does something."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pneu_sysid.contacts.effects as catalogue
+from pneu_common.errors import InputError
+from pneu_sysid.contacts.chain import Chain, chain_of
+from pneu_sysid.contacts.effects import find_scene_effect, scene_effects
+from pneu_sysid.contacts.effects.base import SceneEffect, Setup
+from pneu_sysid.contacts.manifold import manifold_of
+from pneu_sysid.contacts.physics import Physics
+from pneu_sysid.contacts.scene import Loaded, load_scene
+from pneu_sysid.contacts.track import Series, Track, unbroken
+
+HOUSE = Path(__file__).resolve().parents[3]
+EFFECTS = list(scene_effects().values())
+
+
+@pytest.fixture(scope="module")
+def loaded() -> Loaded:
+    return load_scene(HOUSE / "scenes" / "elbow.yaml")
+
+
+@pytest.fixture(scope="module")
+def chain(loaded: Loaded) -> Chain:
+    """The elbow sliding and turning on one edge, its hinge in motion."""
+    setup = loaded.setup()
+    model = setup.spec.compile()
+    n = 12
+    t = np.arange(n) / 148.0
+    rng = np.random.default_rng(0)
+    q = np.zeros((n, 8))
+    q[:, 3] = 1.0
+    q[:, 0], q[:, 2], q[:, 7] = 0.8 * t, 0.0245, 0.3 + 2.0 * t
+    steps = np.cumsum(rng.normal(size=(n, 7)) * 1e-4, axis=0)
+    steps[:, 3] += 0.01
+    q = manifold_of(model).moved(q, steps)
+    sensors = {
+        "position": Series(t, q[:, :3]),
+        "orientation": Series(t, unbroken(q[:, 3:7])),
+        "elbow": Series(t, q[:, 7:]),
+    }
+    return chain_of(loaded, Track("made up", sensors), model)
+
+
+def rows(chain: Chain, setup: Setup) -> np.ndarray:
+    model = setup.spec.compile()
+    said = chain.outputs(chain.start, model, setup, Physics(1))
+    return np.nan_to_num(np.concatenate(chain.rows(said, setup), axis=1))
+
+
+def test_every_file_is_registered() -> None:
+    folder = Path(catalogue.__file__).parent
+    files = {p.stem for p in folder.glob("*.py")} - {"__init__", "base"}
+    assert files == set(scene_effects())
+    with pytest.raises(InputError, match="did you mean 'joint_friction'"):
+        find_scene_effect("joint_frictio")
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
+def test_what_it_declares(effect: SceneEffect, loaded: Loaded, chain: Chain) -> None:
+    assert effect.lower < effect.upper and effect.typical > 0.0
+    assert effect.formula and effect.source and effect.title
+    places = effect.places(loaded.setup())
+    assert places
+    for place in places:
+        setup = loaded.setup()
+        now = effect.value(setup, place)
+        if effect.absent is not None:
+            assert now == pytest.approx(effect.absent, abs=1e-12)
+            effect.put(setup, place, effect.absent)
+            assert np.allclose(rows(chain, setup), rows(chain, loaded.setup()), atol=1e-9)
+        there = float(now * 1.5 if effect.logarithmic else now + effect.typical)
+        setup = loaded.setup()
+        effect.put(setup, place, there)
+        assert effect.value(setup, place) == pytest.approx(there, rel=1e-9)
+        effect.put(setup, place, there)  # put, not added
+        assert effect.value(setup, place) == pytest.approx(there, rel=1e-9)
+        effect.put(setup, place, now)
+        assert effect.value(setup, place) == pytest.approx(now, rel=1e-9, abs=1e-12)
+
+
+WITHOUT = {"contact_spin"}
+"""What contacts of three dimensions do not have."""
+
+
+@pytest.mark.parametrize(
+    "effect", [e for e in EFFECTS if e.name not in WITHOUT], ids=lambda e: e.name
+)
+def test_it_changes_what_is_seen(effect: SceneEffect, loaded: Loaded, chain: Chain) -> None:
+    base = rows(chain, loaded.setup())
+    felt = []
+    for place in effect.places(loaded.setup()):
+        setup = loaded.setup()
+        now = effect.value(setup, place)
+        effect.put(setup, place, now * 1.5 if effect.logarithmic else now + effect.typical)
+        felt.append(np.max(np.abs(rows(chain, setup) - base)))
+    assert max(felt) > 1e-6, effect.name
+
+
+def test_one_geom_alone_may_differ(loaded: Loaded) -> None:
+    effect = find_scene_effect("contact_friction")
+    setup = loaded.setup()
+    effect.put(setup, "second", 0.9)
+    model = setup.spec.compile()
+    assert model.geom("second").friction[0] == 0.9
+    assert model.geom("first").friction[0] == 0.3
+    assert model.geom("second").priority > model.geom("floor").priority
+
+
+def test_shapes_of_another_size_weigh_the_same(loaded: Loaded) -> None:
+    setup = loaded.setup()
+    find_scene_effect("geometry_scale").put(setup, "all", 0.1)
+    model, base = setup.spec.compile(), loaded.setup().spec.compile()
+    assert np.allclose(model.body_mass, base.body_mass)
+    assert np.allclose(model.geom("first").size, 1.1 * base.geom("first").size)
+    assert np.allclose(model.geom("floor").size, base.geom("floor").size)
+
+
+def test_a_shifted_centre_of_mass_is_where_it_says(loaded: Loaded) -> None:
+    setup = loaded.setup()
+    find_scene_effect("centre_of_mass_y").put(setup, "second", 0.004)
+    find_scene_effect("body_mass").put(setup, "second", 0.5)
+    model, base = setup.spec.compile(), loaded.setup().spec.compile()
+    assert model.body("second").ipos - base.body("second").ipos == pytest.approx([0, 0.004, 0])
+    assert model.body("second").mass == pytest.approx(1.5 * base.body("second").mass)
+    assert np.sort(model.body("second").inertia) == pytest.approx(
+        1.5 * np.sort(base.body("second").inertia)
+    )
