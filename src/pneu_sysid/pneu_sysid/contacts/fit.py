@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats.qmc import Sobol
 
 from pneu_common.errors import InputError
-from pneu_sysid.contacts.chain import Chain, chain_of, with_slack
+from pneu_sysid.contacts.chain import Chain, chain_of, guess, with_slack
 from pneu_sysid.contacts.drawn import drawn
 from pneu_sysid.contacts.effects.base import Setup
 from pneu_sysid.contacts.estimate import (
@@ -42,7 +42,7 @@ STARTS = 32
 way make as many valleys."""
 BEST = 3
 """Of them that are fitted."""
-SMOOTHING = 12
+SMOOTHING = 8
 """Iterations of a trajectory under parameters that are held."""
 SMOOTH = 1e-3
 """A share of the cost that is not worth another of them."""
@@ -115,6 +115,34 @@ def begun(
         with_slack(c, loaded, q, model, setup, physics) for c, q in zip(chains, starts, strict=True)
     ]
     return chains, tuple(starts)
+
+
+def redrawn(
+    loaded: Loaded,
+    chains: Sequence[Chain],
+    tracks: Sequence[Track],
+    values: tuple[Value, ...],
+    physics: Physics,
+) -> tuple[Floats, ...]:
+    """Trajectories to start from under other values, on the knots that there are.
+
+    Args:
+        loaded: The scene.
+        chains: The recordings' knots.
+        tracks: The recordings.
+        values: The scene's effects.
+        physics: What evaluates models.
+    """
+    setup = loaded.setup(values)
+    model = setup.spec.compile()
+
+    def one(chain: Chain, track: Track) -> Floats:
+        raw = replace(chain, start=guess(loaded, track, chain.time_s, model))
+        there = unscaled(raw, setup, model)
+        q = drawn(there, model, setup)
+        return np.where(_finite(q), q, there.start)
+
+    return tuple(physics.each(one, chains, tracks))
 
 
 def _finite(q: Floats) -> NDArray[np.bool_]:
@@ -295,7 +323,7 @@ def smoothed(
     chains = [
         with_slack(c, loaded, at, model, setup, physics) for c, at in zip(chains, q, strict=True)
     ]
-    problem = Problem(loaded, chains, values, [], physics)
+    problem = Problem(loaded, chains, values, [], physics, centred=False)
     found = estimate(problem, State(q, problem.start()), iterations, enough=SMOOTH)
     return chains, found.state.q, found
 
