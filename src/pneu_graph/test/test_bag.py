@@ -132,9 +132,10 @@ def test_files_are_split_by_duration_and_size(genuine, tmp_path):
     by_time = copied(genuine, tmp_path / "time", max_file_s=2.0)
     assert [file.entry.path for file in by_time.files] == [f"time_{i}.mcap" for i in range(4)]
     assert all(file.entry.duration_ns <= 2.0e9 for file in by_time.files)
-    by_size = copied(genuine, tmp_path / "size", repeat=100, max_file_bytes=300_000)
+    # half a megabyte as it is packed; how soon it is packed hangs on the clock
+    by_size = copied(genuine, tmp_path / "size", repeat=100, max_file_bytes=100_000)
     assert len(by_size.files) >= 3
-    assert all(file.path.stat().st_size < 400_000 for file in by_size.files)
+    assert all(file.path.stat().st_size < 200_000 for file in by_size.files)
     for bag, count in ((by_time, 150), (by_size, 15000)):
         assert len(contents(bag)) == count
         with Reader(bag.path) as rosbags:
