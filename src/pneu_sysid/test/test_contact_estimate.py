@@ -10,9 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pneu_sysid.contacts.arrow import eliminate
-from pneu_sysid.contacts.chain import chain_of
 from pneu_sysid.contacts.estimate import Problem, State, estimate, parameters_of
 from pneu_sysid.contacts.fit import begun, fit_scene
+from pneu_sysid.contacts.knots import chain_of
 from pneu_sysid.contacts.manifold import Floats, manifold_of
 from pneu_sysid.contacts.norms import STEEPEST, Norm
 from pneu_sysid.contacts.physics import Physics

@@ -8,9 +8,10 @@ import pytest
 
 import pneu_sysid.contacts.effects as catalogue
 from pneu_common.errors import InputError
-from pneu_sysid.contacts.chain import Chain, chain_of
+from pneu_sysid.contacts.chain import Chain
 from pneu_sysid.contacts.effects import find_scene_effect, scene_effects
 from pneu_sysid.contacts.effects.base import SceneEffect, Setup
+from pneu_sysid.contacts.knots import chain_of
 from pneu_sysid.contacts.manifold import manifold_of
 from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.scene import Loaded, load_scene

@@ -22,6 +22,7 @@ from pneu_sysid.contacts.fit import (
     SceneFit,
     begun,
     jackknife,
+    joint,
     readings_of,
     redrawn,
     smoothed,
@@ -143,32 +144,6 @@ def divided(loaded: Loaded, tracks: Sequence[Track]) -> tuple[list[Track], list[
     if len(tracks) > MOST:
         tracks = [tracks[int(k)] for k in np.linspace(0, len(tracks) - 1, MOST).round()]
     return list(tracks[::2]), list(tracks[1::2])
-
-
-def joint(
-    loaded: Loaded,
-    chains: Sequence[Chain],
-    values: tuple[Value, ...],
-    q: tuple[Floats, ...],
-    physics: Physics,
-) -> SceneFit:
-    """Trajectories and parameters estimated together, from where they stand.
-
-    Args:
-        loaded: The scene.
-        chains: Its recordings.
-        values: Its effects.
-        q: Trajectories.
-        physics: What evaluates models.
-    """
-    parameters = parameters_of(loaded, values)
-    problem = Problem(loaded, chains, values, parameters, physics)
-    found = estimate(problem, State(q, problem.start()), ITERATIONS, enough=ENOUGH)
-    cost = found.costs / np.array([readings_of(c) for c in chains])
-    return SceneFit(
-        loaded, found.values, parameters, found.state.x, jackknife(found), list(chains),
-        found.state.q, found, None, cost,
-    )  # fmt: skip
 
 
 def held_cost(
@@ -360,7 +335,7 @@ class _Judge:
             fit = ahead(self.loaded, self.used, self.values, self.physics)
         else:
             chains, q = begun(self.loaded, self.used, self.values, self.physics)
-            fit = joint(self.loaded, chains, self.values, q, self.physics)
+            fit = joint(self.loaded, chains, self.values, q, self.physics, ITERATIONS, ENOUGH)
         return fit, self.held(fit)
 
     def held(self, fit: SceneFit) -> Floats:
@@ -378,7 +353,7 @@ class _Judge:
             Value(effect=key[0], at=key[1], value=start),
         )
         if not self.foretells:
-            return joint(self.loaded, base.chains, values, base.q, self.physics)
+            return joint(self.loaded, base.chains, values, base.q, self.physics, ITERATIONS, ENOUGH)
         return ahead(self.loaded, self.used, values, self.physics, candidate, base.scales)
 
 

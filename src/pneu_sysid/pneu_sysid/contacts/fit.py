@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats.qmc import Sobol
 
 from pneu_common.errors import InputError
-from pneu_sysid.contacts.chain import Chain, chain_of, guess, with_slack
+from pneu_sysid.contacts.chain import Chain, with_slack
 from pneu_sysid.contacts.drawn import drawn
 from pneu_sysid.contacts.effects.base import Setup
 from pneu_sysid.contacts.estimate import (
@@ -23,6 +23,7 @@ from pneu_sysid.contacts.estimate import (
     parameters_of,
 )
 from pneu_sysid.contacts.frames import turned_frames, words
+from pneu_sysid.contacts.knots import chain_of, guess
 from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.rollouts import (
     losses,
@@ -42,6 +43,10 @@ STARTS = 32
 way make as many valleys."""
 BEST = 3
 """Of them that are fitted."""
+TOGETHER = 50
+"""Iterations of trajectories and parameters together, at most."""
+SETTLED = 1e-5
+"""A share of the cost that is not worth another of them."""
 SMOOTHING = 8
 """Iterations of a trajectory under parameters that are held."""
 SMOOTH = 1e-3
@@ -209,16 +214,7 @@ def fit_scene(
     parameters = parameters_of(loaded, values)
     _check_frames(loaded, chains, q, values, physics)
     if horizon is None or not parameters:
-        problem = Problem(loaded, chains, values, parameters, physics)
-        found = estimate(problem, State(q, problem.start()), tell=tell, enough=1e-5)
-        readings = np.array([readings_of(c) for c in chains])
-        notes = (
-            [] if found.converged else ["The estimate did not settle; more iterations may help."]
-        )
-        return SceneFit(
-            loaded, found.values, parameters, found.state.x, jackknife(found), chains,
-            found.state.q, found, None, found.costs / readings, notes,
-        )  # fmt: skip
+        return joint(loaded, chains, values, q, physics, tell=tell)
     longest = max(float(c.time_s[-1] - c.time_s[0]) for c in chains)
     horizon = min(horizon, longest)
     problem = Problem(loaded, chains, values, [], physics)
@@ -247,6 +243,39 @@ def fit_scene(
         scales = scales_of(foretold)
     loss = losses(foretold, scales)
     return SceneFit(loaded, values, parameters, x, errors, chains, q, found, scales, loss)
+
+
+def joint(
+    loaded: Loaded,
+    chains: Sequence[Chain],
+    values: tuple[Value, ...],
+    q: tuple[Floats, ...],
+    physics: Physics,
+    iterations: int = TOGETHER,
+    enough: float = SETTLED,
+    tell: Tell | None = None,
+) -> SceneFit:
+    """Trajectories and parameters estimated together, from where they stand.
+
+    Args:
+        loaded: The scene.
+        chains: Its recordings.
+        values: Its effects.
+        q: Trajectories.
+        physics: What evaluates models.
+        iterations: At most.
+        enough: A share of the cost that is not worth another.
+        tell: Called with a note and the fraction done.
+    """
+    parameters = parameters_of(loaded, values)
+    problem = Problem(loaded, chains, values, parameters, physics)
+    found = estimate(problem, State(q, problem.start()), iterations, enough=enough, tell=tell)
+    cost = found.costs / np.array([readings_of(c) for c in chains])
+    unsettled = "The estimate did not settle; more iterations may help."
+    return SceneFit(
+        loaded, found.values, parameters, found.state.x, jackknife(found), list(chains),
+        found.state.q, found, None, cost, [] if found.converged else [unsettled],
+    )  # fmt: skip
 
 
 def _best_start(

@@ -34,14 +34,12 @@ class Motion:
         v: (n, nv).
         a: (n, nv).
         control: (n, nu) of the actuators.
-        applied: (n, nv) generalised forces that are known to act.
     """
 
     q: Floats
     v: Floats
     a: Floats
     control: Floats
-    applied: Floats
 
     @property
     def there(self) -> NDArray[np.bool_]:
@@ -55,9 +53,7 @@ class Motion:
             q: (n, nq).
         """
         known = np.where(self.there[:, None], self.q, q)
-        return Motion(
-            known, np.nan_to_num(self.v), np.nan_to_num(self.a), self.control, self.applied
-        )
+        return Motion(known, np.nan_to_num(self.v), np.nan_to_num(self.a), self.control)
 
 
 @dataclass(frozen=True)
@@ -93,7 +89,7 @@ class Physics:
             motion: The motion.
 
         Returns:
-            (n, nv) generalised forces that the motion takes beyond actuators' and applied ones,
+            (n, nv) generalised forces that the motion takes beyond those of actuators,
             and (n, ns) sensor data.
         """
         n = len(motion.q)
@@ -119,7 +115,7 @@ class Physics:
                     force[i] -= data.qfrc_actuator
 
         self._over(n, some)
-        return force - motion.applied, sensors
+        return force, sensors
 
     def slopes(self, model: Any, motion: Motion, centred: bool = True) -> Slopes:
         """What `evaluate` changes by with position, velocity and acceleration.

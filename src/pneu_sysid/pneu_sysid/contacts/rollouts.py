@@ -93,7 +93,7 @@ def rolled_out(chain: Chain, model: Any, setup: Setup, q: Floats, starts: Ints) 
                 at = data.qpos.copy()
             out[i + 1], vel[i + 1] = at, v
         acc[first] = acc[first + 1] if first + 1 < chain.size else 0.0
-    return Motion(out, vel, acc, chain.control, np.zeros_like(vel))
+    return Motion(out, vel, acc, chain.control)
 
 
 @dataclass(frozen=True)
