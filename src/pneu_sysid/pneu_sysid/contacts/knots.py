@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Knots laid along a recording, finer where bodies are near each other, and where these are seen."""
+"""Knots laid along a recording, finer where bodies are near each other; where these are seen."""
 
 from itertools import pairwise
 from typing import Any
