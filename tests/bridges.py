@@ -10,7 +10,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-from tests.measured import Watch
+from tests.measured import PATIENCE_S, Watch
 
 from pneu_hw_bridge.lab.asking import ask
 from pneu_hw_bridge.link import Link
@@ -24,11 +24,11 @@ RIG = ROOT / "rigs" / "lab.yaml"
 
 
 def wait_until(condition, timeout_s=5.0, pause_s=0.002):
-    """Waits until something is true; returns how long that took."""
-    begun = time.monotonic()
+    """Waits until something is true, with patience; returns how long that took."""
+    begun, patience_s = time.monotonic(), max(timeout_s, PATIENCE_S)
     while not condition():
-        if time.monotonic() - begun > timeout_s:
-            raise TimeoutError(f"not within {timeout_s} s")
+        if time.monotonic() - begun > patience_s:
+            raise TimeoutError(f"not within {patience_s} s")
         time.sleep(pause_s)
     return time.monotonic() - begun
 

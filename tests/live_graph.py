@@ -17,6 +17,7 @@ from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import qos_profile_sensor_data  # noqa: E402
 from tests.domains import own_domain_id  # noqa: E402
+from tests.measured import PATIENCE_S  # noqa: E402
 
 
 class Graph:
@@ -49,7 +50,7 @@ class Graph:
 
     def call(self, kind, service, request):
         client = self.probe.create_client(kind, service)
-        assert client.wait_for_service(timeout_sec=5.0)
+        assert client.wait_for_service(timeout_sec=PATIENCE_S)
         future = client.call_async(request)
         wait_for(future.done)
         return future.result()
@@ -110,7 +111,8 @@ class Graph:
 
 
 def wait_for(condition, seconds=6.0):
-    end = time.monotonic() + seconds
+    """Waits until something is true, with patience."""
+    end = time.monotonic() + max(seconds, PATIENCE_S)
     while not condition():
         assert time.monotonic() < end, "it did not come about in time"
         time.sleep(0.01)

@@ -15,6 +15,9 @@ from contextvars import ContextVar
 from pathlib import Path
 
 SAFE_WITHIN_S = 0.15
+PATIENCE_S = 60.0
+"""At least so long a test waits for what has to come about: processes may be slow to start on a
+busy machine, and how soon is judged by `Watch`, never by patience coming to its end."""
 PROPERTY = "safe after"
 """Under this name times go into the report of a test, s."""
 

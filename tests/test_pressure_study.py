@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from tests.measured import MachineStalledError, Processor
 
+from pneu_common.errors import InputError
 from pneu_policy.judge.evaluate import file_for, provenance
 from pneu_policy.judge.results import Evaluation, load, spread
 from pneu_policy.judge.tasks import Tasks
@@ -22,6 +23,10 @@ LONG = LivePlant(
 LARGEST_BYTES = 200_000
 NOTHING_TO_SPARE = 0.05
 """Share of the processors that is free on a machine too busy for the lab and the graph."""
+
+
+TOO_SLOW = "times real time here"
+"""In what the lab says where the machine cannot run its plant."""
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +62,12 @@ def test_on_the_lab_they_keep_the_order_of_the_table(table, tmp_path):
     found = Evaluation(tasks.to_dict(), folder=tmp_path)
     controllers = {name: files_of(name, "long", table) for name in ("pde", "plate")}
     processor = Processor()
-    evaluate_live(found, controllers, [LONG], tasks)
+    try:
+        evaluate_live(found, controllers, [LONG], tasks)
+    except InputError as error:
+        if TOO_SLOW not in str(error):
+            raise
+        raise MachineStalledError(str(error)) from None
     late = [run.note for run in found.runs if run.metrics is None]
     if late:  # each had three tries; only a machine with nothing to spare is an excuse
         assert processor.free() < NOTHING_TO_SPARE, late

@@ -33,7 +33,7 @@ from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from tests.domains import own_domain_id
-from tests.measured import Watch
+from tests.measured import PATIENCE_S, Watch
 
 DOMAIN = own_domain_id()
 ENVIRONMENT = {
@@ -92,9 +92,9 @@ class Graph:
     def call(self, kind, name, request=None):
         client = self.node.create_client(kind, name)
         try:
-            assert client.wait_for_service(10.0), name
+            assert client.wait_for_service(PATIENCE_S), name
             future = client.call_async(request or kind.Request())
-            end = time.monotonic() + 5.0
+            end = time.monotonic() + PATIENCE_S
             while not future.done():
                 assert time.monotonic() < end, f"{name} did not answer"
                 time.sleep(0.002)

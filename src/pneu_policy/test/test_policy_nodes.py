@@ -230,8 +230,9 @@ def test_readings_of_another_time_are_none(graph, off_s):
     plant.settles_at(5.5)
 
 
-@pytest.mark.parametrize("factor", [100.0, 0.01])
-def test_simulated_time_that_is_out_of_its_mind_is_not_followed(graph, factor):
+@pytest.mark.parametrize(("factor", "every_s"), [(100.0, 0.004), (0.01, 0.004), (100.0, 0.02)])
+def test_simulated_time_that_is_out_of_its_mind_is_not_followed(graph, factor, every_s):
+    """Neither where it only runs fast, nor where every step of it is a leap."""
     clock = graph.probe.create_publisher(Clock, "/clock", 1)
     graph.add(PidNode, autostart=True, use_sim_time=True, kp_v_per_pa=1e-5, ki_v_per_pa_s=0.0)
     commands = graph.listen(ValveCommand, "valve/command", common.COMMAND_QOS)
@@ -243,7 +244,7 @@ def test_simulated_time_that_is_out_of_its_mind_is_not_followed(graph, factor):
         begin_s = before_s = time.monotonic()
         count = 0
         while time.monotonic() < begin_s + 1.0:
-            time.sleep(0.004)
+            time.sleep(0.004 if rate == 1.0 else every_s)
             now_s = time.monotonic()
             at_s, before_s = at_s + rate * (now_s - before_s), now_s
             stamp = common.to_stamp(round(at_s * 1e9))
@@ -257,7 +258,10 @@ def test_simulated_time_that_is_out_of_its_mind_is_not_followed(graph, factor):
             if rate != 1.0 and now_s < begin_s + 0.5:
                 commands.clear()
         told = {round(command.voltage_v[0], 3) for command in commands[-20:]}
-        assert told == ({5.5} if rate == 1.0 else {5.0} if rate > 1.0 else told & {5.0}), rate
+        if rate == 1.0:  # safe voltages between are those of a machine that stalls
+            assert 5.5 in told <= {5.0, 5.5}
+        else:
+            assert told == {5.0} if rate > 1.0 else told <= {5.0}, rate
 
 
 def test_a_controller_that_fails_goes_on_and_is_safe(graph):

@@ -219,7 +219,7 @@ def test_it_says_ready_when_it_answers_and_not_while_kernels_are_compiled(graph,
                 said.append(process.stderr.readline())
                 assert said[-1], said
             client = graph.probe.create_client(ResetSimulator, "/simulator/reset")
-            assert client.wait_for_service(timeout_sec=5.0)
+            assert client.wait_for_service(timeout_sec=60.0)
             begun = time.monotonic()
             future = client.call_async(ResetSimulator.Request())
             wait_for(future.done)

@@ -170,6 +170,7 @@ class ControlNode(LifecycleNode):
             self._state, self._detail = "inactive", ""
             self._commands = self._sensor_losses = self._target_losses = self._jumps = 0
             self._reported_ns: int | None = None
+            self._clock_seen: deque[tuple[int, int]] = deque(maxlen=MOST_SEEN)
             self._forget()
             if self._params.autostart:
                 self.trigger_configure()
@@ -269,6 +270,7 @@ class ControlNode(LifecycleNode):
             state: Where it comes from.
         """
         self._forget()
+        self._clock_seen.clear()
         self._state, self._detail = "waiting", ""
         self._timer.reset()
         return super().on_activate(state)
@@ -353,10 +355,12 @@ class ControlNode(LifecycleNode):
     # ---- callbacks -----------------------------------------------------------------------------
 
     def _forget(self) -> None:
-        """Forgets all that belongs to the past, as after a jump of the clock."""
+        """Forgets what belongs to the past, as after a jump of the clock, but not how it ran.
+
+        A clock that leaps again and again would otherwise never be found to run wrong.
+        """
         self._rest()
         self._readings: dict[str, Reading] = {}
-        self._clock_seen: deque[tuple[int, int]] = deque(maxlen=MOST_SEEN)
         self._target: tuple[int, float, tuple[float, ...], int] | None = None
         self._volts = self._params.safe_voltage_v
         self._error_square = self._error_count = 0.0
