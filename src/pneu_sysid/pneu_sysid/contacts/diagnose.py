@@ -7,9 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats.mstats import trimmed_mean, trimmed_stde
 
 from pneu_sysid.contacts.candidates import SceneScore, Scores, scored
-from pneu_sysid.contacts.chain import Chain
+from pneu_sysid.contacts.chain import LEAST, Chain, by_kind
 from pneu_sysid.contacts.estimate import (
     Parameter,
     Problem,
@@ -23,7 +24,6 @@ from pneu_sysid.contacts.fit import (
     begun,
     jackknife,
     joint,
-    readings_of,
     redrawn,
     smoothed,
 )
@@ -46,14 +46,20 @@ ENOUGH = 1e-3
 """A share of the cost that is not worth another."""
 POLISHED = 5
 """Steps of parameters to what predicts best, at most."""
+TURNS = 2
+"""Of a candidate and the scene's own parameters, one after the other."""
 WORTH = 0.02
 """Share by which the cost of what is kept aside must fall."""
 SURE = 2.5
 """Standard errors, over what is kept aside, by which it must."""
 TIED = 1.5
-"""Standard errors within which two candidates explain what is kept aside equally well."""
+"""Standard errors within which two candidates explain what is kept aside equally well; `SURE`,
+where their columns are alike."""
 ALIKE = 0.95
 """Cosine between columns above which two candidates are one to these recordings."""
+TRIMMED = 0.2
+"""Share of recordings on either side that a mean leaves out: a roll-out that tips over by a little
+tells nothing of what is missing."""
 MOST = 48
 """Recordings that are looked at, evenly from those given: every second is kept aside."""
 
@@ -67,7 +73,7 @@ class Finalist:
         fit: The scene with it.
         strength: What it was found to be.
         std_error: Of that.
-        held: (aside,) cost per reading of each recording kept aside.
+        held: (aside, kinds) cost per knot of each recording kept aside.
         gain: Share by which that falls, the mean of logarithms.
         lead: The fall, in standard errors over the recordings.
         alike: Labels of finalists that explain as much.
@@ -108,7 +114,7 @@ class SceneDiagnosis:
         base: The scene as it is, fitted.
         scores: All candidates by their score.
         finalists: Those that were refitted, best on what is kept aside first.
-        held: (aside,) cost per reading of the base on each recording kept aside.
+        held: (aside, kinds) cost per knot of the base on each recording kept aside.
         used: Names of the recordings that were fitted.
         aside: Names of those kept aside.
     """
@@ -149,7 +155,7 @@ def divided(loaded: Loaded, tracks: Sequence[Track]) -> tuple[list[Track], list[
 def held_cost(
     fit: SceneFit, chains: Sequence[Chain], q: tuple[Floats, ...], physics: Physics
 ) -> Floats:
-    """(chains,) cost per reading of a fitted scene on other recordings.
+    """(chains, kinds) cost per knot of a fitted scene on other recordings; NaN without a knot.
 
     Trajectories are estimated anew under parameters that are held (thesis, table 2.3).
 
@@ -161,7 +167,8 @@ def held_cost(
     """
     problem = Problem(fit.loaded, chains, fit.values, [], physics, centred=False)
     found = estimate(problem, State(q, problem.start()), ITERATIONS, enough=ENOUGH)
-    return found.costs / np.array([readings_of(c) for c in chains])
+    outputs, _, setup = problem.outputs(found.state)
+    return np.array([by_kind(c, o, setup) for c, o in zip(chains, outputs, strict=True)])
 
 
 def ahead(
@@ -185,27 +192,30 @@ def ahead(
     """
     chains, q = begun(loaded, tracks, values, physics)
     error = np.inf
-    if also is not None:
-        problem = Problem(loaded, chains, values, [also], physics, centred=False)
-        together = estimate(problem, State(q, problem.start()), ITERATIONS, enough=ENOUGH)
-        values, q = together.values, together.state.q
-        error = float(jackknife(together)[0])
-    parameters = parameters_of(loaded, values)
-    own = [p for p in parameters if also is None or p.label != also.label]
-    chains, q, found = smoothed(loaded, chains, values, q, physics)
-    problem = Problem(loaded, chains, values, own, physics)
-    x = problem.start()
-    if scales is None:
-        scales = scales_of(predicted(problem, *problem.model(x), q, AHEAD_S))
-    if own:
-        best = polish(problem, x, q, AHEAD_S, iterations=POLISHED, scales=scales)
-        x, values = best.x, problem.valued(best.x)
+    for _ in range(TURNS if also is not None else 1):
+        if also is not None:
+            chains, q, found = smoothed(loaded, chains, values, q, physics)
+            problem = Problem(loaded, chains, values, [also], physics, centred=False)
+            together = estimate(problem, State(q, problem.start()), ITERATIONS, enough=ENOUGH)
+            values, q = together.values, together.state.q
+            error = float(jackknife(together)[0])
+        parameters = parameters_of(loaded, values)
+        own = [p for p in parameters if also is None or p.label != also.label]
         chains, q, found = smoothed(loaded, chains, values, q, physics)
+        problem = Problem(loaded, chains, values, own, physics)
+        x = problem.start()
+        if scales is None:
+            scales = scales_of(predicted(problem, *problem.model(x), q, AHEAD_S))
+        if own:
+            best = polish(problem, x, q, AHEAD_S, iterations=POLISHED, scales=scales)
+            x, values = best.x, problem.valued(best.x)
+            chains, q, found = smoothed(loaded, chains, values, q, physics)
     errors = np.full(len(own), np.nan)
     if also is not None:
         setup = loaded.setup(values)
         own, errors = [*own, also], np.append(errors, error)
         x = np.append(x, also.coordinate(also.effect.value(setup, also.place)))
+    assert scales is not None  # of the first turn
     problem = Problem(loaded, chains, values, [], physics)
     loss = losses(predicted(problem, *problem.model(np.zeros(0)), q, AHEAD_S), scales)
     return SceneFit(loaded, values, own, x, errors, chains, q, found, scales, loss)
@@ -251,7 +261,7 @@ def diagnose_scene(
         found.append(_refitted(judge, base, score, held))
     found.sort(key=lambda f: -f.gain)
     _tie(found, scores)
-    verdict, sentence = _verdict(found, held)
+    verdict, sentence = _verdict(found)
     return SceneDiagnosis(
         verdict, sentence, base, scores, found, held,
         [t.name for t in used], [t.name for t in aside],
@@ -339,7 +349,7 @@ class _Judge:
         return fit, self.held(fit)
 
     def held(self, fit: SceneFit) -> Floats:
-        """(aside,) what a fitted scene leaves of each recording kept aside."""
+        """(aside, kinds) what a fitted scene leaves of each recording kept aside."""
         if not self.others:  # knots, and what may be wrong of contacts, are the same for all
             self.others = begun(self.loaded, self.aside, fit.values, self.physics)[0]
         q = redrawn(self.loaded, self.others, self.aside, fit.values, self.physics)
@@ -379,12 +389,32 @@ def _refitted(judge: _Judge, base: SceneFit, score: SceneScore, held: Floats) ->
 def _fall(before: Floats, after: Floats) -> tuple[float, float]:
     """Mean fall of the logarithm over recordings, and its standard error.
 
-    One that went another way would else outweigh all others.
+    A recording that went another way would else outweigh all others. Each kind of motion counts
+    alike, however long it lasts: how wrong a model is of each is not known, and with a scale of its
+    own for each the likelihood is a sum of logarithms (variance components). What shows in flight
+    is then not drowned by what contacts get wrong, nor by a body that lies still for long.
+
+    Args:
+        before: (recordings, kinds) costs per knot.
+        after: Likewise.
     """
-    fall = np.log(np.maximum(before, 1e-300)) - np.log(np.maximum(after, 1e-300))
+    fall = np.log(np.maximum(before, LEAST)) - np.log(np.maximum(after, LEAST))
+    fall = np.nanmean(fall, axis=1)
     if len(fall) < 2:
         return float(np.mean(fall)), np.inf
-    return float(np.mean(fall)), float(np.std(fall, ddof=1) / np.sqrt(len(fall)))
+    return (
+        float(trimmed_mean(fall, (TRIMMED, TRIMMED))),
+        float(trimmed_stde(fall, (TRIMMED, TRIMMED))),
+    )
+
+
+def per_knot(costs: Floats) -> float:
+    """Cost per knot, the geometric mean over recordings and kinds of motion.
+
+    Args:
+        costs: (recordings, kinds).
+    """
+    return float(np.exp(np.nanmean(np.log(np.maximum(costs, LEAST)))))
 
 
 def _tie(found: list[Finalist], scores: Scores) -> None:
@@ -394,13 +424,13 @@ def _tie(found: list[Finalist], scores: Scores) -> None:
     best = found[0]
     for other in found[1:]:
         apart, spread = _fall(other.held, best.held)
-        near = apart < TIED * spread
         cosine = abs(scores.alike[order[best.label], order[other.label]])
-        if other.gain >= WORTH and other.lead >= SURE and (near or cosine > ALIKE):
+        enough = SURE if cosine > ALIKE else TIED
+        if other.gain >= WORTH and other.lead >= SURE and apart < enough * spread:
             best.alike.append(other.label)
 
 
-def _verdict(found: list[Finalist], held: Floats) -> tuple[Verdict, str]:
+def _verdict(found: list[Finalist]) -> tuple[Verdict, str]:
     good = [f for f in found if f.gain >= WORTH and f.lead >= SURE]
     if not good or found[0] not in good:
         best = f"; the best, {found[0].label}, by {100 * found[0].gain:.0f} %" if found else ""

@@ -445,6 +445,8 @@ def estimate(
         What was found.
     """
     state = state or State(tuple(chain.start for chain in problem.chains), problem.start())
+    if trajectory and not problem.parameters and len(problem.chains) > 1 and kept is None:
+        return _one_by_one(problem, state, iterations, enough, tell)
     damping = FIRST_DAMPING
     seconds: dict[str, float] = {}
     history: list[float] = []
@@ -506,6 +508,44 @@ def estimate(
         slope=np.array([np.zeros(c) if e is None else e.slope for e in last]),
         iterations=number,
         converged=converged,
+        seconds=seconds,
+    )
+
+
+def _one_by_one(
+    problem: Problem, state: State, iterations: int, enough: float, tell: Tell | None
+) -> Estimated:
+    """Trajectories that share no parameter, each for itself.
+
+    One that is far off would else hold back the steps of all.
+    """
+    found = []
+    for k, (chain, q) in enumerate(zip(problem.chains, state.q, strict=True)):
+
+        def part(note: str, done: float, k: int = k) -> None:
+            assert tell is not None
+            tell(f"{problem.chains[k].name}: {note}", (k + done) / len(problem.chains))
+
+        alone = Problem(
+            problem.loaded, [chain], problem.values, [], problem.physics, problem.centred
+        )
+        begun = State((q,), state.x)
+        found.append(estimate(alone, begun, iterations, enough=enough, tell=tell and part))
+    longest = max(len(f.history) for f in found)
+    history = np.sum([f.history + f.history[-1:] * (longest - len(f.history)) for f in found], 0)
+    seconds: dict[str, float] = {}
+    for name, took in (item for f in found for item in f.seconds.items()):
+        seconds[name] = seconds.get(name, 0.0) + took
+    return Estimated(
+        values=problem.values,
+        state=State(tuple(f.state.q[0] for f in found), state.x),
+        parameters=[],
+        history=[float(cost) for cost in history],
+        costs=np.concatenate([f.costs for f in found]),
+        hessian=np.concatenate([f.hessian for f in found]),
+        slope=np.concatenate([f.slope for f in found]),
+        iterations=max(f.iterations for f in found),
+        converged=all(f.converged for f in found),
         seconds=seconds,
     )
 

@@ -46,9 +46,7 @@ def chain_of(loaded: Loaded, track: Track, model: Any, step_s: float | None = No
     if len(marks) < 4:
         raise InputError(f"{track.name}: {end - begin:.3g} s with {len(marks)} readings: too short")
     fine = knots.contact_step_s if step_s is None else None
-    near = np.zeros(len(marks) - 1, dtype=bool)
-    if fine is not None:
-        near = _near(model, guess(loaded, track, marks, model), knots.near_m)
+    near = _near(model, guess(loaded, track, marks, model), knots.near_m)
     time: list[float] = []
     for k, (a, b) in enumerate(pairwise(marks)):
         step = fine if fine is not None and near[k] else coarse
@@ -65,6 +63,7 @@ def chain_of(loaded: Loaded, track: Track, model: Any, step_s: float | None = No
         _free(model),
         guess(loaded, track, t, model),
         np.ones((len(t), int(model.nv))),
+        near[np.clip(np.searchsorted(marks, t, side="right") - 1, 0, len(near) - 1)],
     )
 
 
@@ -100,6 +99,8 @@ def _channel(loaded: Loaded, track: Track, model: Any, t: Floats, name: str) -> 
         series,
         fast,
         knots,
+        loaded.scene.sensors[name].smooths_s,
+        np.ones(len(knots)),
     )
 
 

@@ -5,9 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
-from pneu_sysid.contacts.diagnose import Finalist, SceneDiagnosis, diagnose_scene
+from pneu_sysid.contacts.diagnose import Finalist, SceneDiagnosis, diagnose_scene, per_knot
 from pneu_sysid.contacts.estimate import Tell
 from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.scene import Loaded, Value, save_scene
@@ -25,7 +23,7 @@ class SceneLearned:
         values: Effects of the scene with all that was added.
         added: What was added, in order.
         diagnoses: The diagnosis before each addition, and the last one.
-        losses: Mean cost per reading kept aside: of the base, then after each addition.
+        losses: Cost per knot kept aside: of the base, then after each addition.
         verdict: Over all that was added.
         sentence: In words.
     """
@@ -71,7 +69,7 @@ def learn_scene(
         found = diagnose_scene(loaded, tracks, state.values, physics, part)
         state.diagnoses.append(found)
         if not state.losses:
-            state.losses.append(float(np.mean(found.held)))
+            state.losses.append(per_knot(found.held))
             state.values = found.base.values
             _keep(loaded, state, out)
         if found.verdict == "nothing_missing" or number == most:
@@ -79,7 +77,7 @@ def learn_scene(
         best = found.finalists[0]
         state.added.append(best)
         state.values = best.fit.values
-        state.losses.append(float(np.mean(best.held)))
+        state.losses.append(per_knot(best.held))
         _keep(loaded, state, out)
     first = state.diagnoses[0]
     state.verdict = first.verdict
@@ -88,7 +86,7 @@ def learn_scene(
         return state
     parts = [f.words for f in state.added]
     state.sentence = (
-        f"Missing: {' and '.join(parts)}; with that the cost per reading kept aside falls from"
+        f"Missing: {' and '.join(parts)}; with that the cost per knot kept aside falls from"
         f" {state.losses[0]:.3g} to {state.losses[-1]:.3g}"
     )
     alike = sorted({label for f in state.added for label in f.alike})

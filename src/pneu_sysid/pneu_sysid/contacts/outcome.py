@@ -81,7 +81,7 @@ def result_of_fit(
         )  # fmt: skip
     problem = Problem(loaded, found.chains, found.values, [], Physics())
     said, model, setup = problem.outputs(State(found.q, np.zeros(0)))
-    rows = [c.rows(o, setup) for c, o in zip(found.chains, said, strict=True)]
+    rows = [c.rows(o, setup, plain=True) for c, o in zip(found.chains, said, strict=True)]
     force = np.sqrt(np.nanmean(np.concatenate([f for f, _ in rows]) ** 2, axis=0))
     read = np.concatenate([r for _, r in rows])
     rmse: dict[str, float | None] = {}
