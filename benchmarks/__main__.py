@@ -13,6 +13,7 @@ from rich.console import Console
 
 from benchmarks import (
     accuracy,
+    contacts,
     graph,
     kernel,
     peers,
@@ -31,6 +32,7 @@ SUBJECTS = {
     "robots": robots,
     "accuracy": accuracy,
     "sysid": sysid,
+    "contacts": contacts,
     "training": training,
     "graph": graph,
 }
