@@ -13,7 +13,7 @@ BENCH_VENV := .venv-bench
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-robot test bench lint format bags tosses folder-is-named exact calibration thinned \
+.PHONY: help demo demo-robot test test-long bench lint format bags tosses folder-is-named exact calibration thinned \
 	confusion thresholds moved faults fuzz study-pressure clean clean-kernels
 
 help:  ## list the targets
@@ -26,8 +26,11 @@ demo: $(VENV)/.ready-run  ## the whole story on a bag that comes with the reposi
 demo-robot: $(VENV)/.ready-run  ## a robot behind Modbus with a hidden fault, named live; SEED=n
 	@$(RUN) examples/live_robot.py $(if $(SEED),--seed $(SEED))
 
-test: lint  ## lint, type check and every test
+test: lint  ## lint, type check and the tests
 	@$(RUN) tools/run_tests.py
+
+test-long: $(VENV)/.ready-dev  ## slow: the tests that take longest, and not with `make test`
+	@$(RUN) tools/run_tests.py --long
 
 lint: $(VENV)/.ready-dev  ## ruff (rules and format) and mypy
 	@$(RUN) -m ruff check --quiet .
@@ -44,9 +47,9 @@ bench: $(BENCH_VENV)/.ready-bench  ## speed and accuracy beside other solvers
 bags: folder-is-named $(VENV)/.ready-run  ## slow: fit and diagnose every bag of folders, BAGS=folders; PAGE=file
 	@$(RUN) -m studies.bags $(BAGS) $(if $(PAGE),--page $(PAGE))
 
-tosses: $(VENV)/.ready-dev  ## slow: objects really tossed, fitted, foretold, diagnosed; TOSSES=folder; PAGE=file
+tosses: $(BENCH_VENV)/.ready-bench  ## slow: objects really tossed, fitted, foretold, diagnosed; TOSSES=folder; PAGE=file
 	@test -n "$(TOSSES)" || { echo "which folder holds the tosses? make tosses TOSSES=folder" >&2; exit 2; }
-	@$(RUN) -m studies.tosses $(TOSSES) $(if $(PAGE),--page $(PAGE))
+	@$(BENCH_VENV)/bin/python -m studies.tosses $(TOSSES) $(if $(PAGE),--page $(PAGE))
 
 folder-is-named:
 	@test -n "$(BAGS)" || { echo "which folder holds the bags? make bags BAGS=folder" >&2; exit 2; }
@@ -84,7 +87,7 @@ clean: clean-kernels  ## remove all that these targets have made
 clean-kernels:  ## remove compiled kernels and byte code
 	@find . -path './.*' -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# One stamp per set of requirements. A finished `dev` or `bench` also marks `run` as ready.
+# What compares with a peer runs where the peers are. One stamp per set of requirements. A finished `dev` or `bench` also marks `run` as ready.
 $(VENV)/.ready-run: pyproject.toml tools/environment.py
 	@$(PYTHON) tools/environment.py $(VENV)
 

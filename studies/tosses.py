@@ -25,6 +25,7 @@ from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.read import read_tracks
 from pneu_sysid.contacts.scene import Loaded, Value, load_scene
 from pneu_sysid.contacts.track import Track
+from studies import toss_peer
 from studies.digest import sources_digest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -125,6 +126,14 @@ def section(
     rows = [
         row("the authors' friction", thing, foresee(loaded, others, with_authors(loaded, thing)))
     ]
+    if toss_peer.available():
+        tell("mujoco.sysid")
+        peer = toss_peer.fitted(loaded, foresee(loaded, used), loaded.scene.values)
+        rows.append(row("mujoco.sysid", thing, foresee(loaded, others, peer)))
+        its = ", ".join(f"{v.effect} {v.value:.4g}" for v in peer if v.value is not None)
+        told = f"`mujoco.sysid` with its defaults, from the same start: {its}."
+    else:
+        told = "`mujoco.sysid` is not installed: left out."
     tell("fitting")
     fit = fit_scene(loaded, used, physics=physics)
     rows.append(row("fitted", thing, foresee(loaded, others, fit.values)))
@@ -165,7 +174,7 @@ def section(
     head = (
         "| model | position, % of the side, mean | median | turn, degrees, mean | median | lost |"
     )
-    return [*lines, "", head, "|---" * 6 + "|", *rows, ""]
+    return [*lines, "", told, "", head, "|---" * 6 + "|", *rows, ""]
 
 
 def digest(folder: Path) -> str:

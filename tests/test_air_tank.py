@@ -55,6 +55,7 @@ def test_what_the_points_say_of_themselves() -> None:
     assert adiabatic_k == pytest.approx(275.0, abs=1.5)
 
 
+@pytest.mark.long
 def test_heat_is_named_and_sized_by_the_pressure_of_the_discharge() -> None:
     found = air_tank.named("discharge")
     assert found.verdict in {"effect", "ambiguous"}
@@ -65,6 +66,7 @@ def test_heat_is_named_and_sized_by_the_pressure_of_the_discharge() -> None:
     assert abs(best.strength - sized.size) < 2.0 * best.std_error
 
 
+@pytest.mark.long
 def test_pressure_alone_does_not_tell_the_area_of_the_drawing() -> None:
     """A third less of it, unless the orifice passes a few percent more than its data say."""
     sized = air_tank.size_of("discharge", CONVECTION)
@@ -90,6 +92,7 @@ def test_without_heat_the_gas_is_a_hundred_kelvin_off(name: str, sign: float) ->
     assert last_k == pytest.approx(expected, abs=1.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["discharge", "filling"])
 def test_size_of_the_discharge_serves_both(name: str) -> None:
     """A constant conductance: within 20 K, and by far nearer than without; 5 K it is not."""
@@ -100,6 +103,7 @@ def test_size_of_the_discharge_serves_both(name: str) -> None:
     assert air_tank.rms(heated.pressure_error_pa) < 0.25 * air_tank.rms(adiabatic.pressure_error_pa)
 
 
+@pytest.mark.long
 def test_convection_as_drawn_serves_the_discharge() -> None:
     """With a lag of its thermometer within 5 K at most points, and within 7 K at all."""
     still = air_tank.judge("discharge", drawn(0.0))
@@ -117,6 +121,7 @@ def test_convection_as_drawn_serves_the_discharge() -> None:
     assert np.max(np.abs(jet.error_k - still.error_k)) < 1.0
 
 
+@pytest.mark.long
 def test_a_jet_stirs_the_filling_and_the_upper_probe_is_warmer() -> None:
     still, jet, wide = (air_tank.judge("filling", drawn(d)) for d in (0.0, ORIFICE_M, AUTHORS_M))
     assert air_tank.worst(still.error_k) > 40.0

@@ -116,6 +116,7 @@ def test_installed_command_knows_both_packages():
     assert "effects" in result.stdout and "diagnose" in result.stdout
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "words",
     [

@@ -85,6 +85,7 @@ def in_good_order(rig, request):
     assert not rig.nodes.complaints()
 
 
+@pytest.mark.long
 def test_kill_9_of_the_recorder(rig):
     """First, while the recording is short: the next one has all that comes after."""
     recorded = rig.recorded(rig.bag)
@@ -151,6 +152,7 @@ def test_faults_of_the_device(rig, name):
     assert rig.nodes.pids() == pids
 
 
+@pytest.mark.long
 def test_bus_cut_for_five_seconds(rig):
 
     def failures():
@@ -200,6 +202,7 @@ def test_kill_9_of_the_bridge(rig):
     assert others.items() <= rig.nodes.pids().items()
 
 
+@pytest.mark.long
 def test_kill_9_of_the_controller(rig):
     """A dead publisher counts until DDS gives it up after 3 s; only then the next is followed."""
 
@@ -290,6 +293,7 @@ def test_kill_9_of_the_lab(rig):
     assert pids.items() <= rig.nodes.pids().items()
 
 
+@pytest.mark.long
 def test_two_publishers_of_commands(rig):
     def attempt():
         rig.follows()
@@ -341,6 +345,7 @@ class TestWithoutTheController:
             rig.graph.probe.destroy_timer(timer)
             rig.graph.probe.destroy_publisher(publisher)
 
+    @pytest.mark.long
     @pytest.mark.parametrize("volts", [math.nan, math.inf, -math.inf, 1e9, -50.0])
     def test_commands_that_make_no_sense(self, rig, commands, volts):
         message, _ = commands
@@ -358,6 +363,7 @@ class TestWithoutTheController:
         message.voltage_v = [10.5]  # a little too much is clamped
         wait_for(lambda: rig.lab.volts() == 10.0)
 
+    @pytest.mark.long
     def test_commands_faster_than_the_bridge_are_not_worked_off_later(self, rig, commands):
         """They come as fast as they can be sent; when they end the valves are safe in time."""
         message, publisher = commands
@@ -422,6 +428,7 @@ FORGED = {
 }
 
 
+@pytest.mark.long
 def test_malformed_payloads_and_packets(rig):
     """Forged in the name of a writer that the nodes know, and thrown at every socket they have."""
     rng = random.Random(5)
@@ -492,6 +499,7 @@ def small_disk(tmp_path):
         )
 
 
+@pytest.mark.long
 def test_disk_full_while_recording(rig, small_disk):
     folder, fill, free, text = small_disk
     pids, since = rig.nodes.pids(), rig.graph.mark()

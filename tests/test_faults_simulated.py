@@ -74,6 +74,7 @@ def jumps(status):
     return int(next(v.value for v in status.values if v.key == "jumps of the clock"))
 
 
+@pytest.mark.long
 def test_clock_jumps_back(rig):
     pids, recorded, since = rig.nodes.pids(), rig.recorded(), rig.graph.mark()
     wait_for(lambda: rig.now_s() > 2.0, 20.0)
@@ -94,6 +95,7 @@ def test_clock_jumps_back(rig):
     assert rig.nodes.pids() == pids
 
 
+@pytest.mark.long
 def test_kill_9_of_the_simulator(rig):
     since = rig.graph.mark()
     pids = rig.nodes.pids()
@@ -111,6 +113,7 @@ def test_kill_9_of_the_simulator(rig):
     assert pids.items() <= rig.nodes.pids().items()
 
 
+@pytest.mark.long
 def test_kill_9_of_the_controller(rig):
     since = rig.graph.mark()
     rig.nodes.kill("pid")

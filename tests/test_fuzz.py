@@ -28,6 +28,7 @@ def tallies(worker):
     return fuzz.run_cases(worker, cases, SEED, keep=None)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", list(CASES))
 def test_spoilt_input_ends_in_a_result_or_in_one_sentence(tallies, kind):
     tally = tallies[kind]
@@ -95,6 +96,7 @@ def test_the_fuzzer_sees(tmp_path, monkeypatch, capfd, word, fault):
     assert fault in ended.fault and bool(fault) == bool(ended.fault)
 
 
+@pytest.mark.long
 def test_a_worker_that_hangs_is_replaced(worker, tmp_path, monkeypatch):
     """The case that hangs is told as a failure, and the next one runs."""
     for name in "ab":

@@ -82,6 +82,7 @@ HAZARDS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("hazard", list(HAZARDS))
 @pytest.mark.parametrize("name", list(READERS))
 def test_what_yaml_can_say(refused, folder, name, hazard):
@@ -287,6 +288,7 @@ def test_an_index_that_is_nowhere(folder, offset):
     assert "Messages:          180" in ended.output
 
 
+@pytest.mark.long
 def test_a_file_that_is_cut_anywhere_near_its_end(folder):
     """Inside of the index, where lengths and offsets are read that are not there."""
     good = (folder / "good.mcap").read_bytes()

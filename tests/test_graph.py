@@ -103,6 +103,7 @@ def process(*words):
         running.wait()
 
 
+@pytest.mark.long
 def test_a_recording_that_cannot_begin_stops_the_launch(tmp_path):
     """Who asks for one does not want to run without."""
     (tmp_path / "there").mkdir()
@@ -142,6 +143,7 @@ def rig_with_own_channels(path, channels=OWN):
     return path
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("backend", ["sim", "modbus"])
 def test_all_follow_the_channels_of_the_rig_file(tmp_path, backend):
     rig = rig_with_own_channels(tmp_path / "own.yaml")
@@ -171,6 +173,7 @@ def test_all_follow_the_channels_of_the_rig_file(tmp_path, backend):
         assert graph.probe.count_publishers("/lab/taps/end/pressure") == 0
 
 
+@pytest.mark.long
 def test_a_channel_of_another_distribution_is_simulated_recorded_and_read(tmp_path, monkeypatch):
     """A message type that only a folder beside knows; recordings carry what it means."""
     gauge = {
@@ -219,6 +222,7 @@ def run(graph, seconds, **arguments):
     return names, parameters, volts, [m.fluid_pressure for m in pressures], publishers
 
 
+@pytest.mark.long
 def test_one_launch_file_runs_the_controller_on_all_three(tmp_path):
     seen = {}
     bag = tmp_path / "bag"

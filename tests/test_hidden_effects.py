@@ -91,6 +91,7 @@ def test_leak_is_named_placed_measured_and_added(rig: Rig, tmp_path: Path) -> No
     assert load_rig(tmp_path / "step_1.yaml").effects[0].effect == "leak"
 
 
+@pytest.mark.long
 def test_tap_lag_is_named_and_measured(rig: Rig) -> None:
     """A bag of the independent plant whose ``end`` sensor lags by 6 ms."""
     found = diagnose(rig, part_of_bag(rig, "a_tap_lag"), refine=False)
@@ -100,6 +101,7 @@ def test_tap_lag_is_named_and_measured(rig: Rig) -> None:
     assert top.strength == pytest.approx(6e-3, rel=0.2)
 
 
+@pytest.mark.long
 def test_two_effects_at_once_are_both_found(exact: Rig) -> None:
     """A leak and a late valve together, recorded on a finer grid."""
     leak = AttachedEffect(
@@ -121,6 +123,7 @@ def test_two_effects_at_once_are_both_found(exact: Rig) -> None:
     assert after.times_noise <= 1.2 * alone.times_noise
 
 
+@pytest.mark.long
 def test_what_no_catalogue_holds_is_called_unknown(exact: Rig) -> None:
     """A sensor with a wavy characteristic: no effect fits, but what it depends on is named."""
     clean = synthetic(exact, SECONDS, 6, "wavy sensor")
@@ -136,12 +139,14 @@ def test_what_no_catalogue_holds_is_called_unknown(exact: Rig) -> None:
     assert gain > 0.3
 
 
+@pytest.mark.long
 def test_healthy_synthetic_recording_raises_no_alarm(exact: Rig) -> None:
     """Noise alone is not taken for physics."""
     found = diagnose(exact, synthetic(exact, SECONDS, 7, "healthy"), refine=False)
     assert found.verdict == "nothing_missing"
 
 
+@pytest.mark.long
 def test_an_effect_that_a_few_steps_show_is_found(exact: Rig) -> None:
     """A spool limited in speed is felt where the command moves far, here within half a second."""
     rng = np.random.default_rng(8)
@@ -160,6 +165,7 @@ def test_an_effect_that_a_few_steps_show_is_found(exact: Rig) -> None:
     assert top.strength == pytest.approx(3e-3, rel=0.2)
 
 
+@pytest.mark.long
 def test_an_effect_far_stronger_than_usual_is_found(exact: Rig) -> None:
     """A line that yields five times as much as lines do is another thing than one that yields."""
     soft = AttachedEffect(
@@ -171,6 +177,7 @@ def test_an_effect_far_stronger_than_usual_is_found(exact: Rig) -> None:
     assert step.strength == pytest.approx(5e-7, rel=0.2)
 
 
+@pytest.mark.long
 def test_a_place_is_told_with_how_far_it_may_be_from_there(exact: Rig) -> None:
     """A volume between two taps does nearly the same wherever it is; a leak does not."""
     volume = AttachedEffect(
@@ -191,6 +198,7 @@ def test_a_place_is_told_with_how_far_it_may_be_from_there(exact: Rig) -> None:
     assert errors["dead_volume"] > errors["leak"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("begin_s", [1.0, 2.5])
 def test_what_happens_once_is_not_nothing(exact: Rig, begin_s: float) -> None:
     """A sensor is jolted for a moment: no effect is named, and when it was is said."""

@@ -72,6 +72,7 @@ def model() -> Rig:
     return robot(0.25)
 
 
+@pytest.mark.long
 def test_nothing_is_missing_of_a_healthy_robot() -> None:
     found = diagnose(model(), recorded(5, dx_m=model().grid.dx_m), refine=False)
     assert found.verdict == "nothing_missing", found.sentence
@@ -85,7 +86,13 @@ HIDDEN = {
 }
 
 
-@pytest.mark.parametrize("name", HIDDEN)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=pytest.mark.long) if n in ("backlash", "payload") else n
+        for n in HIDDEN
+    ],
+)
 def test_a_mechanical_effect_is_named_and_sized(name: str) -> None:
     place, values = HIDDEN[name]
     found = diagnose(model(), recorded(3, **{name: (place, values)}), refine=False)

@@ -87,6 +87,7 @@ def test_it_is_replaced_where_that_is_asked_for(pneu, folder, name):
     assert (folder / name).read_bytes() != before
 
 
+@pytest.mark.long
 def test_results_are_made_anew_without_asking(pneu, folder):
     """JSON, reports, and the folder of `learn`."""
     for words in ([*COMPARE, "--json", "c.json", "--report", "c.html"], [*LEARN, "out"]):
@@ -96,6 +97,7 @@ def test_results_are_made_anew_without_asking(pneu, folder):
     assert is_result(folder / "c.html") and is_result(folder / "out" / "learn.json")
 
 
+@pytest.mark.long
 def test_a_rig_is_not_replaced_by_what_was_learned_from_it(pneu, folder):
     assert pneu(*LEARN, "out").exit_code == 0
     before = (folder / "out" / "rig.yaml").read_bytes()

@@ -38,6 +38,7 @@ def tube(power_w: float | None) -> Rig:
     )
 
 
+@pytest.mark.long
 def test_heat_raises_the_pressure_of_a_closed_line_as_the_first_law_says() -> None:
     simulator = Simulator(tube(POWER_W))
     energy = simulator.energy_j()
@@ -47,6 +48,7 @@ def test_heat_raises_the_pressure_of_a_closed_line_as_the_first_law_says() -> No
     assert slope == pytest.approx(0.4 * POWER_W / (LENGTH_M * AREA_M2), rel=1e-3)
 
 
+@pytest.mark.long
 def test_rigs_with_and_without_it_run_side_by_side() -> None:
     rigs = [tube(None), tube(POWER_W), tube(0.0), tube(2.0 * POWER_W)]
     together = Simulator(rigs).run(0.05, sample_s=0.01).pressures["middle"]

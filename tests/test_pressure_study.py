@@ -55,6 +55,7 @@ def test_the_table_is_of_these_policies(tube, table):
         assert provenance(files_of(name, tube, table)) == table.controllers[tube][name]
 
 
+@pytest.mark.long
 def test_on_the_lab_they_keep_the_order_of_the_table(table, tmp_path):
     asked = table.settings["tasks"]
     changed = {"kinds": ("jagged",), "seeds": (asked["seeds"][0],), "duration_s": 4.0}

@@ -51,6 +51,7 @@ def readings(name: str, begin_s: float, end_s: float) -> tuple[NDArray, NDArray]
 # The times are what the measurements are known for; the 0.15 mm print's decay slows down as
 # pressure falls, and over all of its recording averages to about 30 s. The other five chambers are
 # in docs/real_data.md.
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "known_s", "within"), [("Aluminium", 31000.0, 0.10), ("Ultimaker_015", 30.0, 0.5)]
 )
@@ -87,6 +88,7 @@ def test_both_models_find_the_same_leak() -> None:
     assert areas[1] == pytest.approx(areas[0], rel=0.05)
 
 
+@pytest.mark.long
 def test_ventilator(tmp_path: Path) -> None:
     nominal = load_rig(ventilator.RIG)
     recording = beginning(record_for(nominal, str(ventilator.FITTED)), 12.0)
@@ -122,6 +124,7 @@ def candidate(name: str) -> cylinder_shots.Candidate:
     return next(c for c in cylinder_shots.CANDIDATES if c.name == name)
 
 
+@pytest.mark.long
 def test_shots_of_a_cylinder() -> None:
     own, rig = candidate(cylinder_shots.OWN), load_rig(cylinder_shots.RIG)
     shots = cylinder_shots.read_shots()
@@ -153,6 +156,7 @@ def test_shots_of_a_cylinder() -> None:
     assert float(np.abs(change).max()) < 0.05e-3
 
 
+@pytest.mark.long
 def test_what_carries_the_sinking_mass() -> None:
     base, shots = load_rig(cylinder_shots.RIG), cylinder_shots.read_shots()
     odd = cylinder_shots.odd(shots)
@@ -172,6 +176,7 @@ def test_what_carries_the_sinking_mass() -> None:
     assert rod < 1.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "halves"), [("O-ring, 25.7 mm", (4.8, 5.9, 7.3, 8.0)), ("KDN, 25 mm", None)]
 )

@@ -137,6 +137,7 @@ def test_both_valves_are_safe_in_time(robot, begin):
             robot.nodes.launch("excite")
 
 
+@pytest.mark.long
 def test_the_bridge_says_where_the_arm_is_and_the_view_how_its_link_stands(robot):
     robot.swings()
     told = robot.graph.listen(JointState, "/joint_states", common.READINGS_QOS)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A Kokoro that is simulated, recorded and replayed by the one launch file."""
 
+import pytest
 from tests.live_graph import own_domain, running_graph, wait_for
 from tests.live_rig import LaunchedNodes
 from tests.robots import KOKORO
@@ -16,6 +17,7 @@ OVERRIDES = """
 """
 
 
+@pytest.mark.long
 def test_a_simulated_robot_is_recorded_and_replayed_by_the_same_launch_file(tmp_path):
     with own_domain(), running_graph() as graph:
         arguments = {"rig": KOKORO, "controller": "excite", "view": "true"}

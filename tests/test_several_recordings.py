@@ -71,6 +71,7 @@ def rig_and_bags(tmp_path_factory):
     return rig, file, bags
 
 
+@pytest.mark.long
 def test_a_calibration_on_two_is_better_on_a_third(rig_and_bags, tmp_path) -> None:
     _, file, bags = rig_and_bags
     fitted = {}
@@ -142,6 +143,7 @@ def test_a_recording_of_another_rig(rig_and_bags, tmp_path) -> None:
     assert Path(file).exists()
 
 
+@pytest.mark.long
 def test_a_rig_with_the_same_topics_is_noticed(rig_and_bags, tmp_path) -> None:
     rig, file, bags = rig_and_bags
     rng = np.random.default_rng(23)

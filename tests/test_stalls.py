@@ -63,6 +63,7 @@ def recordings(rig: Rig, effects: list[AttachedEffect]) -> tuple[Recording, Reco
     return whole, ours
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("effects", [[], [LEAK]], ids=["healthy", "leak"])
 def test_a_recording_through_a_stall(
     rig: Rig, effects: list[AttachedEffect], tmp_path: Path

@@ -83,6 +83,7 @@ def check(done, *named):
         assert text in done.stderr
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("claimed", [BOMB_BYTES, 1000, 12 * 10**9])
 @pytest.mark.parametrize("packing", ["zstd", "zstd, of unknown size", "lz4"])
 def test_a_chunk_that_unpacks_to_a_gigabyte(tmp_path, good, zeros, packing, claimed):
@@ -98,6 +99,7 @@ def test_a_chunk_that_unpacks_to_a_gigabyte(tmp_path, good, zeros, packing, clai
             check_refusal(ended, bag, "damaged")
 
 
+@pytest.mark.long
 def test_in_a_process_without_the_memory_for_it(tmp_path, good, zeros):
     bag = tmp_path / "bomb.mcap"
     bag.write_bytes(with_chunk(good, "zstd", zeros["zstd"], BOMB_BYTES))
@@ -105,6 +107,7 @@ def test_in_a_process_without_the_memory_for_it(tmp_path, good, zeros):
     check(done, "bomb.mcap", "unpack to more than")
 
 
+@pytest.mark.long
 def test_a_file_that_unpacks_to_a_gigabyte(tmp_path, zeros):
     bag = tmp_path / "bomb.mcap.zstd"
     for packing in ("zstd", "zstd, of unknown size"):
@@ -113,6 +116,7 @@ def test_a_file_that_unpacks_to_a_gigabyte(tmp_path, zeros):
         check(done, "bomb.mcap.zstd", "unpack to more than")
 
 
+@pytest.mark.long
 def test_a_message_that_unpacks_to_a_gigabyte(tmp_path, zeros):
     """Of rosbag2's compression by message, which packs each one by itself."""
     rig = load_rig(RIG)

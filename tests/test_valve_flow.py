@@ -69,6 +69,7 @@ def test_choking_ends_where_theory_says() -> None:
     assert flows[2] < (1.0 - 1e-4) * flows[0]
 
 
+@pytest.mark.long
 def test_a_plate_fitted_to_one_part_misses_the_other() -> None:
     filling = filled(1e-6)
     early, late = filling.fit("thin_plate", "early"), filling.fit("thin_plate", "late")
@@ -87,6 +88,7 @@ def test_a_plate_fitted_to_one_part_misses_the_other() -> None:
         assert max(full.early_pa, full.late_pa) < 0.002 * rise
 
 
+@pytest.mark.long
 def test_where_the_line_decides_the_plate_does_better() -> None:
     """An opening two thirds as wide as the line: its factor takes up the line's friction."""
     narrow, wide = filled(1e-6), filled(4e-6)

@@ -64,6 +64,7 @@ def installed(wheel, tmp_path_factory):
     return package.parent.parent
 
 
+@pytest.mark.long
 def test_it_carries_the_examples_and_the_templates(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()

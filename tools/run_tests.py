@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run every test: first what computes, then what runs against the clock; say what was left out.
+"""Run tests: first what computes, then what runs against the clock; say what was left out.
+
+Without an option those that together take some minutes, with `--long` those marked long.
 
 Another user may stall a machine, so what runs against the clock has three tries. The last lines say
 how many tests passed, which were skipped and why, which needed another try, and whether the times
@@ -17,8 +19,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PARTS = {
-    "what computes": ["-m", "not realtime"],
-    "what runs against the clock": ["-m", "realtime", "--reruns", "2"],
+    "what computes": ["-m", "not realtime and {which}"],
+    "what runs against the clock": ["-m", "realtime and {which}", "--reruns", "2"],
 }
 TOGETHER = ["--dist=loadfile", "--no-loadscope-reorder"]
 PROCESSES = {"what computes": 3, "what runs against the clock": 2}
@@ -34,13 +36,16 @@ def main():
     """Run the command line and return its exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("paths", nargs="*", help="tests to run instead of all of them")
+    parser.add_argument("--long", action="store_true", help="those that are marked long")
     options = parser.parse_args()
+    which = "long" if options.long else "not long"
     outcomes, worst = [], 0
     with tempfile.TemporaryDirectory(prefix="pneu-tests-") as folder:
         for number, (part, words) in enumerate(PARTS.items()):
             path = Path(folder) / f"{number}.json"
             print(f"\n{part}", flush=True)
             begun_s = time.monotonic()
+            words = [word.format(which=which) for word in words]
             command = [sys.executable, "-m", "pytest", *words, *TOGETHER, f"--outcome={path}"]
             command += [f"--numprocesses={PROCESSES[part]}", *(options.paths or files_of(part))]
             status = subprocess.run(command, check=False).returncode

@@ -424,6 +424,7 @@ except (KeyboardInterrupt, ExternalShutdownException):
 """
 
 
+@pytest.mark.long
 def test_a_server_in_another_process(ros, start_peer):
     start_peer(SERVER).wait_for_line("ready")
     client = ActionClient(ros.node("asking"), Identify, "identify")

@@ -300,6 +300,7 @@ except (KeyboardInterrupt, ExternalShutdownException):
 """
 
 
+@pytest.mark.long
 def test_a_node_in_another_process(ros, start_peer):
     managed = Managed(ros, lambda: start_peer(MANAGED).wait_for_line("ready"))
     parameters = AsyncParameterClient(managed.asking, "managed")

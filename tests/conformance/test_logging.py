@@ -142,6 +142,7 @@ rclpy.shutdown()
 """
 
 
+@pytest.mark.long
 def test_lines_on_stderr(run):
     lines = run(LOG).splitlines()
     pattern = r"\[INFO\] \[\d+\.\d{9}\] \[rig\.talker\]: for information"
@@ -156,6 +157,7 @@ def test_the_format_of_lines_can_be_set(run):
     assert "INFO|rig.talker|for information|<module>|7" in lines
 
 
+@pytest.mark.long
 def test_the_level_comes_from_the_command_line(run):
     assert "for debugging" in run(LOG, "--ros-args", "--log-level", "debug")
     only = run(LOG, "--ros-args", "--log-level", "rig.talker:=error")

@@ -55,6 +55,7 @@ def pong(start_peer):
     return peer
 
 
+@pytest.mark.long
 def test_messages_there_and_back(pong, node, executor, spin_until):
     executor.add_node(node)
     received = []
@@ -71,6 +72,7 @@ def test_messages_there_and_back(pong, node, executor, spin_until):
     assert received == sent
 
 
+@pytest.mark.long
 def test_a_call(pong, node, executor):
     executor.add_node(node)
     client = node.create_client(SetBool, "negate")
@@ -81,6 +83,7 @@ def test_a_call(pong, node, executor):
         assert future.result().success is not value
 
 
+@pytest.mark.long
 def test_the_other_node_is_seen_and_seen_to_go(pong, node, executor, spin_until):
     executor.add_node(node)
     assert spin_until(lambda: "pong" in node.get_node_names(), timeout_s=20.0)
@@ -89,6 +92,7 @@ def test_the_other_node_is_seen_and_seen_to_go(pong, node, executor, spin_until)
     assert spin_until(lambda: "pong" not in node.get_node_names(), timeout_s=20.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("number", "lines"),
     [
@@ -104,6 +108,7 @@ def test_signals_end_a_spin(pong, number, lines):
     assert set(pong.lines) - {"ready"} <= lines
 
 
+@pytest.mark.long
 def test_arguments_reach_the_other_process(start_peer):
     peer = start_peer(
         """

@@ -74,6 +74,7 @@ def test_lengths_of_time(seconds, text):
     assert progress.clock(seconds) == text
 
 
+@pytest.mark.long
 def test_compiling_is_told_when_it_happens_and_not_again(tmp_path):
     first, status = run(COMPILE, NUMBA_CACHE_DIR=str(tmp_path))
     assert status == 0, first

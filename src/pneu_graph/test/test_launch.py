@@ -363,6 +363,7 @@ def test_on_exit_shutdown_ends_the_others(start):
     assert process.returncode == 0
 
 
+@pytest.mark.long
 def test_nothing_outlives_a_launch_that_is_killed(start, tmp_path):
     """Neither a polite process, nor one that ignores SIGTERM, nor a grandchild."""
     process = start(

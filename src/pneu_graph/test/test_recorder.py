@@ -106,6 +106,7 @@ def stop(process, number=signal.SIGINT):
     return out
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("talker")
 def test_a_recording_is_complete(start, tmp_path):
     rig = tmp_path / "rig.yaml"
@@ -142,6 +143,7 @@ def test_a_recording_is_complete(start, tmp_path):
     assert "durability: transient_local" in channels["/rig/state"].metadata["offered_qos_profiles"]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("talker")
 def test_a_killed_recorder_leaves_a_readable_bag(start, tmp_path):
     folder = tmp_path / "bag"
@@ -196,6 +198,7 @@ def recorded(folder):
     return {topic.name: topic.message_count for topic in BagReader(folder).metadata.topics}
 
 
+@pytest.mark.long
 def test_six_thousand_messages_a_second_are_recorded(start, tmp_path):
     script = tmp_path / "flood.py"
     script.write_text(FLOOD)
@@ -206,6 +209,7 @@ def test_six_thousand_messages_a_second_are_recorded(start, tmp_path):
     assert recorded(tmp_path / "bag") == {f"/flood{k}": 4000 for k in range(6)}
 
 
+@pytest.mark.long
 def test_what_never_came_is_counted_and_told(start, tmp_path):
     """The recorder stands still for longer than the kernel keeps what comes."""
     script = tmp_path / "flood.py"
@@ -230,6 +234,7 @@ def test_what_never_came_is_counted_and_told(start, tmp_path):
     assert all(f"{topic} {number}" in info for topic, number in lost.items())
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("talker")
 def test_split_and_snapshot_services(start, tmp_path):
     recorder = start("bag", "record", PRESSURE, "-o", tmp_path / "bag")
@@ -243,6 +248,7 @@ def test_split_and_snapshot_services(start, tmp_path):
     assert recorder.returncode == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cut", [False, True])
 def test_a_genuine_bag_is_replayed(start, tmp_path, cut):
     """Every message arrives byte by byte at a recorder; also from a bag that was cut short."""
@@ -268,6 +274,7 @@ def test_a_genuine_bag_is_replayed(start, tmp_path, cut):
     assert topics["/again/p"].type_hash.startswith("RIHS01_22dfb2b145a0bd5a31a1ac38")
 
 
+@pytest.mark.long
 def test_there_is_one_clock(start, tmp_path):
     first = start("bag", "play", GENUINE, "--clock", "50", "--loop")
     shown = start("topic", "echo", "--once", "/clock", "rosgraph_msgs/msg/Clock")

@@ -90,6 +90,7 @@ def talker(environment, pneu, tmp_path_factory):
 
 @pytest.mark.usefixtures("talker")
 class TestOnAGraph:
+    @pytest.mark.long
     def test_node_info(self, pneu):
         lines = pneu("node", "info", "/rig/talker").splitlines()
         assert lines[:3] == ["/rig/talker", "  Subscribers:", "  Publishers:"]
@@ -100,6 +101,7 @@ class TestOnAGraph:
         ]  # fmt: skip
         assert "Unable to find node 'nobody'" in pneu("node", "info", "nobody", status=1)
 
+    @pytest.mark.long
     def test_topics(self, pneu):
         assert f"{TOPIC} [sensor_msgs/msg/FluidPressure]" in pneu("topic", "list", "-t")
         shown = pneu("topic", "info", "-v", TOPIC)
@@ -110,6 +112,7 @@ class TestOnAGraph:
         assert "Topic type hash: RIHS01_22dfb2b145a0bd5a31a1ac38" in shown
         assert "Unknown topic '/none'" in pneu("topic", "info", "/none", status=1)
 
+    @pytest.mark.long
     def test_echo_prints_yaml_documents(self, pneu):
         shown = pneu("topic", "echo", "--once", TOPIC)
         assert shown.endswith("\n---\n")
@@ -122,11 +125,13 @@ class TestOnAGraph:
         assert pneu("topic", "echo", "--once", "--field", "header.frame_id", TOPIC) == "end\n---\n"
         assert "is not known" in pneu("topic", "echo", "/none", status=2)
 
+    @pytest.mark.long
     def test_hz(self, pneu):
         shown = pneu("topic", "hz", "--seconds", "2", TOPIC)
         rate = float(shown.splitlines()[-2].removeprefix("average rate: "))
         assert rate == pytest.approx(50.0, rel=0.3)
 
+    @pytest.mark.long
     def test_parameters(self, pneu):
         assert pneu("param", "get", "/rig/talker", "gain.p") == "Double value is: 1.5\n"
         assert pneu("param", "get", "/rig/talker", "names") == "String values are: ['a', 'b']\n"
@@ -139,6 +144,7 @@ class TestOnAGraph:
         assert "    Max value: 9.0" in pneu("param", "describe", "/rig/talker", "gain.p")
         assert "Parameter not set" in pneu("param", "get", "/rig/talker", "none", status=1)
 
+    @pytest.mark.long
     def test_parameters_from_a_file(self, pneu, tmp_path):
         path = tmp_path / "p.yaml"
         path.write_text("/**: {ros__parameters: {gain: {p: 3.5}}}\n")
@@ -147,6 +153,7 @@ class TestOnAGraph:
         )
         assert pneu("param", "get", "--hide-type", "/rig/talker", "gain.p") == "3.5\n"
 
+    @pytest.mark.long
     def test_service_call(self, pneu):
         shown = pneu("service", "call", "/rig/talker/enable", "std_srvs/srv/SetBool",
                      "{data: true}")  # fmt: skip
@@ -158,6 +165,7 @@ class TestOnAGraph:
         )
 
 
+@pytest.mark.long
 def test_pub_reaches_echo(pneu, environment):
     command = [sys.executable, "-m", "pneu_graph.tools", "topic", "echo", "--once", "/c",
                "std_msgs/msg/String"]  # fmt: skip
@@ -167,6 +175,7 @@ def test_pub_reaches_echo(pneu, environment):
     assert process.communicate(timeout=30)[0] == "data: hello\n---\n"
 
 
+@pytest.mark.long
 def test_interfaces_are_shown(pneu):
     assert "\t\tint32 sec\n" in pneu("interface", "show", "sensor_msgs/msg/FluidPressure")
     assert "    std_srvs/srv/Trigger\n" in pneu("interface", "list", "-s")

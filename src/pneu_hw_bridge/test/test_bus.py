@@ -332,6 +332,7 @@ def broken_reply(rng, request):
     return frame
 
 
+@pytest.mark.long
 def test_ten_thousand_random_replies(wait_until, monkeypatch):
     """The bus survives them, takes only readings of full length, and works again afterwards."""
     # So that they take seconds; else the bus would spend its time waiting.
@@ -468,7 +469,14 @@ def test_serial_line(wait_until):
     assert server.written[-1][1] in (0.0, 6.25)
 
 
-@pytest.mark.parametrize("late_s", [(0.3, 0.5), (0.12, 0.2), (0.7, 0.9)])
+@pytest.mark.parametrize(
+    "late_s",
+    [
+        (0.3, 0.5),
+        pytest.param((0.12, 0.2), marks=pytest.mark.long),
+        pytest.param((0.7, 0.9), marks=pytest.mark.long),
+    ],
+)
 def test_late_answers_on_a_serial_line_are_not_taken_for_others(late_s):
     """They carry no number: each would pass for the answer to the next request."""
     owner = Owner()
@@ -480,6 +488,7 @@ def test_late_answers_on_a_serial_line_are_not_taken_for_others(late_s):
     assert {volts for _, volts in server.written} == {0.0}
 
 
+@pytest.mark.long
 def test_spoilt_frames_on_a_serial_line_are_asked_for_again(wait_until):
     """One in fifty, of requests and of answers: no fault worth a vent."""
     owner = Owner()

@@ -132,6 +132,7 @@ def test_samples_are_the_plants_state_at_their_time(start_lab, tmp_path, rig_fil
     assert np.ptp(offline["end"]) > 5e4
 
 
+@pytest.mark.long
 def test_no_sample_is_lost_or_bent_by_a_late_bridge(start_lab, tmp_path, wait_until):
     """The bridge comes up to 40 ms late each time: the lab's time waits, and stamps are exact."""
     owner = Owner(latest_s=0.04)
@@ -158,6 +159,7 @@ def test_no_sample_is_lost_or_bent_by_a_late_bridge(start_lab, tmp_path, wait_un
     assert all(b[0] > a[0] for a, b in pairwise(owner.applied))
 
 
+@pytest.mark.long
 def test_in_real_time_what_is_lost_is_counted(start_lab, tmp_path, wait_until):
     owner = Owner(latest_s=0.06)
     with start_lab(tmp_path, *CLOCKED) as lab, open_bus(lab.port, owner) as bus:
@@ -169,6 +171,7 @@ def test_in_real_time_what_is_lost_is_counted(start_lab, tmp_path, wait_until):
     assert 0 < sum(steps) - len(steps) <= statistics.samples_skipped
 
 
+@pytest.mark.long
 def test_no_sample_is_told_twice(start_lab, tmp_path, wait_until):
     """The device samples at 20 Hz and is read at 500 Hz."""
     owner = Owner()
@@ -179,6 +182,7 @@ def test_no_sample_is_told_twice(start_lab, tmp_path, wait_until):
     assert bus.statistics.reads_without_news > 10 * len(stamps)
 
 
+@pytest.mark.long
 def test_a_device_that_begins_anew_is_mapped_anew(start_lab, tmp_path, wait_until):
     owner = Owner()
     with start_lab(tmp_path, *CLOCKED) as lab, open_bus(lab.port, owner) as bus:
@@ -228,6 +232,7 @@ class Rig:
         return self.link.report().state is State.HOLDING
 
 
+@pytest.mark.long
 def test_a_counter_that_stands_still_is_a_sensor_that_stalls(start_lab, tmp_path, wait_until):
     """The device answers as ever, with its latest sample again and again."""
     with start_lab(tmp_path, *PACED) as lab, Rig(lab.port) as rig:
@@ -244,6 +249,7 @@ def test_a_counter_that_stands_still_is_a_sensor_that_stalls(start_lab, tmp_path
         wait_until(lambda: rig.follows() and lab.volts() == 5.5)
 
 
+@pytest.mark.long
 def test_the_watchdog_of_the_device_is_told_with_its_own_time(start_lab, tmp_path, wait_until):
     """Nobody writes for a while: who connects then learns when the device vented by itself."""
     with start_lab(tmp_path, *PACED) as lab:

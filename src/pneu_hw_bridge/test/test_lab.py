@@ -228,6 +228,7 @@ def test_fault_malformed(device, lab):
     assert device.read()["supply"] > 0.0
 
 
+@pytest.mark.long
 def test_fault_jump_and_dead_valve(tmp_path):
     """At a robot: its encoder leaps, wrapped as it is, and one of its valves is left alone."""
     with kokoro_lab(tmp_path) as lab:
@@ -329,6 +330,7 @@ def test_commands_of_a_running_lab(healthy_lab):
     assert (refused.exit_code, refused.stderr.count("\n")) == (2, 1)
 
 
+@pytest.mark.long
 def test_ends_on_a_signal_and_takes_its_ready_file_away(start_lab, tmp_path):
     with start_lab(tmp_path) as one:
         assert len(list(tmp_path.glob("ready*.json"))) == 1
@@ -396,6 +398,7 @@ def test_what_cannot_be_is_not_sealed(tmp_path):
     assert not sealed.exists()
 
 
+@pytest.mark.long
 def test_sealed_effects_act_and_do_not_show(start_lab, tmp_path):
     plain, sealed = tmp_path / "effects.yaml", tmp_path / "sealed.json"
     plain.write_text(EFFECTS)
@@ -433,6 +436,7 @@ def test_damaged_seals_are_refused(tmp_path):
 # Profiles
 
 
+@pytest.mark.long
 def test_labjack_profile_against_the_lab(start_lab, tmp_path, wait_until):
     """The same bridge code on LabJack's addresses, scales and settings."""
 

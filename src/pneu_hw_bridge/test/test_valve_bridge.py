@@ -212,6 +212,7 @@ def test_readings_and_commands(bridge, lab, graph, wait_until):
     assert cause == "write"
 
 
+@pytest.mark.long
 def test_a_device_with_a_clock(start_lab, tmp_path, graph, wait_until):
     """Stamps step as the device samples, commands and /clock are in its time, nothing is lost."""
     applied, clock, sets = [], [], []
@@ -252,6 +253,7 @@ def ns(stamp):
     return stamp.sec * 10**9 + stamp.nanosec
 
 
+@pytest.mark.long
 def test_diagnostics(bridge, lab, graph, wait_until):
     follow(lab, graph, wait_until)
     wait_until(lambda: graph.status() is not None and graph.status().message == "following")
@@ -295,6 +297,7 @@ def test_emergency_stop(bridge, lab, graph, wait_until):
     wait_until(lambda: not graph.stops[-1].data)
 
 
+@pytest.mark.long
 def test_a_stop_from_the_shell(bridge, lab, graph, wait_until):
     """All bridges of the machine, without waiting for the graph."""
     follow(lab, graph, wait_until)
@@ -312,6 +315,7 @@ def test_a_stop_from_the_shell(bridge, lab, graph, wait_until):
     wait_until(lambda: lab.volts() == 5.5)
 
 
+@pytest.mark.long
 def test_a_stop_from_the_shell_finds_bridges_of_other_machines(
     healthy_lab, graph, wait_until, tmp_path, monkeypatch
 ):
@@ -330,6 +334,7 @@ def test_a_stop_from_the_shell_finds_bridges_of_other_machines(
         assert (told.returncode, told.stdout) == (1, "no bridge found on this machine\n")
 
 
+@pytest.mark.long
 def test_bridges_that_share_a_device_obey_one_stop(healthy_lab, graph, wait_until):
     other = running_bridge(
         healthy_lab.port, "autostart:=true", remap=["__node:=other_bridge"], namespace="/other"
@@ -343,6 +348,7 @@ def test_bridges_that_share_a_device_obey_one_stop(healthy_lab, graph, wait_unti
         wait_until(lambda: stops[-1].data, 3.0)
 
 
+@pytest.mark.long
 def test_a_bridge_obeys_the_stop_of_another_one_in_its_namespace(
     healthy_lab, graph, wait_until, tmp_path, monkeypatch
 ):
@@ -357,6 +363,7 @@ def test_a_bridge_obeys_the_stop_of_another_one_in_its_namespace(
             wait_until(lambda: "another bridge of this namespace" in graph.status().message)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("how", ["stopped", "tripped", "killed", "interrupted"])
 def test_a_restart_forgets_no_stop(how, healthy_lab, graph, wait_until, tmp_path):
     lab, state = healthy_lab, tmp_path / "state"
@@ -384,6 +391,7 @@ def test_a_restart_forgets_no_stop(how, healthy_lab, graph, wait_until, tmp_path
         wait_until(lambda: lab.volts() == 5.5, 20.0)
 
 
+@pytest.mark.long
 def test_life_cycle(healthy_lab, graph, wait_until):
     lab = healthy_lab
     with running_bridge(lab.port) as bridge:
@@ -410,6 +418,7 @@ def test_life_cycle(healthy_lab, graph, wait_until):
         wait_until(lambda: lab.volts() == 7.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_end_by_a_signal(number, healthy_lab, graph, wait_until):
     lab = healthy_lab
@@ -427,6 +436,7 @@ def test_end_by_a_signal(number, healthy_lab, graph, wait_until):
         assert bridge.returncode == 0
 
 
+@pytest.mark.long
 def test_two_publishers(bridge, lab, graph, wait_until):
     follow(lab, graph, wait_until)
     judge = watch(lab, bridge).judge
@@ -444,6 +454,7 @@ def test_two_publishers(bridge, lab, graph, wait_until):
     wait_until(lambda: lab.volts() == 5.5)
 
 
+@pytest.mark.long
 def test_only_the_node_that_is_named_may_command(healthy_lab, graph, wait_until):
     graph.volts = 5.5
     name = graph.node.get_fully_qualified_name()
@@ -456,6 +467,7 @@ def test_only_the_node_that_is_named_may_command(healthy_lab, graph, wait_until)
         follow(healthy_lab, graph, wait_until)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e9, -50.0])
 def test_commands_that_make_no_sense(value, bridge, lab, graph, wait_until):
     follow(lab, graph, wait_until)
@@ -466,6 +478,7 @@ def test_commands_that_make_no_sense(value, bridge, lab, graph, wait_until):
     follow(lab, graph, wait_until)
 
 
+@pytest.mark.long
 def test_malformed_commands(bridge, lab, graph, wait_until):
     follow(lab, graph, wait_until)
     graph.volts = None
@@ -480,6 +493,7 @@ def test_malformed_commands(bridge, lab, graph, wait_until):
     follow(lab, graph, wait_until)
 
 
+@pytest.mark.long
 def test_parameters(healthy_lab, graph, wait_until):
     def set_to(name, value):
         kind = ParameterType.PARAMETER_BOOL if value is True else ParameterType.PARAMETER_DOUBLE
@@ -499,6 +513,7 @@ def test_parameters(healthy_lab, graph, wait_until):
         assert not refused.successful and "before the node is configured" in refused.reason
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("parameter", "says"),
     [

@@ -120,6 +120,7 @@ def test_a_run_is_replaced_by_one_of_the_same_task():
     assert evaluation.has("long-smooth-0-pde") and len(evaluation.runs) == 1
 
 
+@pytest.mark.long
 def test_the_limit_is_below_any_controller(pid, tmp_path):
     tasks = Tasks(kinds=("smooth",), seeds=(0,), period_s=0.4, duration_s=0.9, skip_s=0.3)
     evaluation = runs_of([pid], tmp_path, tasks)

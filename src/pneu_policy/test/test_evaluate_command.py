@@ -35,6 +35,7 @@ def run(*words):
     return CliRunner().invoke(app, [str(word) for word in words])
 
 
+@pytest.mark.long
 def test_results_tables_and_figures(files, tmp_path):
     calm, keen = files
     out, copy = tmp_path / "out", tmp_path / "copy.json"

@@ -24,6 +24,7 @@ def run_with(rig, volts):
     return np.array([plant.reset(START_PA)[0, at], *(plant.step(v)[0, at] for v in volts)])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("hidden", [[], ["hysteresis"]])
 def test_a_target_that_the_plant_made_itself_is_followed(hidden):
     effects = [

@@ -182,6 +182,7 @@ def test_numpy_forward_is_that_of_torch_and_starts_small():
     assert np.abs(expected).max() < 0.01
 
 
+@pytest.mark.long
 def test_value_function_is_the_same_after_rescaling_and_fits_large_returns():
     rng = np.random.default_rng(0)
     values = ValueNetwork(2, (128, 128), rng)
@@ -231,6 +232,7 @@ class LinearTracking:
         return np.linalg.solve(self.R + self.B.T @ p @ self.B, self.B.T @ p @ self.A)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("hidden", "bootstrap", "share"), [((), True, 0.985), ((), False, 0.985), ((32, 32), True, 0.9)]
 )

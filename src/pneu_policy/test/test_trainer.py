@@ -118,6 +118,7 @@ def test_rows_tell_what_the_episodes_were(env):
     assert after.score == pytest.approx(np.sum(rewards) / 4, rel=1e-4)
 
 
+@pytest.mark.long
 def test_training_improves_the_tracking():
     """A few iterations on a short horizon halve the error of a valve that stays closed."""
     learning = {"iterations": 12, "npg": {"value_steps": 50}, "evaluate_every": 12}

@@ -74,6 +74,7 @@ assert rclpy.real and std_msgs.real
     run(code, tmp_path, PYTHONPATH=str(tmp_path))
 
 
+@pytest.mark.long
 def test_an_rclpy_that_cannot_be_imported_is_left_out_and_told(tmp_path):
     """As with ROS sourced for another Python: found, but not to be used, nor its messages."""
     for package in ("rclpy", "std_msgs", "std_msgs/msg"):

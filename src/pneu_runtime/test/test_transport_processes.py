@@ -134,6 +134,7 @@ def test_topics_and_services_work_with_multicast_off(session, start):
     assert (info.node_name, info.topic_type_hash) == ("peer", interfaces.type_hash(STRING))
 
 
+@pytest.mark.long
 def test_sixteen_processes_see_one_another(session, start):
     names = [f"peer{number}" for number in range(16)]
     processes = [start(STAY, name) for name in names]
@@ -145,6 +146,7 @@ def test_sixteen_processes_see_one_another(session, start):
     until(lambda: session.node_names() == [])
 
 
+@pytest.mark.long
 def test_a_process_that_stalls_stops_no_other_thread(session, start):
     """A reliable writer has to wait for it; the rest of the process must go on."""
     process = start(LISTEN)

@@ -86,6 +86,7 @@ def test_empty_message_is_one_byte():
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(STORE.fielddefs))
 def test_bytes_equal_those_of_an_independent_codec(name):
     """With every field filled, so that alignment shows."""

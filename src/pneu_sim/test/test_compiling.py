@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import pneu_common
 import pneu_sim
 
@@ -17,6 +19,7 @@ LEAK = (
 )
 
 
+@pytest.mark.long
 def test_a_change_in_a_file_that_a_kernel_calls_into_is_compiled(tmp_path: Path) -> None:
     for package in (pneu_sim, pneu_common):
         source = Path(package.__file__).parent

@@ -397,6 +397,7 @@ def test_order_of_convergence_of_a_gas_spring(tmp_path, coupling, least, damping
         assert errors[2] < 2e-3
 
 
+@pytest.mark.long
 def test_order_of_convergence_of_an_arm():
     """Coriolis forces, levers and four cylinders; compared with itself at a fine step."""
     found = {}

@@ -238,6 +238,7 @@ def test_energy_of_gas_body_and_heat_is_kept_while_cells_come_and_go(gas: str, o
     assert simulator.mass_kg() == pytest.approx(mass, rel=1e-11)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("order", "speed", "most"), [(1, 1.0, 5e-4), (2, 1.0, 2e-5), (2, 3.0, 1e-4)]
 )

@@ -137,6 +137,7 @@ def test_a_plant_that_needs_more_steps_may_be_cut_anywhere(speed_m_s: float) -> 
     is_the_same_cut(rig, 0.05)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", ["pde", "thin_plate", "delay_line"])
 def test_rigs_side_by_side_are_those_alone(model: str) -> None:
     """Of different parameters, under commands of their own, and more of them than go together."""

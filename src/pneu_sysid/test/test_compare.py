@@ -338,6 +338,7 @@ def test_the_worst_stretch_is_where_the_disturbance_is(truth: Recording) -> None
     assert worst_of(regimes(result, "time", "end")) == "1-2 s"
 
 
+@pytest.mark.long
 def test_a_coarse_grid_is_told_from_missing_physics() -> None:
     fine = record(valve_rig(grid={"dx_m": 0.0125}))
     for order, dx_m in ((1, 0.1), (2, 0.2)):
@@ -359,6 +360,7 @@ def test_a_coarse_grid_is_told_from_missing_physics() -> None:
     assert not result.numerics.discretisation
 
 
+@pytest.mark.long
 def test_models_of_other_structure_side_by_side(truth: Recording) -> None:
     good = valve_rig(fit={"horizon_s": 0.5, "warm_up_s": 0.1})
     bad = valve_rig(name="other", fit={"horizon_s": 0.3})
@@ -449,6 +451,7 @@ def test_result_survives_its_file(truth: Recording, tmp_path: Any) -> None:
     assert len(data["series"]["time_s"]) == len(truth.pressures["end"]) <= SERIES_POINTS
 
 
+@pytest.mark.long
 def test_long_series_are_thinned_but_for_the_worst() -> None:
     recording = record(valve_rig(), np.tile(volts_of_steps(), 10))
     assert sum(len(signal) for signal in recording.pressures.values()) > SERIES_POINTS

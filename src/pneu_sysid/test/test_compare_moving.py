@@ -64,6 +64,7 @@ def result(rig: Rig, recording: Recording) -> CompareResult:
     return compare(recording, [(rig.name, rig, None)], refine=True)
 
 
+@pytest.mark.long
 def test_the_true_model_leaves_the_noise_of_every_sensor(result: CompareResult) -> None:
     (model,) = result.models
     assert tuple(model.taps) == TAPS and tuple(model.encoders) == ("elbow",)
@@ -147,6 +148,7 @@ def test_tables_and_report_tell_each_unit(result: CompareResult, tmp_path: Path)
         assert words in page
 
 
+@pytest.mark.long
 def test_a_late_encoder_is_found_at_the_encoder(rig: Rig, recording: Recording) -> None:
     late = Recording(
         "late",

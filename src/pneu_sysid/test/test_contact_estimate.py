@@ -345,6 +345,7 @@ def test_a_recording_of_a_finer_step_tells_friction_stiffness_and_spring(tmp_pat
     assert np.min(depth(model, truth)) < -5e-5  # it presses
 
 
+@pytest.mark.long
 def test_an_estimate_of_the_trajectory_settles_in_about_six_iterations(tmp_path: Path) -> None:
     track, _ = pressed()
     loaded = finger_scene(tmp_path, fitted=False, **TRUE)
@@ -353,6 +354,7 @@ def test_an_estimate_of_the_trajectory_settles_in_about_six_iterations(tmp_path:
     assert history[min(6, len(history) - 1)] < 1.02 * history[-1]
 
 
+@pytest.mark.long
 def test_poses_alone_foretell_no_force_and_the_joint_estimate_does(tmp_path: Path) -> None:
     """Fig. 2.1: poses that are 0.2 mm off say nothing of forces; the joint estimate knows them."""
     track, _ = pressed()
@@ -380,6 +382,7 @@ def test_poses_alone_foretell_no_force_and_the_joint_estimate_does(tmp_path: Pat
     assert np.sqrt(np.mean(joint[:, 2] ** 2)) < 0.05 * usual
 
 
+@pytest.mark.long
 def test_a_force_that_is_left_out_is_foretold(tmp_path: Path) -> None:
     """2.7.1: without the force's term, from poses and what drives the finger."""
     track, _ = pressed()
@@ -423,6 +426,7 @@ def test_an_interrupted_estimate_goes_on(tmp_path: Path) -> None:
     assert np.array_equal(rest.state.x, whole.state.x)
 
 
+@pytest.mark.long
 def test_parameters_stay_within_their_bounds(tmp_path: Path) -> None:
     track, _ = pressed(0.5)
     loaded = finger_scene(tmp_path)

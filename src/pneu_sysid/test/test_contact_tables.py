@@ -30,6 +30,7 @@ def beside(name: str) -> ModuleType:
 finger = beside("test_contact_estimate")
 
 
+@pytest.mark.long
 def test_parameters_of_one_recording_do_on_another(tmp_path: Path) -> None:
     tracks = [finger.pressed(0.8, seed=seed)[0] for seed in (3, 4)]
     found = cross(finger.finger_scene(tmp_path), tracks, Physics(2))
@@ -48,6 +49,7 @@ def test_each_sensor_left_out_is_foretold(tmp_path: Path) -> None:
         leave_out(loaded, [track], Physics(1), ["torque"])
 
 
+@pytest.mark.long
 def test_many_starts_end_alike(tmp_path: Path) -> None:
     track, _ = finger.pressed(0.6)
     found = spread(finger.finger_scene(tmp_path), [track], Physics(2), count=4, seed=1)
@@ -56,6 +58,7 @@ def test_many_starts_end_alike(tmp_path: Path) -> None:
     assert found.same == 1.0
 
 
+@pytest.mark.long
 def test_taking_turns_is_slower_than_together(tmp_path: Path) -> None:
     """2.3.2: trajectory and parameters in turns (EM) against one step of both."""
     track, _ = finger.pressed(0.6)

@@ -39,6 +39,7 @@ def times_noise(rig, recordings, **more) -> tuple[np.ndarray, np.ndarray]:
     return np.sqrt(np.sum(residual**2, axis=(0, 1)) / count), 1.0 / np.sqrt(2.0 * count)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("shape", "moving"), [("line", False), *((s, k % 2 == 0) for k, s in enumerate(SHAPES))]
 )
@@ -52,6 +53,7 @@ def test_an_exact_model_leaves_the_noise(shape: str, moving: bool) -> None:
     assert (found > 1.0 - SIGMAS * scatter).all(), (rate, found)
 
 
+@pytest.mark.long
 def test_grids_of_readings_do_not_matter() -> None:
     """Taps at three rates and phases in one recording: each is predicted at its own times."""
     rng = np.random.default_rng(11)
@@ -65,6 +67,7 @@ def test_grids_of_readings_do_not_matter() -> None:
     assert (np.abs(found - 1.0) < 0.05 + SIGMAS * scatter).all(), found
 
 
+@pytest.mark.long
 def test_gaps_stay_gaps() -> None:
     rng = np.random.default_rng(12)
     rig = draw_rig("line", rng)
@@ -77,6 +80,7 @@ def test_gaps_stay_gaps() -> None:
     assert (np.abs(found - 1.0) < 0.05 + SIGMAS * scatter).all(), found
 
 
+@pytest.mark.long
 def test_sensors_are_taken_back_out_of_the_state() -> None:
     """A known gain, bias, lag and clock of a sensor do not fill the rig with wrong gas."""
     rng = np.random.default_rng(13)
@@ -92,6 +96,7 @@ def test_sensors_are_taken_back_out_of_the_state() -> None:
     assert (np.abs(found - 1.0) < 0.05 + SIGMAS * scatter).all(), found
 
 
+@pytest.mark.long
 def test_models_run_together_are_those_run_alone() -> None:
     """Estimations in threads of their own share batches, and get what is theirs."""
     rng = np.random.default_rng(18)
@@ -118,6 +123,7 @@ def test_models_run_together_are_those_run_alone() -> None:
         each_of(rounds, problem, fail)
 
 
+@pytest.mark.long
 def test_an_exact_model_is_not_accused_and_stays_where_it_is() -> None:
     rng = np.random.default_rng(15)
     rig = coarse("tee", rng)
@@ -142,6 +148,7 @@ def test_an_exact_model_is_not_accused_and_stays_where_it_is() -> None:
     assert found.standing.explains and "very recording" in found.statements[0]
 
 
+@pytest.mark.long
 def test_the_recording_that_differs_is_named() -> None:
     """A leak in one of four recordings: the verdict is of that one."""
     rng = np.random.default_rng(16)
@@ -170,6 +177,7 @@ def test_the_recording_that_differs_is_named() -> None:
     assert "day_2" in found.statements[0] and "day_1, day_3" in found.statements[0]
 
 
+@pytest.mark.long
 def test_a_value_that_differs_from_recording_to_recording() -> None:
     """Two supplies: shared parameters from both, the supply once for each."""
     rng = np.random.default_rng(17)

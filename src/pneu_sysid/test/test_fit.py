@@ -119,6 +119,7 @@ def few(rig: Rig, *paths: str) -> list[FitParameter]:
     return [p for p in calibrated_parameters(rig) if p.path in paths]
 
 
+@pytest.mark.long
 def test_what_is_held_counts_in_the_errors_of_the_others() -> None:
     """A volume that is not known exactly makes the conductance that fills it as uncertain."""
     rng = np.random.default_rng(3)
@@ -207,6 +208,7 @@ def calibrated() -> tuple[Rig, Recording, FitOutcome]:
     return truth, recordings[1], fit_rig(datasheet, recordings[0])
 
 
+@pytest.mark.long
 def test_a_datasheet_becomes_a_calibration(
     calibrated: tuple[Rig, Recording, FitOutcome],
 ) -> None:
@@ -233,6 +235,7 @@ def test_warnings_are_three_lines_at_most(calibrated: tuple[Rig, Recording, FitO
     assert len(calibrated[2].warnings) <= 4  # three on parameters, one on what was not visited
 
 
+@pytest.mark.long
 def test_a_spool_whose_position_was_recorded_is_fitted_to_it() -> None:
     """Its numbers come from the position alone, and the gas tells the rest."""
     rng = np.random.default_rng(7)
@@ -255,6 +258,7 @@ def test_a_spool_whose_position_was_recorded_is_fitted_to_it() -> None:
     assert by_path[SUPPLY][0].std_error is not None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("hold_out", [False, True])
 def test_where_it_stops_short_it_says_where_and_what_would_help(hold_out: bool) -> None:
     """A lag of one sensor, which no calibration fits: the tap is named, and the effect."""

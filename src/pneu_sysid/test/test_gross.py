@@ -65,6 +65,7 @@ def test_ordinary_datasheets_are_not_accused(shape: str) -> None:
     assert asked(*drawn(shape, 0)) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("shape", "paths", "factor"),
     [
@@ -112,6 +113,7 @@ def exchanged(recording: Recording) -> Recording:
     return replace(recording, pressures={**recording.pressures, "feed": b, "middle": a})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("shape", "change", "what", "words"),
     [

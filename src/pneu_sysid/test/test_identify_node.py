@@ -61,6 +61,7 @@ class Client:
         return got.result()
 
 
+@pytest.mark.long
 def test_a_comparison_reports_progress_and_where_its_result_is(graph, tmp_path):
     graph.add(IdentifyNode, workers=2)
     client = Client(graph)
@@ -74,6 +75,7 @@ def test_a_comparison_reports_progress_and_where_its_result_is(graph, tmp_path):
     assert client.stages[-1].progress == 1.0
 
 
+@pytest.mark.long
 def test_a_cancelled_goal_ends_its_process_and_leaves_nothing(graph, tmp_path):
     graph.add(IdentifyNode, workers=1)
     client = Client(graph)
@@ -101,6 +103,7 @@ def test_bad_input_aborts_with_its_sentence(graph, tmp_path):
     assert "bag: found 'nowhere'" in answer.result.message
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("leak_m2", [0.0, 1e-7])
 def test_the_watch_tells_a_changed_rig_from_the_one_it_knows(graph, tmp_path, leak_m2):
     plant = load_rig(LAB)
@@ -134,6 +137,7 @@ def test_the_watch_tells_a_changed_rig_from_the_one_it_knows(graph, tmp_path, le
     assert ("does not describe the rig" if leak_m2 else "as expected") in message
 
 
+@pytest.mark.long
 def test_the_watch_follows_a_joint_by_its_name(graph):
     """A robot that sways: its angle's residual is told in rad, apart from the taps' in Pa."""
     path = str(LAB.with_name("kokoro.yaml"))

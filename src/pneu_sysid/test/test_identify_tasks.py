@@ -51,6 +51,7 @@ def test_compare_writes_report_and_result_and_tells_how_far_it_is(tmp_path):
     assert done[-1] == 1.0 and done == sorted(done) and len(done) > 2
 
 
+@pytest.mark.long
 def test_a_cancelled_task_is_gone_and_leaves_nothing(tmp_path):
     follower = Follower()
     process = follower.start(request(tmp_path, "learn", "learned"))
@@ -67,6 +68,7 @@ def test_a_cancelled_task_is_gone_and_leaves_nothing(tmp_path):
         os.kill(process.pid, 0)
 
 
+@pytest.mark.long
 def test_bad_input_comes_back_as_its_sentence(tmp_path):
     broken = tmp_path / "rig.yaml"
     broken.write_text("pneu_rig: 1\nname: x\npipes: {}\n")

@@ -55,6 +55,7 @@ def recording() -> Recording:
     return even_recording("synthetic", np.arange(501) / RATE, {"volts": volts}, taps)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", ["thin_plate", "delay_line"])
 def test_fit_of_a_lumped_model_reduces_its_error(recording: Recording, model: str) -> None:
     rig = rig_with(model=model)

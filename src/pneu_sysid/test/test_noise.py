@@ -48,6 +48,7 @@ def instants(kind: str, count: int, rng: np.random.Generator) -> Floats:
 # ---- white noise --------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["even", "uneven"])
 @pytest.mark.parametrize("count", [40, 300, 2000])
 def test_white_noise_is_found_within_its_standard_error(kind: str, count: int) -> None:
@@ -136,6 +137,7 @@ def test_motion_without_rest_is_called_motion() -> None:
         assert "at most" in found.sentence and "\n" not in found.sentence
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("every", "most"), [(1, 1.08), (4, 1.15), (5, 1.2), (10, 1.5)])
 def test_recordings_of_a_known_sensor(recorded: dict[str, Signal], every: int, most: float) -> None:
     ratios = [found.sigma_pa / TRUE_PA for _, found in thinned(recorded, every)]

@@ -228,6 +228,7 @@ def test_part_of_a_recording(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.long
 def test_reading_is_fast(tmp_path: Path) -> None:
     t = even(7500)
     rows = [

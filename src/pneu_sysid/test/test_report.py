@@ -482,6 +482,7 @@ def test_regimes_stand_in_the_order_of_their_numbers(tmp_path):
     assert places == sorted(places)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("samples", [600, 60_000])
 def test_sensors_read_in_turn_keep_their_readings(tmp_path, samples):
     compare = read_in_turn(compare_result(samples=samples))
@@ -665,6 +666,7 @@ const inked = () => {
 """
 
 
+@pytest.mark.long
 def test_it_opens_in_a_browser_without_script_errors(tmp_path, browser):
     console, page = opened(browser, write_report(tmp_path / "all.html", **everything()))
     assert console == ""
@@ -672,6 +674,7 @@ def test_it_opens_in_a_browser_without_script_errors(tmp_path, browser):
     assert "data-script-error" not in page
 
 
+@pytest.mark.long
 def test_hostile_names_do_nothing_in_a_browser(tmp_path, browser):
     results = everything()
     for name in ("end", "pde + leak", "leak", "tube", "voltage", "a_hidden_3"):
@@ -682,6 +685,7 @@ def test_hostile_names_do_nothing_in_a_browser(tmp_path, browser):
     assert page["title"] != "owned"
 
 
+@pytest.mark.long
 def test_the_time_plot_answers_mouse_wheel_keys_and_switches(tmp_path, browser):
     path = write_report(tmp_path / "plot.html", compare=compare_result())
     text = path.read_text(encoding="utf-8")

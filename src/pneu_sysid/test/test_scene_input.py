@@ -317,6 +317,7 @@ def pneu(*words: object) -> str:
     return str(result.stdout)
 
 
+@pytest.mark.long
 def test_a_scene_stands_where_a_rig_does(scenes: Path) -> None:
     files = thrown(scenes)
     fitted = scenes / "fitted.yaml"

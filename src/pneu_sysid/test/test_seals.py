@@ -42,6 +42,7 @@ def found_in(case: Case, folder: Path) -> Identified:
     return identify(loaded, [read_drag(loaded, f) for f in files])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "seed"),
     [
@@ -78,6 +79,7 @@ def test_the_friction_that_was_drawn_is_named(kind: str, seed: int, tmp_path: Pa
         assert found.best.strength["constant"] == pytest.approx(case.constant_n, rel=0.25)
 
 
+@pytest.mark.long
 def test_a_cell_tared_under_pressure_and_signs_turned_change_nothing(tmp_path: Path) -> None:
     plain = found_in(PLAIN, tmp_path)
     rig = tmp_path / "rig.yaml"
@@ -109,6 +111,7 @@ def test_what_strokes_cannot_tell_is_said(tmp_path: Path) -> None:
     assert "viscous friction and breakaway (Stribeck) cannot be told" in said
 
 
+@pytest.mark.long
 def test_pressures_within_one_recording_are_levels_of_their_own(tmp_path: Path) -> None:
     rig, files = write_case(PLAIN, tmp_path)
     parts = [np.loadtxt(f) for f in files]
@@ -147,6 +150,7 @@ def test_strokes_speeds_and_turns(tmp_path: Path) -> None:
     assert turning_points(np.array([0.0, 1.0, 0.9, 2.0, 0.0, 1.0]), 0.5) == [0, 3, 4, 5]
 
 
+@pytest.mark.long
 def test_a_rig_with_the_friction_that_was_found_lacks_nothing(tmp_path: Path) -> None:
     found = found_in(PLAIN, tmp_path)
     rig = with_friction(load_rig(tmp_path / "rig.yaml"), found)
@@ -235,6 +239,7 @@ def test_strokes_one_way_are_refused(tmp_path: Path) -> None:
         read_drag(loaded, files[0])
 
 
+@pytest.mark.long
 def test_readings_that_are_missing_do_no_harm(tmp_path: Path) -> None:
     rig, files = write_case(PLAIN, tmp_path)
     rng = np.random.default_rng(5)
@@ -249,6 +254,7 @@ def test_readings_that_are_missing_do_no_harm(tmp_path: Path) -> None:
     assert found.best.strength["constant"] == pytest.approx(5.0, rel=0.1)
 
 
+@pytest.mark.long
 def test_the_command_writes_rig_result_and_figure(tmp_path: Path) -> None:
     rig, files = write_case(PLAIN, tmp_path)
     out = {name: tmp_path / name for name in ("out.yaml", "out.json", "out.png")}

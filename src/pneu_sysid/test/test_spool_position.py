@@ -119,6 +119,7 @@ SPOOLS: list[dict[str, Any]] = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("truth", SPOOLS, ids=lambda truth: "-".join(truth))
 def test_a_spool_is_found_from_its_noisy_position(truth: dict[str, Any]) -> None:
     found = fit_spools(rig_of(bandwidth_hz=30.0), recorded(truth, 3))["valve"]
@@ -127,6 +128,7 @@ def test_a_spool_is_found_from_its_noisy_position(truth: dict[str, Any]) -> None
     assert (found.spool.bandwidth_hz is None) == ("bandwidth_hz" not in truth)
 
 
+@pytest.mark.long
 def test_a_sensor_of_another_gain_and_offset_does_not_matter() -> None:
     truth = {"bandwidth_hz": 60.0, "damping": 0.7, "delay_s": 0.003}
     found = fit_spools(rig_of(), recorded(truth, 4, 0.98, 0.05))["valve"]
@@ -135,6 +137,7 @@ def test_a_sensor_of_another_gain_and_offset_does_not_matter() -> None:
     assert found.offset_v == pytest.approx(0.05, abs=5e-3)
 
 
+@pytest.mark.long
 def test_errors_that_are_alike_for_a_while_count() -> None:
     """The same scatter tells less where it is of low frequency; it makes no limits either."""
     truth = {"bandwidth_hz": 30.0, "damping": 0.8, "delay_s": 0.003}
@@ -151,6 +154,7 @@ def test_errors_that_are_alike_for_a_while_count() -> None:
     assert two.limits == ()
 
 
+@pytest.mark.long
 def test_several_recordings_make_one_spool() -> None:
     truth = {"bandwidth_hz": 60.0, "damping": 0.7, "delay_s": 0.003}
     parts = [recorded(truth, seed) for seed in (7, 8)]
@@ -161,6 +165,7 @@ def test_several_recordings_make_one_spool() -> None:
     assert fit_spools(rig_of(), blind) == {}
 
 
+@pytest.mark.long
 def test_a_limit_in_the_file_stays_unless_the_position_contradicts_it() -> None:
     truth = {"bandwidth_hz": 60.0, "damping": 0.7, "delay_s": 0.003, "hysteresis_v": 0.1}
     gentle = recorded(truth, 9, swing_v=0.3)

@@ -26,6 +26,7 @@ def rig() -> Rig:
     return rig.model_copy(update={"calibration": None, "grid": cheap})
 
 
+@pytest.mark.long
 def test_a_limit_that_is_none_goes_and_the_bandwidth_comes_back(rig: Rig) -> None:
     recording = synthetic(rig, 3.0, 5, "unlimited")
     true = rig.valves["valve"].spool

@@ -44,6 +44,7 @@ def leaking(area_m2: float) -> Rig:
     return RIG.model_copy(update={"effects": [effect]})
 
 
+@pytest.mark.long
 def test_the_right_model_leaves_the_noise():
     windows = run(Watch(RIG, RATE_HZ), RIG, 3.0)
     assert len(windows) >= 4
@@ -72,12 +73,14 @@ def test_a_leak_shows_and_its_level_grows_with_it():
     assert windows[-1].worst in ("valve_out", "middle", "end")
 
 
+@pytest.mark.long
 def test_a_model_that_reads_too_low_leaves_a_positive_residual():
     windows = run(Watch(leaking(3e-8), RATE_HZ), RIG, 3.0)
     newest = [w.residual[list(RIG.taps).index("end")] for w in windows]
     assert max(newest) > 1000.0 and min(newest) > -4.0 * NOISE_PA
 
 
+@pytest.mark.long
 def test_time_set_back_makes_a_new_start():
     watch = Watch(RIG, RATE_HZ)
     assert run(watch, RIG, 1.0, begin_s=100.0)
@@ -86,6 +89,7 @@ def test_time_set_back_makes_a_new_start():
     assert np.all(np.mean([w.rms for w in windows], axis=0) < 1.5 * NOISE_PA)
 
 
+@pytest.mark.long
 def test_readings_need_not_fall_on_the_ends_of_a_window():
     windows = run(Watch(RIG, RATE_HZ), RIG, 2.5, rate_hz=240.7)
     assert len(windows) >= 3
@@ -117,6 +121,7 @@ def test_a_window_of_a_few_samples_is_refused():
         Watch(RIG, RATE_HZ, window_s=0.02)
 
 
+@pytest.mark.long
 def test_an_encoder_is_judged_beside_the_taps():
     """A robot whose joint carries more than its model knows: its angle tells, in rad."""
     model = load_rig(Path(__file__).parents[3] / "rigs/kokoro.yaml")
