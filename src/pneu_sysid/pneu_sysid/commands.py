@@ -86,14 +86,12 @@ def _folder(path: Path, rig: Path, force: bool) -> None:
     check_output(path / "learn.json", force)
 
 
-def _is_scene(rig: Path, report: Path | None = None, effects: Path | None = None) -> bool:
-    """Whether a file says that it is a scene, for which not every option of a rig is there."""
+def _is_scene(rig: Path, effects: Path | None = None) -> bool:
+    """Whether a file says that it is a scene, which has its own catalogue of effects."""
     from pneu_sysid.contacts.scene import is_scene
 
     if not is_scene(rig):
         return False
-    if report is not None:
-        raise InputError(f"{rig}: is a scene; --report is of rigs")
     if effects is not None:
         raise InputError(f"{rig}: is a scene; --effects is of rigs")
     return True
@@ -189,10 +187,10 @@ def fit(
     console = _console()
     for path in (output, json_path, report):
         check_output(path, force)
-    if _is_scene(rig, report, effects):
+    if _is_scene(rig, effects):
         from pneu_sysid.contacts.commands import fit as fit_scene
 
-        return fit_scene(bag, rig, output, json_path, workers, console)
+        return fit_scene(bag, rig, output, json_path, report, workers, console)
     start = _load(rig, effects)
     if show_list:
         console.print(_parameter_list(start, parameters_of(start)))
@@ -378,10 +376,10 @@ def compare(
     console = _console()
     for path in (json_path, report):
         check_output(path, force)
-    if _is_scene(rig[0], report, effects):
+    if _is_scene(rig[0], effects):
         from pneu_sysid.contacts.commands import compare as compare_scenes
 
-        return compare_scenes(bag, rig, json_path, console)
+        return compare_scenes(bag, rig, json_path, report, console)
     rigs = [_load(path, effects if k == 0 else None) for k, path in enumerate(rig)]
     recordings = _read(bag, rigs[0], console)
     with progress("comparing") as tell:
@@ -417,10 +415,10 @@ def diagnose(
     console = _console()
     for path in (json_path, report):
         check_output(path, force)
-    if _is_scene(rig, report, effects):
+    if _is_scene(rig, effects):
         from pneu_sysid.contacts.commands import diagnose as diagnose_scene
 
-        return diagnose_scene(bag, rig, json_path, workers, console)
+        return diagnose_scene(bag, rig, json_path, report, workers, console)
     loaded = _load(rig, effects)
     recordings = _read(bag, loaded, console)
     with progress("diagnosing") as tell:
@@ -502,7 +500,7 @@ def add(
     for path in (output, json_path):
         check_output(path, force)
     name, _, where = effect.partition("@")
-    if _is_scene(rig, None, effects):
+    if _is_scene(rig, effects):
         from pneu_sysid.contacts.commands import add as add_to_scene
 
         return add_to_scene(name, where, bag, rig, output, workers, console)
@@ -588,7 +586,7 @@ def learn(
     console = _console()
     check_output(json_path, force)
     _folder(output, rig, force)
-    if _is_scene(rig, None, effects):
+    if _is_scene(rig, effects):
         from pneu_sysid.contacts.commands import learn as learn_scene
 
         return learn_scene(bag, rig, output, json_path, workers, console)

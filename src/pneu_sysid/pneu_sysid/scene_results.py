@@ -162,7 +162,7 @@ class SceneStep(Result):
     unit: str | None = None
     """Its unit."""
     held_out_loss: Perhaps
-    """Mean cost per reading on recordings kept aside."""
+    """Cost per knot of recordings kept aside, the geometric mean over them and kinds of motion."""
 
 
 class SceneLearnResult(SceneHead):

@@ -334,9 +334,10 @@ def test_a_scene_stands_where_a_rig_does(scenes: Path) -> None:
     assert compared.mean["position"] < 1e-3
 
 
-def test_a_scene_is_refused_where_it_has_no_meaning(scenes: Path) -> None:
+def test_a_scene_refuses_effects_of_rigs(scenes: Path) -> None:
     files = thrown(scenes, 1)
-    words = ["compare", *files, "--rig", scenes / "cube.yaml", "--report", scenes / "r.html"]
+    (scenes / "own.py").write_text("")
+    words = ["compare", *files, "--rig", scenes / "cube.yaml", "--effects", scenes / "own.py"]
     result = invoked(*words)
     assert result.exit_code == 2
-    assert re.fullmatch(r"pneu: [^\n]+ is a scene; --report is of rigs\n", result.stderr)
+    assert re.fullmatch(r"pneu: [^\n]+ is a scene; --effects is of rigs\n", result.stderr)

@@ -14,7 +14,7 @@ from pneu_common.tables import Column, NamedTable
 from pneu_sysid.contacts.diagnose import SceneDiagnosis, diagnose_scene
 from pneu_sysid.contacts.effects import find_scene_effect
 from pneu_sysid.contacts.fit import fit_scene
-from pneu_sysid.contacts.foresee import foresee
+from pneu_sysid.contacts.foresee import Foreseen, foresee
 from pneu_sysid.contacts.learn import learn_scene
 from pneu_sysid.contacts.outcome import (
     result_of_compare,
@@ -24,6 +24,7 @@ from pneu_sysid.contacts.outcome import (
 )
 from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.read import read_tracks
+from pneu_sysid.contacts.report import write_scene_report
 from pneu_sysid.contacts.scene import Loaded, Value, load_scene, save_scene
 from pneu_sysid.contacts.track import Track
 from pneu_sysid.results import write_json
@@ -40,6 +41,7 @@ def fit(
     path: Path,
     output: Path,
     json_path: Path | None,
+    report: Path | None,
     workers: int | None,
     console: Console,
 ) -> None:
@@ -50,6 +52,7 @@ def fit(
         path: The scene file.
         output: Where the fitted scene goes.
         json_path: Where the result goes.
+        report: Where the HTML report goes.
         workers: Threads.
         console: Where it is told.
     """
@@ -69,10 +72,19 @@ def fit(
         console.print(note, style="yellow")
     console.print(f"{result.unknowns} unknowns; wrote {output}")
     _write(result, json_path, console)
+    if report is not None:
+        foretold = _foretold(
+            loaded, tracks, {"before": loaded.scene.values, "fitted": found.values}
+        )
+        _say(write_scene_report(report, result, foretold, fit=result), console)
 
 
 def compare(
-    bags: list[Path], paths: Sequence[Path], json_path: Path | None, console: Console
+    bags: list[Path],
+    paths: Sequence[Path],
+    json_path: Path | None,
+    report: Path | None,
+    console: Console,
 ) -> None:
     """Foretells whole recordings from how they begin, by one scene or several.
 
@@ -80,6 +92,7 @@ def compare(
         bags: The recordings.
         paths: Scene files.
         json_path: Where the result of the first goes.
+        report: Where the HTML report goes.
         console: Where it is told.
     """
     table = NamedTable(
@@ -88,12 +101,14 @@ def compare(
          Column("median", "number"), Column("worst", "number"), Column("in", "words")],
     )  # fmt: skip
     first = None
+    foretold: dict[str, list[Foreseen]] = {}
     for path in paths:
         loaded, tracks = _read(bags, path, console)
         with progress("foretelling"):
             foreseen = foresee(loaded, tracks)
         result = result_of_compare(path, loaded, tracks, foreseen)
         first = first or result
+        foretold[path.stem if path.stem not in foretold else str(path)] = foreseen
         for sensor, unit in result.sensors.items():
             each = {f.track.name: f.mean(sensor) for f in foreseen}
             worst = max(each, key=lambda name: each[name])
@@ -104,10 +119,17 @@ def compare(
     assert first is not None
     console.print(f"From the first {first.start_s:g} s of each recording, over all of it.")
     _write(first, json_path, console)
+    if report is not None:
+        _say(write_scene_report(report, first, foretold), console)
 
 
 def diagnose(
-    bags: list[Path], path: Path, json_path: Path | None, workers: int | None, console: Console
+    bags: list[Path],
+    path: Path,
+    json_path: Path | None,
+    report: Path | None,
+    workers: int | None,
+    console: Console,
 ) -> None:
     """Says which effect a scene's model is missing.
 
@@ -115,6 +137,7 @@ def diagnose(
         bags: The recordings.
         path: The scene file.
         json_path: Where the result goes.
+        report: Where the HTML report goes.
         workers: Threads.
         console: Where it is told.
     """
@@ -131,7 +154,17 @@ def diagnose(
     console.print(
         f"Fitted to {len(found.used)} recordings or stretches, judged by {len(found.aside)} others."
     )
-    _write(result_of_diagnosis(path, loaded, tracks, found), json_path, console)
+    result = result_of_diagnosis(path, loaded, tracks, found)
+    _write(result, json_path, console)
+    if report is not None:
+        models = {"as it is": found.base.values}
+        if found.verdict in ("effect", "ambiguous"):
+            models[f"with {found.finalists[0].label}"] = found.finalists[0].fit.values
+        shown = _aside(tracks, found)
+        _say(
+            write_scene_report(report, result, _foretold(loaded, shown, models), diagnosis=result),
+            console,
+        )
 
 
 def learn(
@@ -162,7 +195,7 @@ def learn(
             lambda note, done: tell("learning", done, note),
         )
     table = NamedTable(
-        "cost per reading of what is kept aside",
+        "cost per knot of what is kept aside",
         [Column("added"), Column("strength", "words"), Column("cost", "number")],
     )
     result = result_of_learning(path, loaded, tracks, found, output)
@@ -178,6 +211,35 @@ def learn(
     write_json(output / "learn.json", result)
     _write(result, json_path, console)
     console.print(f"wrote {output / 'scene.yaml'}")
+    first = found.diagnoses[0]
+    models = {"before": first.base.values}
+    if found.added:
+        models["after"] = found.values
+    page = write_scene_report(
+        output / "report.html",
+        result,
+        _foretold(loaded, _aside(tracks, first), models),
+        diagnosis=result_of_diagnosis(path, loaded, tracks, first),
+        learned=result,
+    )
+    _say(page, console)
+
+
+def _aside(tracks: list[Track], found: SceneDiagnosis) -> list[Track]:
+    """The recordings that were kept aside, or all where stretches of one were."""
+    return [t for t in tracks if t.name in found.aside] or tracks
+
+
+def _foretold(
+    loaded: Loaded, tracks: Sequence[Track], models: dict[str, tuple[Value, ...]]
+) -> dict[str, list[Foreseen]]:
+    """What several models foretell of the same recordings."""
+    with progress("foretelling"):
+        return {name: foresee(loaded, tracks, values) for name, values in models.items()}
+
+
+def _say(page: Path, console: Console) -> None:
+    console.print(f"report: {page}")
 
 
 def _read(bags: list[Path], path: Path, console: Console) -> tuple[Loaded, list[Track]]:

@@ -30,6 +30,8 @@ class Foreseen:
         motion: What the model does.
         off: Per sensor (m,) how far it is off: length of the difference, or angle, SI.
         time_s: Per sensor (m,) when.
+        read: Per sensor that tells no orientation (m, w) what it read.
+        told: Likewise what it should have, NaN where the model ran away.
     """
 
     track: Track
@@ -37,6 +39,8 @@ class Foreseen:
     motion: Motion
     off: dict[str, Floats]
     time_s: dict[str, Floats]
+    read: dict[str, Floats]
+    told: dict[str, Floats]
 
     def mean(self, sensor: str) -> float:
         """Mean over the whole recording of how far a sensor is off, SI.
@@ -84,11 +88,19 @@ def foresee(
         there = motion.there
         safe = motion.whole(chain.start)
         outputs = Outputs(np.zeros_like(safe.v), alone.evaluate(model, safe)[1], safe)
-        off, when = {}, {}
+        off: dict[str, Floats] = {}
+        when: dict[str, Floats] = {}
+        read: dict[str, Floats] = {}
+        told: dict[str, Floats] = {}
         for channel in chain.channels:
-            misread = np.linalg.norm(chain.misreadings(channel, outputs, setup), axis=1)
-            off[channel.name] = np.where(there[channel.knots], misread, np.inf)
+            misread = chain.misreadings(channel, outputs, setup)
+            seen = there[channel.knots]
+            off[channel.name] = np.where(seen, np.linalg.norm(misread, axis=1), np.inf)
             when[channel.name] = chain.time_s[channel.knots]
-        return Foreseen(track, chain, motion, off, when)
+            if not channel.turns:
+                measured = chain.measured(channel, setup.readings[channel.name])
+                read[channel.name] = measured
+                told[channel.name] = np.where(seen[:, None], measured + misread, np.nan)
+        return Foreseen(track, chain, motion, off, when, read, told)
 
     return physics.each(one, tracks)

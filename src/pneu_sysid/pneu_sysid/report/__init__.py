@@ -5,4 +5,5 @@
 `--json` writes, and makes one page of them. Each section is one file under `sections/`.
 """
 
+from pneu_sysid.report.write import write_page as write_page
 from pneu_sysid.report.write import write_report as write_report

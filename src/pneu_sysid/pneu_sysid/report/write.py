@@ -3,7 +3,7 @@
 
 import base64
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -11,10 +11,11 @@ from typing import Any
 
 from pneu_common.files import whole
 from pneu_sysid.report.contents import read_contents
-from pneu_sysid.report.markup import join, tag
+from pneu_sysid.report.markup import Markup, join, tag
 from pneu_sysid.report.sections import SECTIONS
 
 _SCRIPTS = ("errors.js", "viewer.js", "page.js")
+_SIGNS = "Pressures are absolute; errors are measured minus model."
 
 
 def write_report(
@@ -49,25 +50,52 @@ def write_report(
     contents = read_contents({"compare": compare, "fit": fit, "diagnose": diagnose, "learn": learn})
     heading = title or ", ".join(contents.head("recording")) or "Pneu report"
 
-    parts, links = [], []
-    for section in SECTIONS:
-        body = section.render(contents)
-        if not body:
-            continue
-        links.append(tag("a", section.TITLE, href=f"#{section.ID}"))
-        parts.append(
-            tag("section", tag("h2", section.TITLE), body, id=section.ID, class_=section.ID)
-        )
-
+    sections = [(s.ID, s.TITLE, s.render(contents)) for s in SECTIONS]
     script = "\n".join(_template(name) for name in _SCRIPTS)
+    return write_page(
+        path, heading, sections, ", ".join(contents.head("pneu_version")), _SIGNS, script
+    )
+
+
+def write_page(
+    path: str | Path,
+    heading: str,
+    sections: Sequence[tuple[str, str, Markup]],
+    versions: str,
+    note: str,
+    script: str = "",
+) -> Path:
+    """Write a page of sections, aside and put in place when whole.
+
+    Args:
+        path: File to write, replaced if it is there.
+        heading: Of the page.
+        sections: Identifier, title and body of each; an empty body is left out.
+        versions: Of the program that made the results.
+        note: How signs and units are meant.
+        script: What may run in it.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    shown = [(name, title, body) for name, title, body in sections if body]
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     page = Template(_template("page.html")).substitute(
         title=join(heading),
         script_hash=digest,
         style=_template("style.css"),
-        navigation=join(links),
-        sections=join(parts),
-        versions=join(", ".join(contents.head("pneu_version")) or "of an unknown version"),
+        navigation=join([tag("a", title, href=f"#{name}") for name, title, _ in shown]),
+        sections=join(
+            [
+                tag("section", tag("h2", title), body, id=name, class_=name)
+                for name, title, body in shown
+            ]
+        ),
+        versions=join(versions or "of an unknown version"),
+        note=join(note),
         script=script,
     )
     path = Path(path)
