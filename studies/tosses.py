@@ -39,16 +39,22 @@ class Object:
         scene: Its scene file.
         side_m: Length that positions are told in percent of, m.
         authors: What the authors of the recordings give of it.
+        published: What else is published of it.
     """
 
     scene: str
     side_m: float
     authors: tuple[Value, ...]
+    published: str = ""
 
 
 OBJECTS = {
     "cube": Object(
-        "scenes/cube.yaml", 0.1048, (Value(effect="contact_friction", at="all", value=0.18),)
+        "scenes/cube.yaml",
+        0.1048,
+        (Value(effect="contact_friction", at="all", value=0.18),),
+        "Published: friction and corners within 5 % of the truth (Dojo.jl, documentation of its"
+        " system identification).",
     ),
     "elbow": Object(
         "scenes/elbow.yaml", 0.1, (Value(effect="contact_friction", at="all", value=0.3),)
@@ -96,6 +102,24 @@ def parameters(fit: SceneFit) -> list[str]:
     for k, p in enumerate(fit.parameters):
         value, error = fit.told(k)
         out.append(f"| {p.label} | {value:.4g} | {error:.2g} | {p.effect.unit or '-'} |")
+    return out
+
+
+def beside_authors(fit: SceneFit, thing: Object, words: str) -> list[str]:
+    """How far fitted parameters are from those that the authors give.
+
+    Args:
+        fit: The fit.
+        thing: The object.
+        words: Which model it is.
+    """
+    given = {(v.effect, v.at): v.value for v in thing.authors}
+    out = []
+    for k, p in enumerate(fit.parameters):
+        theirs = given.get((p.effect.name, p.place))
+        if theirs:
+            share = 100.0 * (fit.told(k)[0] / theirs - 1.0)
+            out.append(f"* {p.label} {words}: {share:+.1f} % from the authors' {theirs:g}")
     return out
 
 
@@ -162,6 +186,7 @@ def section(
         "|---|---|---|---|",
         *parameters(fit),
     ]
+    beside = beside_authors(fit, thing, "as it is")
     if found.verdict in ("effect", "ambiguous"):
         tell("with what is missing")
         best = found.finalists[0]
@@ -171,10 +196,12 @@ def section(
         rows.append(row(f"with {best.label}", thing, foresee(loaded, others, better.values)))
         lines += ["", f"With {best.label}:", "", "| parameter | fitted | std. error | unit |"]
         lines += ["|---|---|---|---|", *parameters(better)]
+        beside += beside_authors(better, thing, f"with {best.label}")
     head = (
         "| model | position, % of the side, mean | median | turn, degrees, mean | median | lost |"
     )
-    return [*lines, "", told, "", head, "|---" * 6 + "|", *rows, ""]
+    notes = [thing.published, ""] if thing.published else []
+    return [*lines, "", *beside, "", *notes, told, "", head, "|---" * 6 + "|", *rows, ""]
 
 
 def digest(folder: Path) -> str:
