@@ -11,6 +11,7 @@ once, and keep it, because getting it back can cost a switching interval (5 ms) 
 """
 
 import ctypes as ct
+from types import FrameType
 from typing import Any
 
 from cyclonedds import _clayer
@@ -146,6 +147,28 @@ take_endpoints = _clayer.ddspy_take_endpoint
 take_participants = _clayer.ddspy_take_participant
 matched_writer_data = _clayer.ddspy_get_matched_publication_data
 matched_reader_data = _clayer.ddspy_get_matched_subscription_data
+
+_CALLED = frozenset({"construct", "construct_peer", "convert_policies", "_participant_data"})
+"""Functions of this package that the library calls from `take_...` and `matched_...`."""
+
+
+def called_by_library(frame: FrameType | None) -> bool:
+    """Whether a frame belongs to what the library calls, where nothing may be raised.
+
+    Besides `_CALLED` that is the class that `take` makes of each message's information: where its
+    constructor fails, the library goes on with a null pointer.
+
+    Args:
+        frame: The innermost frame.
+    """
+    while frame is not None:
+        module = frame.f_globals.get("__name__", "")
+        if module == "cyclonedds.internal":
+            return True
+        if module.startswith("pneu_runtime.transport.") and frame.f_code.co_name in _CALLED:
+            return True
+        frame = frame.f_back
+    return False
 
 
 def status_function(name: str, structure: type[ct.Structure]) -> Any:

@@ -4,6 +4,10 @@
 Python runs signal handlers between two instructions of the main thread, and never while that
 thread waits inside a library. So a thread of its own reads the descriptor to which the interpreter
 writes each signal at once, and wakes whoever waits.
+
+The library of Cyclone DDS calls functions written in Python while it hands a message over. An
+exception in one of them makes it use an object that is not there, and the process crashes. Where a
+signal interrupts such a function its own handler, which may raise, is called a little later.
 """
 
 import contextlib
@@ -11,13 +15,18 @@ import os
 import signal
 import socket
 import threading
+import time
 from collections.abc import Callable
 from enum import IntFlag
 from types import FrameType
 from typing import Any
 
+from pneu_runtime.transport.dds import called_by_library
 from rclpy import context as _context
 from rclpy.guard_condition import GuardCondition
+
+LATER_S = 0.002
+"""After which a signal is raised again that came at a moment when nothing may be raised."""
 
 
 class SignalHandlerOptions(IntFlag):
@@ -51,6 +60,8 @@ class _Handlers:
         self._descriptor_before = signal.set_wakeup_fd(
             self._sender.fileno(), warn_on_full_buffer=False
         )
+        self._late: set[int] = set()
+        self._removed = False
         self._thread = threading.Thread(target=self._watch, name="rclpy signals", daemon=True)
         self._thread.start()
 
@@ -60,7 +71,13 @@ class _Handlers:
         for context in _context._contexts_to_shut():
             context._valid = False
         before = self._before.get(number)
-        if callable(before):
+        if not callable(before):
+            return
+        if called_by_library(frame):
+            self._late.add(number)
+            with contextlib.suppress(OSError):  # full: the thread is awake anyway
+                self._sender.send(b"\0")
+        else:
             before(number, frame)
 
     def _watch(self) -> None:
@@ -68,12 +85,19 @@ class _Handlers:
             if any(number in self._numbers for number in received):
                 for context in _context._contexts_to_shut():
                     context._shutdown_by_signal()
+            while self._late:
+                number = self._late.pop()
+                time.sleep(LATER_S)
+                main = threading.main_thread().ident
+                if main is not None and not self._removed:
+                    signal.pthread_kill(main, number)
             if self._descriptor_before >= 0:
                 with contextlib.suppress(OSError):  # its owner may have closed it
                     os.write(self._descriptor_before, received)
 
     def remove(self) -> None:
         """Put back what was there before."""
+        self._removed = True
         for number, before in self._before.items():
             # somebody else's handler stays
             if signal.getsignal(number) == self._handle:
