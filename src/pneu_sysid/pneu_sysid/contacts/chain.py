@@ -47,8 +47,6 @@ class Channel:
         series: Its readings.
         fast: Whether it tells more often than there are knots.
         knots: (m,) knots that have a reading.
-        smooths_s: Over what time it smooths.
-        slack: (m,) how much wider than its norm says the standard deviation of each reading is.
     """
 
     name: str
@@ -60,8 +58,6 @@ class Channel:
     series: Series
     fast: bool
     knots: Ints
-    smooths_s: float
-    slack: Floats
 
     @property
     def size(self) -> int:
@@ -202,7 +198,7 @@ class Chain:
         Args:
             outputs: What the model says.
             setup: The scene.
-            plain: As they are, not by what their slack makes them count.
+            plain: Forces as they are, not by what their slack makes them count.
 
         Returns:
             (n, nv) of forces, and (n, R) of sensors, one after another.
@@ -213,8 +209,6 @@ class Chain:
         at = 0
         for channel in self.channels:
             misread = self.misreadings(channel, outputs, setup)
-            if not plain:
-                misread = misread / channel.slack[:, None]
             read[channel.knots, at : at + channel.size] = misread
             at += channel.size
         return force, read
@@ -359,7 +353,6 @@ class Chain:
                 J = turned
             else:
                 J *= told.gain
-            J[channel.knots] /= channel.slack[:, None, None]
             parts.append(J)
         return np.concatenate(parts, axis=1)
 
@@ -380,9 +373,8 @@ def with_slack(
 ) -> Chain:
     """A chain whose forces count less where bodies touch, by the scene's ``of_contact``.
 
-    So do readings that are smoothed over the kinks that impacts make. No model of contacts has
-    their forces to a percent; weighed like those of free flight, what it gets wrong would drown
-    everything else.
+    No model of contacts has their forces to a percent; weighed like those of free flight, what it
+    gets wrong would drown everything else.
 
     Args:
         chain: The chain.
@@ -410,19 +402,15 @@ def with_slack(
         size = np.linalg.norm(force[:, at], axis=1)
         size = np.max(np.stack([np.roll(size, s) for s in (-2, -1, 0, 1, 2)]), axis=0)
         most[:, at] = size[:, None]
-    near = chain.near
-    channels = tuple(_smoothing(c, chain.time_s[c.knots], near[c.knots]) for c in chain.channels)
-    return replace(chain, slack=np.sqrt(1.0 + (share * most / sigma) ** 2), channels=channels)
+    return replace(chain, slack=np.sqrt(1.0 + (share * most / sigma) ** 2))
 
 
-KINDS = ("far", "near")
-"""Kinds of motion: away from everything, and near something."""
 LEAST = 1e-3
 """Cost per knot below which norms say that all is worse than it is."""
 
 
 def by_kind(chain: Chain, outputs: Outputs, setup: Setup) -> Floats:
-    """(kinds,) mean cost per knot; NaN where no knot is of a kind.
+    """(2,) mean cost per knot, far from everything and near something; NaN where there is none.
 
     Args:
         chain: The chain.
@@ -433,20 +421,3 @@ def by_kind(chain: Chain, outputs: Outputs, setup: Setup) -> Floats:
     return np.array(
         [np.mean(cost[at]) if np.any(at) else np.nan for at in (~chain.near, chain.near)]
     )
-
-
-def _smoothing(channel: Channel, at_s: Floats, near: NDArray[np.bool_]) -> Channel:
-    """A channel whose readings count less where it smooths over what bodies do that touch."""
-    t, read = channel.series.time_s, channel.series.values
-    if channel.smooths_s == 0.0 or len(t) < 4:
-        return channel
-    if channel.turns:
-        rate = logarithm(product(conjugate(read[:-1]), read[1:])) / np.diff(t)[:, None]
-    else:
-        rate = np.diff(read, axis=0) / np.diff(t)[:, None]
-    bend = np.zeros(len(t))  # how fast the rate changes, at most within a reading on either side
-    bend[1:-1] = np.linalg.norm(np.diff(rate, axis=0), axis=1) / (0.5 * (t[2:] - t[:-2]))
-    bend = np.max(np.stack([np.roll(bend, s) for s in (-1, 0, 1)]), axis=0)
-    off = 0.125 * channel.smooths_s**2 * np.interp(at_s, t, bend)
-    sigma = 1.0 / np.sqrt(2.0 * channel.norm.weight)
-    return replace(channel, slack=np.where(near, np.hypot(1.0, off / sigma), 1.0))

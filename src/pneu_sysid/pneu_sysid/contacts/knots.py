@@ -99,8 +99,6 @@ def _channel(loaded: Loaded, track: Track, model: Any, t: Floats, name: str) -> 
         series,
         fast,
         knots,
-        loaded.scene.sensors[name].smooths_s,
-        np.ones(len(knots)),
     )
 
 

@@ -11,6 +11,7 @@ from pneu_sysid.contacts.foresee import Foreseen
 from pneu_sysid.report import quantities as q
 from pneu_sysid.report import write_page
 from pneu_sysid.report.markup import Markup, join, table, tag
+from pneu_sysid.report.sections.verdict import WORDS
 from pneu_sysid.scene_results import (
     SceneDiagnoseResult,
     SceneFitResult,
@@ -24,12 +25,6 @@ NOTE = (
     "Recordings are foretold whole from how they begin; lengths in metres, angles in radians unless"
     " a degree sign says otherwise."
 )
-WORDS = {
-    "nothing_missing": ("✓", "Nothing is missing"),
-    "effect": ("➤", "A missing effect was found"),
-    "ambiguous": ("≈", "Several effects explain it equally well"),
-    "unknown": ("?", "Something is missing that the catalogue does not hold"),
-}
 LEFT, TOP, WIDTH, HEIGHT, RIGHT, BOTTOM = 72, 12, 620, 190, 16, 40  # px
 LINES = 3
 """Components of a sensor that are drawn, at most."""
@@ -112,14 +107,7 @@ def _steps(learned: SceneLearnResult | None) -> Markup:
     for step in learned.steps:
         name = "the scene as it was" if step.added is None else f"+ {step.added} at {step.place}"
         loss = step.held_out_loss or 0.0
-        bar = tag(
-            "svg",
-            tag("rect", x=0, y=2, width=round(240.0 * loss / most, 1), height=12, class_="held"),
-            width=240,
-            height=16,
-            role="img",
-            aria_label=f"{loss:.3g}",
-        )
+        bar = _bar(loss / most, 240, f"{loss:.3g}")
         strength = q.with_error(step.strength, step.std_error, step.unit) if step.added else ""
         rows.append(
             tag(
@@ -132,6 +120,13 @@ def _steps(learned: SceneLearnResult | None) -> Markup:
         )
     head = ["", "strength", tag("th", "cost per knot", scope="col", class_="num"), ""]
     return table("What is left of recordings that are kept aside", head, rows)
+
+
+def _bar(share: float, width: int, label: str) -> Markup:
+    """A share as a bar, of all of the width at most."""
+    long = round(width * max(0.0, min(1.0, share)), 1)
+    drawn = tag("rect", x=0, y=2, width=long, height=12, class_="held")
+    return tag("svg", drawn, width=width, height=16, role="img", aria_label=label)
 
 
 def _candidates(diagnosis: SceneDiagnoseResult | None) -> Markup:
@@ -148,15 +143,7 @@ def _candidates(diagnosis: SceneDiagnoseResult | None) -> Markup:
                 )
             )
             continue
-        share = max(0.0, min(1.0, c.held_out_gain or 0.0))
-        bar = tag(
-            "svg",
-            tag("rect", x=0, y=2, width=round(120.0 * share, 1), height=12, class_="held"),
-            width=120,
-            height=16,
-            role="img",
-            aria_label=q.percent(c.held_out_gain),
-        )
+        bar = _bar(c.held_out_gain or 0.0, 120, q.percent(c.held_out_gain))
         rows.append(
             tag(
                 "tr",
@@ -209,9 +196,9 @@ def _errors(result: SceneHead, foretold: Foretold) -> Markup:
     for sensor, unit in result.sensors.items():
         scale, shown = (180.0 / np.pi, "°") if unit == "rad" else (1.0, unit)
         times, lines = _over_time(sensor, foretold, scale)
-        middle = [(k, m) for k, (m, _, _) in enumerate(lines)]
+        middle = [(f"m{k}", m) for k, (m, _, _) in enumerate(lines)]
         bands = [(k, low, high) for k, (_, low, high) in enumerate(lines)]
-        drawn = _chart(f"off, {shown}", times, [(f"m{k}", m) for k, m in middle], bands)
+        drawn = _chart(f"off, {shown}", times, middle, bands)
         note = (
             "median over recordings; the band holds four fifths of them; one that has ended counts"
             " by how it ended"

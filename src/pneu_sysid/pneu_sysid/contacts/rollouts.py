@@ -143,7 +143,7 @@ def predicted(
         safe = motion.whole(at)
         sensors = alone.evaluate(model, safe)[1]
         outputs = Outputs(np.zeros_like(safe.v), sensors, safe)
-        _, misread = chain.rows(outputs, setup, plain=True)
+        _, misread = chain.rows(outputs, setup)
         lost = ~there[:, None] & np.isfinite(misread)
         return Prediction(
             motion, np.where(lost, LOST * chain.sensor_sigma(), misread), chain, starts

@@ -22,7 +22,6 @@ from pneu_sysid.contacts.norms import Norm
 SCHEMA_VERSION = 1
 
 Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
 Names = Annotated[tuple[str, ...], Listed]
 
 
@@ -67,8 +66,6 @@ class SensorSettings(Settings):
         joint: Name of the joint in a ``JointState``; the sensor's unless said.
         unit: What a unit of the recording is in SI units: 0.001 for millimetres.
         norm: How its residuals are weighed.
-        smooths_s: Over what time it smooths, as cameras do; where bodies touch, its readings are
-            then off by up to an eighth of the acceleration times its square.
     """
 
     columns: Names = ()
@@ -77,7 +74,6 @@ class SensorSettings(Settings):
     joint: str | None = None
     unit: Positive = 1.0
     norm: NormSettings
-    smooths_s: NotNegative = 0.0
 
     @model_validator(mode="after")
     def _somewhere(self) -> Self:

@@ -9,12 +9,13 @@ from pneu_sysid.sensor_units import Unit
 ID = "verdict"
 TITLE = "Verdict"
 
-_WORDS = {
+WORDS = {
     "nothing_missing": ("✓", "Nothing is missing"),
     "effect": ("➤", "A missing effect was found"),
     "ambiguous": ("≈", "Several effects explain it equally well"),
     "unknown": ("?", "Something is missing that the catalogue does not hold"),
 }
+"""Mark and words of each verdict, for rigs and scenes."""
 
 # What is said of the rig that learning ends with, once something was added to it.
 _AFTER = {
@@ -33,7 +34,7 @@ def render(contents: Contents) -> Markup:
     """
     judged = contents.learn or contents.diagnose
     kind = str((judged or {}).get("verdict") or "none")
-    mark, word = _WORDS.get(kind, ("•", "Result"))
+    mark, word = WORDS.get(kind, ("•", "Result"))
     sentence = (judged or {}).get("sentence") or _own_sentence(contents)
     added = [step for step in (contents.learn or {}).get("steps") or [] if step.get("added")]
     if added and kind in _AFTER:
@@ -46,7 +47,7 @@ def render(contents: Contents) -> Markup:
             tag("p", said, class_="note")
             for said in (contents.diagnose or {}).get("statements") or []
         ],
-        class_=f"card {kind if kind in _WORDS else 'none'}",
+        class_=f"card {kind if kind in WORDS else 'none'}",
     )
     tiles = [*_learned(contents.learn), *_diagnosed(contents), *_compared(contents)]
     if not tiles:
