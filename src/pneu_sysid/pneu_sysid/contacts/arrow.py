@@ -15,6 +15,28 @@ from scipy.linalg.lapack import dpbtrf, dpbtrs
 Floats = NDArray[np.float64]
 
 
+LEAST_SEEN = 1e-9
+"""Share of what a recording tells of its own zeros that is always taken to be left: one that never
+touches anything tells nothing of its height."""
+
+
+@dataclass(frozen=True)
+class Zeros:
+    """Zeros of sensors that are one recording's own, beside the parameters that all share.
+
+    They stand where they explain readings best, so that the cost has no slope along them.
+
+    Attributes:
+        shaft: (n, k, z) knots by zeros.
+        cross: (c, z) parameters by zeros.
+        tip: (z, z) zeros.
+    """
+
+    shaft: Floats
+    cross: Floats
+    tip: Floats
+
+
 @dataclass(frozen=True)
 class Arrow:
     """Gradient and Gauss-Newton Hessian of one trajectory's cost.
@@ -28,6 +50,7 @@ class Arrow:
         slope: (n, k) gradient by knots.
         tip_slope: (c,) gradient by parameters.
         cost: The cost.
+        zeros: The recording's own; None where all are known.
     """
 
     diagonal: Floats
@@ -38,9 +61,17 @@ class Arrow:
     slope: Floats
     tip_slope: Floats
     cost: float
+    zeros: Zeros | None = None
+
+    def held(self) -> Floats:
+        """(c, c) what is left of the parameters where the trajectory is held."""
+        if self.zeros is None:
+            return self.tip
+        lever = np.linalg.solve(_seen(self.zeros.tip, self.zeros.tip), self.zeros.cross.T)
+        return np.asarray(self.tip - self.zeros.cross @ lever)
 
     def dense(self) -> Floats:
-        """The whole Hessian, (n k + c) square: for tests and small problems."""
+        """The whole Hessian, (n k + c) square, zeros held: for tests and small problems."""
         n, k, c = self.shaft.shape
         out = np.zeros((n * k + c, n * k + c))
         for off, blocks in enumerate((self.diagonal, self.next, self.after)):
@@ -114,17 +145,32 @@ def eliminate(arrow: Arrow, damping: float = 0.0) -> Eliminated | None:
     factor, failed = dpbtrf(band_of(arrow, damping), lower=1, overwrite_ab=1)
     if failed:
         return None
-    right = np.empty((n * k, 1 + c), order="F")
+    shaft, tip, tip_slope = arrow.shaft, arrow.tip, arrow.tip_slope
+    if arrow.zeros is not None:
+        own = arrow.zeros
+        shaft = np.concatenate([shaft, own.shaft], axis=2)
+        tip = np.block([[tip, own.cross], [own.cross.T, own.tip]])
+        tip_slope = np.append(tip_slope, np.zeros(len(own.tip)))
+    flat = shaft.reshape(n * k, -1)
+    right = np.empty((n * k, 1 + flat.shape[1]), order="F")
     right[:, 0] = -arrow.slope.ravel()
-    right[:, 1:] = -arrow.shaft.reshape(n * k, c)
+    right[:, 1:] = -flat
     solved, failed = dpbtrs(factor, right, lower=1)
     if failed or not np.all(np.isfinite(solved)):
         return None
-    lever = solved[:, 1:]
-    flat = arrow.shaft.reshape(n * k, c)
-    return Eliminated(
-        hessian=arrow.tip + flat.T @ lever,
-        slope=arrow.tip_slope + flat.T @ solved[:, 0],
-        step=solved[:, 0].reshape(n, k),
-        lever=lever.reshape(n, k, c),
-    )
+    step, lever = solved[:, 0], solved[:, 1:]
+    hessian = tip + flat.T @ lever
+    slope = tip_slope + flat.T @ step
+    if arrow.zeros is not None:
+        seen = _seen(hessian[c:, c:], tip[c:, c:])
+        along = -np.linalg.solve(seen, np.column_stack([slope[c:], hessian[c:, :c]]))
+        step = step + lever[:, c:] @ along[:, 0]
+        lever = lever[:, :c] + lever[:, c:] @ along[:, 1:]
+        slope = slope[:c] + hessian[:c, c:] @ along[:, 0]
+        hessian = hessian[:c, :c] + hessian[:c, c:] @ along[:, 1:]
+    return Eliminated(hessian, slope, step.reshape(n, k), lever.reshape(n, k, c))
+
+
+def _seen(left: Floats, told: Floats) -> Floats:
+    """A Hessian of zeros that can be inverted."""
+    return np.asarray(left + LEAST_SEEN * np.diag(np.diag(told)))

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
-from pneu_sysid.contacts.arrow import Arrow
+from pneu_sysid.contacts.arrow import Arrow, Zeros
 from pneu_sysid.contacts.effects.base import Reading, Setup
 from pneu_sysid.contacts.manifold import (
     Manifold,
@@ -47,6 +48,7 @@ class Channel:
         series: Its readings.
         fast: Whether it tells more often than there are knots.
         knots: (m,) knots that have a reading.
+        unzeroed: Components whose zero is the recording's own and is found with the trajectory.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Channel:
     series: Series
     fast: bool
     knots: Ints
+    unzeroed: tuple[int, ...] = ()
 
     @property
     def size(self) -> int:
@@ -173,7 +176,10 @@ class Chain:
         should = told.gain * should
         for component, bias in told.bias.items():
             should[:, component] += bias
-        return np.asarray(should - read)
+        misread = np.asarray(should - read)
+        for component in channel.unzeroed:
+            misread[:, component] -= level(misread[:, component], channel.norm)
+        return misread
 
     def measured(self, channel: Channel, told: Reading) -> Floats:
         """(m, width) readings of a sensor at its knots, of a lag later.
@@ -289,23 +295,39 @@ class Chain:
         diagonal[1:] += M[:-1, 2 * k :, 2 * k :]
         after_one = M[1:, k : 2 * k, :k] + M[:-1, 2 * k :, k : 2 * k]
         after_two = M[1:-1, 2 * k :, :k].copy()
-        gradient = G[:, k : 2 * k].copy()
-        gradient[:-1] += G[1:, :k]
-        gradient[1:] += G[:-1, 2 * k :]
-        shaft = S[:, k : 2 * k].copy()
-        shaft[:-1] += S[1:, :k]
-        shaft[1:] += S[:-1, 2 * k :]
         flat = P.reshape(n * len(norms), len(columns))
+        Z = self._zeros(there)
+        zeros = None
+        if Z.shape[2]:
+            own, heavy = Z.reshape(n * len(norms), -1), bend.reshape(-1, 1)
+            zeros = Zeros(
+                _by_knot(np.swapaxes(weighed, 1, 2) @ Z, k),
+                flat.T @ (own * heavy),
+                own.T @ (own * heavy),
+            )
         return Arrow(
             diagonal=diagonal,
             next=after_one,
             after=after_two,
-            shaft=shaft,
+            shaft=_by_knot(S, k),
             tip=flat.T @ (flat * bend.reshape(-1, 1)),
-            slope=gradient,
+            slope=_by_knot(G, k),
             tip_slope=flat.T @ slope.ravel(),
             cost=float(sum(np.sum(norm.cost(r[:, i])) for i, norm in enumerate(norms))),
+            zeros=zeros,
         )
+
+    def _zeros(self, there: NDArray[np.bool_]) -> Floats:
+        """(n, outputs, z) what residuals change by with zeros that are the recording's own."""
+        own = []
+        at = len(self.dof_norms)
+        for channel in self.channels:
+            own += [at + component for component in channel.unzeroed]
+            at += channel.size
+        out = np.zeros((*there.shape, len(own)))
+        for z, row in enumerate(own):
+            out[:, row, z] = there[:, row]
+        return out
 
     def _jacobian(
         self, outputs: Outputs, model: Any, setup: Setup, physics: Physics, centred: bool
@@ -355,6 +377,32 @@ class Chain:
                 J *= told.gain
             parts.append(J)
         return np.concatenate(parts, axis=1)
+
+
+def _by_knot(of: Floats, k: int) -> Floats:
+    """(n, k, ...) what residuals say by the knot that they say it of, not by the middle of three.
+
+    Args:
+        of: (n, 3 k, ...) by the knot before, a residual's own, and the next.
+        k: Directions of a knot.
+    """
+    out = of[:, k : 2 * k].copy()
+    out[:-1] += of[1:, :k]
+    out[1:] += of[:-1, 2 * k :]
+    return out
+
+
+def level(misread: Floats, norm: Norm) -> float:
+    """The zero that makes readings least wrong.
+
+    Args:
+        misread: (m,) what is read too little.
+        norm: How it is weighed.
+    """
+    low, high = float(np.min(misread, initial=np.inf)), float(np.max(misread, initial=-np.inf))
+    if not low < high or not np.isfinite(high - low):
+        return low if np.isfinite(low) else 0.0
+    return float(brentq(lambda m: float(np.sum(norm.slope(misread - m))), low, high, xtol=1e-15))
 
 
 def _turn_of(q: Floats) -> Floats:

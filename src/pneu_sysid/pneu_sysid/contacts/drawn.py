@@ -6,6 +6,7 @@ are wild. A roll-out that is drawn along instead touches as its own contacts hav
 that nobody applied are those that draw it, small where the model is good.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,44 @@ WITHIN_S = 0.02
 """Time constant of what draws: what is off is made good in a few of them, critically damped."""
 FASTEST = 1e6
 """A velocity beyond is none, in m/s or rad/s."""
+AGAIN = 3
+"""Times that a recording is drawn anew, at most, to find how deep a body lies."""
+LEVEL_M = 5e-5
+"""A shift of a recording's own zero that is not worth another."""
+
+
+def settled(chain: Chain, model: Any, setup: Setup) -> tuple[Chain, Floats]:
+    """A recording drawn along, its own zeros where the model lies on what is fixed.
+
+    What lies on a floor is a little in it, by its stiffness: a body that was put so that it just
+    touches is too high.
+
+    Args:
+        chain: The recording.
+        model: The model.
+        setup: The scene it is made from.
+
+    Returns:
+        The chain, ``start`` shifted, and (n, nq) what `drawn` makes of it.
+    """
+    q = drawn(chain, model, setup)
+    own = {c for channel in chain.channels for c in channel.unzeroed}
+    free = np.flatnonzero(model.jnt_type == 0)
+    if not own or not len(free):
+        return chain, q
+    first = int(model.jnt_qposadr[free[0]])
+    for _ in range(AGAIN):
+        start = chain.start.copy()
+        for component in own:
+            off = (q - start)[chain.near, first + component]
+            off = off[np.isfinite(off)]
+            start[:, first + component] += np.median(off) if len(off) else 0.0
+        shift = float(np.max(np.abs(start - chain.start)))
+        chain = replace(chain, start=start)
+        q = drawn(chain, model, setup)
+        if shift < LEVEL_M:
+            break
+    return chain, q
 
 
 def drawn(chain: Chain, model: Any, setup: Setup, within_s: float = WITHIN_S) -> Floats:

@@ -370,7 +370,7 @@ def direction(
     gone: list[Eliminated | None] = []
     for arrow in arrows:
         if not trajectory:
-            hessian, slope = hessian + arrow.tip, slope + arrow.tip_slope
+            hessian, slope = hessian + arrow.held(), slope + arrow.tip_slope
             gone.append(None)
             continue
         taken = eliminate(arrow, damping)

@@ -11,7 +11,7 @@ from scipy.stats.qmc import Sobol
 
 from pneu_common.errors import InputError
 from pneu_sysid.contacts.chain import Chain, with_slack
-from pneu_sysid.contacts.drawn import drawn
+from pneu_sysid.contacts.drawn import settled
 from pneu_sysid.contacts.effects.base import Setup
 from pneu_sysid.contacts.estimate import (
     Estimated,
@@ -25,6 +25,7 @@ from pneu_sysid.contacts.estimate import (
 from pneu_sysid.contacts.frames import turned_frames, words
 from pneu_sysid.contacts.knots import chain_of, guess
 from pneu_sysid.contacts.physics import Physics
+from pneu_sysid.contacts.rest import touching_down
 from pneu_sysid.contacts.rollouts import (
     losses,
     polish,
@@ -110,8 +111,7 @@ def begun(
     model = setup.spec.compile()
 
     def one(track: Track) -> tuple[Chain, Floats]:
-        chain = unscaled(chain_of(loaded, track, model), setup, model)
-        return chain, drawn(chain, model, setup)
+        return settled(unscaled(chain_of(loaded, track, model), setup, model), model, setup)
 
     both = physics.each(one, tracks)
     chains = [c for c, _ in both]
@@ -143,8 +143,7 @@ def redrawn(
 
     def one(chain: Chain, track: Track) -> Floats:
         raw = replace(chain, start=guess(loaded, track, chain.time_s, model))
-        there = unscaled(raw, setup, model)
-        q = drawn(there, model, setup)
+        there, q = settled(unscaled(raw, setup, model), model, setup)
         return np.where(_finite(q), q, there.start)
 
     return tuple(physics.each(one, chains, tracks))
@@ -174,6 +173,8 @@ def unscaled(chain: Chain, setup: Setup, model: Any) -> Chain:
                 start[:, address : address + 3] /= told.gain
                 for component, bias in told.bias.items():
                     start[:, address + component] -= bias / told.gain
+                for component in channel.unzeroed:
+                    start[:, address + component] += touching_down(start, at, component, model)
                 break
     return replace(chain, start=start)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sysid.contacts.chain import Chain, Outputs
-from pneu_sysid.contacts.drawn import drawn
+from pneu_sysid.contacts.drawn import drawn, settled
 from pneu_sysid.contacts.estimate import Problem, State, estimate
 from pneu_sysid.contacts.fit import unscaled
 from pneu_sysid.contacts.knots import chain_of
@@ -74,10 +74,14 @@ def foresee(
     def one(track: Track) -> Foreseen:
         begin, end = track.span_s
         first = track.between(begin, min(begin + loaded.scene.start_s, end), track.name)
+        chain, _ = settled(unscaled(chain_of(loaded, track, model), setup, model), model, setup)
         known = unscaled(chain_of(loaded, first, model), setup, model)
+        # a zero that is the recording's own is told by all of it, as by where it comes to rest
+        for at in np.flatnonzero(model.jnt_type == 0):
+            place = slice(int(model.jnt_qposadr[at]), int(model.jnt_qposadr[at]) + 3)
+            known.start[:, place] += chain.start[0, place] - known.start[0, place]
         problem = Problem(loaded, [known], values, [], alone)
         found = estimate(problem, State((drawn(known, model, setup),), problem.start()), 15)
-        chain = unscaled(chain_of(loaded, track, model), setup, model)
         q = chain.start.copy()
         # the two grids of knots agree where they begin
         q[:2] = found.state.q[0][:2]

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_sim.mechanism.loading import mujoco_module
 from pneu_sysid.contacts.chain import POSITION, VELOCITY, Chain, Channel, Floats, Ints
+from pneu_sysid.contacts.effects.base import AXES
 from pneu_sysid.contacts.manifold import conjugate, manifold_of, product
 from pneu_sysid.contacts.norms import Norm
+from pneu_sysid.contacts.rest import touching_down
 from pneu_sysid.contacts.scene import Loaded
 from pneu_sysid.contacts.track import Track
 
@@ -99,6 +101,7 @@ def _channel(loaded: Loaded, track: Track, model: Any, t: Floats, name: str) -> 
         series,
         fast,
         knots,
+        tuple(AXES.index(axis) for axis in loaded.scene.sensors[name].unzeroed),
     )
 
 
@@ -132,7 +135,8 @@ def _free(model: Any) -> Ints:
 def guess(loaded: Loaded, track: Track, t: Floats, model: Any) -> Floats:
     """(n, nq) configurations as sensors of position alone tell them; the MJCF's where none does.
 
-    Joints are where their encoders say, bodies that move freely where a frame on them is seen.
+    Joints are where their encoders say, bodies that move freely where a frame on them is seen, and
+    where its zero is the recording's own, so that they touch what is fixed.
 
     Args:
         loaded: The scene.
@@ -144,6 +148,7 @@ def guess(loaded: Loaded, track: Track, t: Floats, model: Any) -> Floats:
     q = np.tile(np.array(model.qpos0), (len(t), 1))
     where: dict[int, Floats] = {}
     turned: dict[int, Floats] = {}
+    unzeroed: list[tuple[int, int, int]] = []
     kinds = mujoco.mjtSensor
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -171,12 +176,18 @@ def guess(loaded: Loaded, track: Track, t: Floats, model: Any) -> Floats:
             else:
                 q[:, address : address + 3] = track.sensors[name].smooth(t)
                 where[address] = place
+                unzeroed += [
+                    (joint, address, AXES.index(axis))
+                    for axis in loaded.scene.sensors[name].unzeroed
+                ]
     for address, place in where.items():
         if np.any(place):
             at = q[:, address + 3 : address + 7]
             zero = np.zeros((len(t), 1))
             carried = product(product(at, np.concatenate([zero, zero + place], 1)), conjugate(at))
             q[:, address : address + 3] -= carried[:, 1:]
+    for joint, address, component in unzeroed:
+        q[:, address + component] += touching_down(q, joint, component, model)
     return q
 
 

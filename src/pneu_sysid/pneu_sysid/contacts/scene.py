@@ -66,6 +66,8 @@ class SensorSettings(Settings):
         joint: Name of the joint in a ``JointState``; the sensor's unless said.
         unit: What a unit of the recording is in SI units: 0.001 for millimetres.
         norm: How its residuals are weighed.
+        unzeroed: Components of a vector whose zero differs from one recording to the next; it is
+            found with each trajectory.
     """
 
     columns: Names = ()
@@ -74,6 +76,7 @@ class SensorSettings(Settings):
     joint: str | None = None
     unit: Positive = 1.0
     norm: NormSettings
+    unzeroed: Annotated[tuple[Literal["x", "y", "z"], ...], Listed] = ()
 
     @model_validator(mode="after")
     def _somewhere(self) -> Self:
@@ -316,6 +319,11 @@ class Loaded:
                 raise InputError(
                     f"sensors: {name}: has {width} components in {self.mjcf.name}, found"
                     f" {len(sensor.columns)} columns"
+                )
+            if sensor.unzeroed and width != 3:
+                raise InputError(
+                    f"sensors: {name}: unzeroed: has {width} components in {self.mjcf.name}; x, y"
+                    " and z are of vectors alone"
                 )
         if model.njnt == 0:
             raise InputError(f"{self.mjcf}: nothing in it moves: no joint")

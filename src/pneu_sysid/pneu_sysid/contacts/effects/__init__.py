@@ -18,6 +18,8 @@ from pneu_sysid.contacts.effects.contact_friction import ContactFriction
 from pneu_sysid.contacts.effects.contact_spin import ContactSpin
 from pneu_sysid.contacts.effects.contact_stiffness import ContactStiffness
 from pneu_sysid.contacts.effects.contact_width import ContactWidth
+from pneu_sysid.contacts.effects.frame_tilt_x import FrameTiltX
+from pneu_sysid.contacts.effects.frame_tilt_y import FrameTiltY
 from pneu_sysid.contacts.effects.geometry_scale import GeometryScale
 from pneu_sysid.contacts.effects.gravity_strength import GravityStrength
 from pneu_sysid.contacts.effects.gravity_tilt_x import GravityTiltX
@@ -49,6 +51,8 @@ BUILT_IN: tuple[type[SceneEffect], ...] = (
     GravityStrength,
     GravityTiltX,
     GravityTiltY,
+    FrameTiltX,
+    FrameTiltY,
     AirDrag,
     ClockRate,
     SensorScale,

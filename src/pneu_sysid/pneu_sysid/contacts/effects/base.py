@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 Floats = NDArray[np.float64]
 
@@ -44,7 +45,10 @@ class Setup:
         clock: Duration of a second of the recording, s.
         drag: Force against the velocity of the centre of each body that moves freely, N s/m.
         scaled: What geoms were multiplied by.
-        heavier: What gravity was multiplied by.
+        gravity: Gravity of the MJCF, m/s^2.
+        heavier: What it was multiplied by.
+        lean: Its direction towards x and y, rad.
+        tilt: Turn about x and y of all that is fixed, gravity too, rad.
         massive: What bodies' masses were multiplied by.
         shifted: How far bodies' centres of mass were moved, m, by body and axis.
     """
@@ -55,9 +59,16 @@ class Setup:
     clock: float = 1.0
     drag: float = 0.0
     scaled: float = 1.0
+    gravity: tuple[float, ...] = ()
     heavier: float = 1.0
+    lean: tuple[float, float] = (0.0, 0.0)
+    tilt: tuple[float, float] = (0.0, 0.0)
     massive: dict[str, float] = field(default_factory=dict)
     shifted: dict[tuple[str, int], float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Notes what the MJCF has of what effects change."""
+        self.gravity = tuple(float(x) for x in self.spec.option.gravity)
 
 
 class SceneEffect(ABC):
@@ -187,6 +198,47 @@ def moving_bodies(setup: Setup) -> list[Any]:
                 break
             at = at.parent
     return out
+
+
+def lean_gravity(setup: Setup) -> None:
+    """Makes gravity what a scene has it: its strength, its lean, and the tilt of all that is fixed.
+
+    Args:
+        setup: The scene.
+    """
+    x, y = setup.lean
+    lean = Rotation.from_rotvec([0.0, -x, 0.0]) * Rotation.from_rotvec([y, 0.0, 0.0])
+    turned = Rotation.from_rotvec([*setup.tilt, 0.0]) * lean
+    setup.spec.option.gravity = setup.heavier * turned.apply(setup.gravity)
+
+
+TILTED = "pneu tilted"
+"""Name of the frame that all that is fixed is in, where it is turned."""
+
+
+def tilt_world(setup: Setup, tilt: tuple[float, float]) -> None:
+    """Turns all that is fixed to the world about its origin, gravity too; not what moves freely.
+
+    Args:
+        setup: The scene.
+        tilt: Turn about x and y, rad.
+    """
+    spec = setup.spec
+    frame = spec.frame(TILTED)
+    if frame is None:
+        world = spec.worldbody
+        free = {b.name for b in world.bodies if any(int(j.type) == 0 for j in b.joints)}
+        fixed = [
+            *world.frames, *world.geoms, *world.sites, *world.cameras, *world.lights,
+            *(b for b in world.bodies if b.name not in free),
+        ]  # fmt: skip
+        frame = world.add_frame(name=TILTED)
+        for thing in fixed:
+            if thing.frame is None:
+                thing.set_frame(frame)
+    frame.quat = Rotation.from_rotvec([*tilt, 0.0]).as_quat(scalar_first=True)
+    setup.tilt = tilt
+    lean_gravity(setup)
 
 
 AXES = "xyz"

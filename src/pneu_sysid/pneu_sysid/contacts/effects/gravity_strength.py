@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bodies that fall faster or slower than they should."""
 
-from pneu_sysid.contacts.effects.base import SceneEffect, Setup
+from pneu_sysid.contacts.effects.base import SceneEffect, Setup, lean_gravity
 
 
 class GravityStrength(SceneEffect):
@@ -24,6 +24,5 @@ class GravityStrength(SceneEffect):
         return setup.heavier - 1.0
 
     def put(self, setup: Setup, place: str, value: float) -> None:
-        by = (1.0 + value) / setup.heavier
-        setup.spec.option.gravity = [x * by for x in setup.spec.option.gravity]
         setup.heavier = 1.0 + value
+        lean_gravity(setup)

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A floor that is not level: gravity leans along x."""
 
-import numpy as np
-
-from pneu_sysid.contacts.effects.base import SceneEffect, Setup
+from pneu_sysid.contacts.effects.base import SceneEffect, Setup, lean_gravity
 
 
 class GravityTiltX(SceneEffect):
@@ -20,13 +18,11 @@ class GravityTiltX(SceneEffect):
     source = "geometry"
 
     def places(self, setup: Setup) -> list[str]:
-        return ["world"] if setup.spec.option.gravity[2] else []
+        return ["world"] if any(setup.spec.option.gravity) else []
 
     def value(self, setup: Setup, place: str) -> float:
-        g = setup.spec.option.gravity
-        return float(np.arctan2(g[0], -g[2]))
+        return setup.lean[0]
 
     def put(self, setup: Setup, place: str, value: float) -> None:
-        g = np.array(setup.spec.option.gravity)
-        size = np.hypot(g[0], g[2])
-        setup.spec.option.gravity = [size * np.sin(value), g[1], -size * np.cos(value)]
+        setup.lean = (value, setup.lean[1])
+        lean_gravity(setup)

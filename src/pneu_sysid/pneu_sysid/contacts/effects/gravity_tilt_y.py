@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A floor that is not level: gravity leans along y."""
 
-import numpy as np
-
-from pneu_sysid.contacts.effects.base import SceneEffect, Setup
+from pneu_sysid.contacts.effects.base import SceneEffect, Setup, lean_gravity
 
 
 class GravityTiltY(SceneEffect):
@@ -20,13 +18,11 @@ class GravityTiltY(SceneEffect):
     source = "geometry"
 
     def places(self, setup: Setup) -> list[str]:
-        return ["world"] if setup.spec.option.gravity[2] else []
+        return ["world"] if any(setup.spec.option.gravity) else []
 
     def value(self, setup: Setup, place: str) -> float:
-        g = setup.spec.option.gravity
-        return float(np.arctan2(g[1], -g[2]))
+        return setup.lean[1]
 
     def put(self, setup: Setup, place: str, value: float) -> None:
-        g = np.array(setup.spec.option.gravity)
-        size = np.hypot(g[1], g[2])
-        setup.spec.option.gravity = [g[0], size * np.sin(value), -size * np.cos(value)]
+        setup.lean = (setup.lean[0], value)
+        lean_gravity(setup)
