@@ -151,9 +151,9 @@ def scene(folder: Path) -> Any:
 def problem_of(seconds: float, folder: Path) -> Any:
     """The estimate's problem, and where it starts."""
     from pneu_sysid.contacts.estimate import Problem, parameters_of
-    from pneu_sysid.contacts.fit import begun
     from pneu_sysid.contacts.physics import Physics
     from pneu_sysid.contacts.track import Series, Track, unbroken
+    from pneu_sysid.contacts.trajectories import begun
 
     loaded = scene(folder)
     t, table, told, _ = recorded(seconds)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pneu_sysid.contacts.arrow import eliminate
 from pneu_sysid.contacts.estimate import Problem, State, estimate, parameters_of
-from pneu_sysid.contacts.fit import begun, fit_scene
+from pneu_sysid.contacts.fit import fit_scene
 from pneu_sysid.contacts.knots import chain_of
 from pneu_sysid.contacts.manifold import Floats, manifold_of
 from pneu_sysid.contacts.norms import STEEPEST, Norm
@@ -27,6 +27,7 @@ from pneu_sysid.contacts.scene import (
     Value,
 )
 from pneu_sysid.contacts.track import Series, Track, unbroken
+from pneu_sysid.contacts.trajectories import begun
 
 LINKED = """<mujoco><option timestep="0.004" cone="elliptic"/>
 <default><geom solref="-4000 -100" solimp="0 0.95 0.01 1 2"/></default>

@@ -11,9 +11,9 @@ import pytest
 
 from pneu_common.errors import InputError
 from pneu_sysid.contacts.estimate import Problem, State, estimate, parameters_of
-from pneu_sysid.contacts.fit import begun
 from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.tables import cross, leave_out, spread
+from pneu_sysid.contacts.trajectories import begun
 
 
 def beside(name: str) -> ModuleType:

@@ -16,6 +16,7 @@ from pneu_sysid.contacts.manifold import manifold_of
 from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.scene import Loaded, load_scene
 from pneu_sysid.contacts.track import Series, Track, unbroken
+from pneu_sysid.contacts.yielding import yielding_column
 
 HOUSE = Path(__file__).resolve().parents[3]
 EFFECTS = list(scene_effects().values())
@@ -98,6 +99,10 @@ def test_it_changes_what_is_seen(effect: SceneEffect, loaded: Loaded, chain: Cha
     for place in effect.places(loaded.setup()):
         setup = loaded.setup()
         now = effect.value(setup, place)
+        if effect.adds_joint:  # what it would change, where it is not
+            force, read = yielding_column(chain, chain.start, setup, effect, place, Physics(1))
+            felt.append(effect.typical * np.nanmax(np.abs(np.concatenate([force, read], axis=1))))
+            continue
         effect.put(setup, place, now * 1.5 if effect.logarithmic else now + effect.typical)
         felt.append(np.max(np.abs(rows(chain, setup) - base)))
     assert max(felt) > 1e-6, effect.name

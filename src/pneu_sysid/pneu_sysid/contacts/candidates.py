@@ -3,7 +3,8 @@
 
 With the trajectory taken out, what is left of a candidate is one row and column beside those of the
 fitted parameters: its step, the cost that it would take away, and by leaving out one recording
-after another, or one stretch of a long one, whether that may be chance.
+after another, or one stretch of a long one, whether that may be chance. Each recording counts by
+what it leaves (`anew.weights`): one that went another way would else outweigh all others.
 """
 
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sysid.contacts.arrow import eliminate
+from pneu_sysid.contacts.anew import left, weights
 from pneu_sysid.contacts.estimate import Parameter, Problem, State
 
 Floats = NDArray[np.float64]
@@ -29,7 +30,7 @@ class SceneScore:
         parameter: The candidate.
         step: By how much its coordinate would change.
         std_error: Of that, by leaving out one recording after another.
-        gain: Cost that it would take away.
+        gain: What it would add to the logarithm of the likelihood.
         share: Part of its column that is its own.
     """
 
@@ -52,7 +53,7 @@ class Scores:
     Attributes:
         scores: Each, the one of largest gain first.
         alike: (K, K) cosines between what is left of their columns.
-        gain: Cost that the fitted parameters alone would still take away.
+        gain: What the fitted parameters alone would still add to it.
         cost: The cost.
     """
 
@@ -75,14 +76,12 @@ def scored(problem: Problem, state: State, candidates: Sequence[Parameter]) -> S
     """
     c = len(problem.parameters)
     wider = problem.fitting([*problem.parameters, *candidates])
-    arrows = wider.arrows(State(state.q, wider.start()))
-    hessians, slopes = [], []
-    for arrow in arrows:
-        gone = eliminate(arrow, 1e-12) or eliminate(arrow, 1e-6)
-        if gone is not None:
-            hessians.append(gone.hessian)
-            slopes.append(gone.slope)
-    H, g = np.array(hessians), np.array(slopes)
+    x = wider.start()
+    arrows = wider.arrows(State(state.q, x))
+    gone = left(arrows)
+    by = weights(problem.chains, np.array([a.cost for a in arrows]))
+    H = np.array([w * e.hessian for w, e in zip(by, gone, strict=True)])
+    g = np.array([w * e.slope for w, e in zip(by, gone, strict=True)])
     _, prior_slope, prior_bend = problem.prior(state.x)
     known = np.zeros(g.shape[1])
     known[:c] = prior_bend
@@ -96,15 +95,17 @@ def scored(problem: Problem, state: State, candidates: Sequence[Parameter]) -> S
         at = [*range(c), c + k]
         here = whole[np.ix_(at, at)]
         step = -_inverse(here) @ slope[at]
-        left = []
+        without = []
         for r in range(len(g)):
             rest = here - H[r][np.ix_(at, at)]
-            left.append(float((-_inverse(rest) @ (slope[at] - g[r][at]))[-1]))
-        n = len(left)
-        spread = np.array(left) - np.mean(left)
+            without.append(float((-_inverse(rest) @ (slope[at] - g[r][at]))[-1]))
+        n = len(without)
+        spread = np.array(without) - np.mean(without)
         error = float(np.sqrt((n - 1) / n * np.sum(spread**2))) if n > 1 else np.inf
         share = float(own[k, k] / whole[c + k, c + k]) if whole[c + k, c + k] > 0.0 else 0.0
         gain = _gain(here, slope[at]) - base if share > SEEN else 0.0
+        if step[-1] < 0.0 and not candidate.effect.logarithmic and x[c + k] <= candidate.lower:
+            gain = 0.0  # what is nothing cannot be less
         scores.append(SceneScore(candidate, float(step[-1]), error, gain, share))
     scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
     order = np.argsort([-s.gain for s in scores])

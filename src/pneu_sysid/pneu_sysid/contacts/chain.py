@@ -437,7 +437,7 @@ def with_slack(
     for j in range(model.njnt):
         first = int(model.jnt_dofadr[j])
         wide = {0: 6, 1: 3}.get(int(model.jnt_type[j]), 1)
-        share[first : first + wide] = loaded.scene.forces[model.joint(j).name].of_contact
+        share[first : first + wide] = loaded.forces_of(model, j).of_contact
     if not np.any(share):
         return chain
     force = np.abs(physics.contact_forces(model, chain.motion(q, setup)))

@@ -19,18 +19,12 @@ from pneu_sysid.contacts.estimate import (
     estimate,
     parameters_of,
 )
-from pneu_sysid.contacts.fit import (
-    SceneFit,
-    begun,
-    jackknife,
-    joint,
-    redrawn,
-    smoothed,
-)
 from pneu_sysid.contacts.physics import Physics
-from pneu_sysid.contacts.rollouts import losses, polish, predicted, scales_of
 from pneu_sysid.contacts.scene import Loaded, Value
+from pneu_sysid.contacts.together import SceneFit, joint
 from pneu_sysid.contacts.track import Track
+from pneu_sysid.contacts.trajectories import begun, redrawn
+from pneu_sysid.contacts.turns import in_turns
 from pneu_sysid.result_base import Verdict
 
 Floats = NDArray[np.float64]
@@ -47,7 +41,11 @@ ENOUGH = 1e-3
 POLISHED = 5
 """Steps of parameters to what predicts best, at most."""
 TURNS = 2
-"""Of a candidate and the scene's own parameters, one after the other."""
+"""Of what trajectories tell and what predicts best, one after the other."""
+AGAIN = 8
+"""Steps of what trajectories tell of the scene as it is, at most, in each turn."""
+CANDIDATE_STEPS = 2
+"""The same with a candidate, which begins at its score."""
 WORTH = 0.02
 """Share by which the cost of what is kept aside must fall."""
 SURE = 2.5
@@ -171,56 +169,6 @@ def held_cost(
     return np.array([by_kind(c, o, setup) for c, o in zip(chains, outputs, strict=True)])
 
 
-def ahead(
-    loaded: Loaded,
-    tracks: Sequence[Track],
-    values: tuple[Value, ...],
-    physics: Physics,
-    also: Parameter | None = None,
-    scales: Floats | None = None,
-) -> SceneFit:
-    """A scene whose parameters predict best a short way ahead, trajectories estimated with them.
-
-    Args:
-        loaded: The scene.
-        tracks: The recordings.
-        values: Its effects.
-        physics: What evaluates models.
-        also: A candidate, which is estimated together with trajectories: what shifts readings is
-            seen in them, and not in what follows.
-        scales: What misreadings are measured by; by what they are at the start unless given.
-    """
-    chains, q = begun(loaded, tracks, values, physics)
-    error = np.inf
-    for _ in range(TURNS if also is not None else 1):
-        if also is not None:
-            chains, q, found = smoothed(loaded, chains, values, q, physics)
-            problem = Problem(loaded, chains, values, [also], physics, centred=False)
-            together = estimate(problem, State(q, problem.start()), ITERATIONS, enough=ENOUGH)
-            values, q = together.values, together.state.q
-            error = float(jackknife(together)[0])
-        parameters = parameters_of(loaded, values)
-        own = [p for p in parameters if also is None or p.label != also.label]
-        chains, q, found = smoothed(loaded, chains, values, q, physics)
-        problem = Problem(loaded, chains, values, own, physics)
-        x = problem.start()
-        if scales is None:
-            scales = scales_of(predicted(problem, *problem.model(x), q, AHEAD_S))
-        if own:
-            best = polish(problem, x, q, AHEAD_S, iterations=POLISHED, scales=scales)
-            x, values = best.x, problem.valued(best.x)
-            chains, q, found = smoothed(loaded, chains, values, q, physics)
-    errors = np.full(len(own), np.nan)
-    if also is not None:
-        setup = loaded.setup(values)
-        own, errors = [*own, also], np.append(errors, error)
-        x = np.append(x, also.coordinate(also.effect.value(setup, also.place)))
-    assert scales is not None  # of the first turn
-    problem = Problem(loaded, chains, values, [], physics)
-    loss = losses(predicted(problem, *problem.model(np.zeros(0)), q, AHEAD_S), scales)
-    return SceneFit(loaded, values, own, x, errors, chains, q, found, scales, loss)
-
-
 def diagnose_scene(
     loaded: Loaded,
     tracks: Sequence[Track],
@@ -341,19 +289,37 @@ class _Judge:
 
     def base(self) -> tuple[SceneFit, Floats]:
         """The scene as it is, fitted, and what it leaves aside."""
-        if self.foretells:
-            fit = ahead(self.loaded, self.used, self.values, self.physics)
-        else:
-            chains, q = begun(self.loaded, self.used, self.values, self.physics)
-            fit = joint(self.loaded, chains, self.values, q, self.physics, ITERATIONS, ENOUGH)
+        chains, q = begun(self.loaded, self.used, self.values, self.physics)
+        fit = self._fitted(chains, q, self.values, AGAIN)
         return fit, self.held(fit)
+
+    def _fitted(
+        self,
+        chains: Sequence[Chain],
+        q: tuple[Floats, ...],
+        values: tuple[Value, ...],
+        steps: int,
+        also: Parameter | None = None,
+        scales: Floats | None = None,
+    ) -> SceneFit:
+        if self.foretells and parameters_of(self.loaded, values):
+            return in_turns(
+                self.loaded, self.used, chains, q, values, self.physics, AHEAD_S, TURNS,
+                also=also, scales=scales, polished=POLISHED, steps=steps,
+            )  # fmt: skip
+        return joint(
+            self.loaded, chains, values, q, self.physics, ITERATIONS, ENOUGH, tracks=self.used
+        )
 
     def held(self, fit: SceneFit) -> Floats:
         """(aside, kinds) what a fitted scene leaves of each recording kept aside."""
         if not self.others:  # knots, and what may be wrong of contacts, are the same for all
             self.others = begun(self.loaded, self.aside, fit.values, self.physics)[0]
-        q = redrawn(self.loaded, self.others, self.aside, fit.values, self.physics)
-        return held_cost(fit, self.others, q, self.physics)
+        others = self.others
+        if fit.chains[0].manifold.nv != others[0].manifold.nv:  # a joint was added
+            others = begun(self.loaded, self.aside, fit.values, self.physics)[0]
+        q = redrawn(self.loaded, others, self.aside, fit.values, self.physics)
+        return held_cost(fit, others, q, self.physics)
 
     def refitted(self, base: SceneFit, candidate: Parameter, start: float) -> SceneFit:
         """The scene with a candidate, which comes last of its parameters."""
@@ -362,9 +328,12 @@ class _Judge:
             *(v for v in base.values if (v.effect, v.at) != key),
             Value(effect=key[0], at=key[1], value=start),
         )
-        if not self.foretells:
-            return joint(self.loaded, base.chains, values, base.q, self.physics, ITERATIONS, ENOUGH)
-        return ahead(self.loaded, self.used, values, self.physics, candidate, base.scales)
+        chains, q = base.chains, base.q
+        if candidate.effect.adds_joint:  # one more direction of motion
+            chains, q = begun(self.loaded, self.used, values, self.physics)
+        elif self.foretells:
+            q = redrawn(self.loaded, chains, self.used, values, self.physics)
+        return self._fitted(chains, q, values, CANDIDATE_STEPS, candidate, base.scales)
 
 
 def _refitted(judge: _Judge, base: SceneFit, score: SceneScore, held: Floats) -> Finalist:

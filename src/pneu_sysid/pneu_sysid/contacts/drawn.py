@@ -84,13 +84,13 @@ def drawn(chain: Chain, model: Any, setup: Setup, within_s: float = WITHIN_S) ->
     data = mujoco.MjData(model)
     drag = np.zeros(man.nv)
     drag[chain.free.ravel()] = setup.drag
-    pull = np.empty(man.nv)
+    pull, off = np.empty(man.nv), np.empty(man.nv)
     for i in range(1, chain.size - 1):
         data.qpos[:] = q[i]
         data.qvel[:] = v
         if model.nu:
             data.ctrl[:] = chain.control[i]
-        off = man.between(q[i : i + 1], target[i : i + 1])[0]
+        mujoco.mj_differentiatePos(model, off, 1.0, q[i], target[i])
         wanted = off / within_s**2 + 2.0 * (steps[i - 1] - v) / within_s
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_mulM(model, data, pull, wanted)
@@ -99,5 +99,7 @@ def drawn(chain: Chain, model: Any, setup: Setup, within_s: float = WITHIN_S) ->
         v = v + 0.5 * (h[i] + h[i - 1]) * data.qacc
         if not np.all(np.isfinite(v)) or np.max(np.abs(v)) > FASTEST:
             break
-        q[i + 1] = man.moved(q[i : i + 1], (h[i] * v)[None])[0]
+        at = q[i].copy()
+        mujoco.mj_integratePos(model, at, v, h[i])
+        q[i + 1] = at
     return q

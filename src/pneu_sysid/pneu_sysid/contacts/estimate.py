@@ -23,6 +23,7 @@ from pneu_sysid.contacts.effects import find_scene_effect
 from pneu_sysid.contacts.effects.base import SceneEffect, Setup
 from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.scene import Loaded, Value
+from pneu_sysid.contacts.yielding import yielding_column
 
 Floats = NDArray[np.float64]
 Tell = Callable[[str, float], None]
@@ -172,7 +173,8 @@ class Problem:
         setup = self.loaded.setup(self.values)
         out = []
         for p in self.parameters:
-            value = float(np.clip(p.effect.value(setup, p.place), p.lower, p.upper))
+            now = p.effect.value(setup, p.place)
+            value = float(np.clip(now, p.lower, p.upper)) if now != p.effect.absent else now
             out.append(p.coordinate(value))
         return np.array(out)
 
@@ -257,6 +259,11 @@ class Problem:
         """
         out: list[list[tuple[Floats, Floats]]] = [[] for _ in self.chains]
         for k, p in enumerate(self.parameters):
+            if p.effect.adds_joint and p.effect.value(setup, p.place) == 0.0:
+                for c, (chain, q) in enumerate(zip(self.chains, state.q, strict=True)):
+                    column = yielding_column(chain, q, setup, p.effect, p.place, self.physics)
+                    out[c].append(column)
+                continue
             step = p.effect.step
             ends = []
             for way in (step, -step):
@@ -381,7 +388,7 @@ def direction(
     by = np.zeros(c)
     if parameters and c:
         low, high = problem.bounds()
-        found = _bounded(hessian, slope, damping, low - state.x, high - state.x)
+        found = bounded(hessian, slope, damping, low - state.x, high - state.x)
         if found is None:
             return None
         by = found
@@ -397,10 +404,21 @@ def direction(
     return Direction(steps, by, total)
 
 
-def _bounded(
+def bounded(
     hessian: Floats, slope: Floats, damping: float, low: Floats, high: Floats
 ) -> Floats | None:
-    """Least of a quadratic within a box."""
+    """Least of a quadratic within a box.
+
+    Args:
+        hessian: (c, c).
+        slope: (c,).
+        damping: Share of the diagonal that is added to it.
+        low: (c,) least step.
+        high: (c,) largest.
+
+    Returns:
+        (c,) the step; None where the quadratic has no least.
+    """
     diagonal = np.maximum(np.diag(hessian), 0.0)
     scale = np.sqrt(np.maximum(diagonal, 1e-30))
     scaled = hessian / np.outer(scale, scale)

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from pneu_sysid.contacts.chain import Chain, Outputs
 from pneu_sysid.contacts.drawn import drawn, settled
 from pneu_sysid.contacts.estimate import Problem, State, estimate
-from pneu_sysid.contacts.fit import unscaled
 from pneu_sysid.contacts.knots import chain_of
 from pneu_sysid.contacts.physics import Motion, Physics
 from pneu_sysid.contacts.rollouts import rolled_out
 from pneu_sysid.contacts.scene import Loaded, Value
 from pneu_sysid.contacts.track import Track
+from pneu_sysid.contacts.trajectories import unscaled
 
 Floats = NDArray[np.float64]
 

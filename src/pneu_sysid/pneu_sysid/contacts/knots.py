@@ -116,7 +116,7 @@ def _dof_norms(loaded: Loaded, model: Any) -> tuple[Norm, ...]:
     out: list[Norm] = []
     for j in range(model.njnt):
         name = model.joint(j).name
-        force = loaded.scene.forces[name]
+        force = loaded.forces_of(model, j)
         kind = int(model.jnt_type[j])
         wanted = {0: ("translation", "rotation"), 1: ("rotation",)}.get(kind, ("along",))
         for part in wanted:

@@ -16,7 +16,7 @@ from pneu_common.files import write_whole
 from pneu_common.validation import Listed, Settings, sentence
 from pneu_sim.mechanism.loading import mujoco_module
 from pneu_sysid.contacts.effects import find_scene_effect
-from pneu_sysid.contacts.effects.base import Reading, SceneEffect, Setup
+from pneu_sysid.contacts.effects.base import ADDED, Reading, SceneEffect, Setup
 from pneu_sysid.contacts.norms import Norm
 
 SCHEMA_VERSION = 1
@@ -270,6 +270,11 @@ class Loaded:
                     f"values: {value.effect}: no place {value.at!r} in {self.mjcf.name}; there"
                     f" {'are ' + ', '.join(places) if places else 'is none'}"
                 )
+            if effect.adds_joint and value.value is None:
+                raise InputError(
+                    f"values: {value.effect}@{value.at}: value is missing; where it is 0 there is"
+                    f" nothing to fit, {effect.typical:g} {effect.unit} is a usual one"
+                )
             if value.value is not None and not effect.lower <= value.value <= effect.upper:
                 unit = f" {effect.unit}" if effect.unit else ""
                 raise InputError(
@@ -350,6 +355,38 @@ class Loaded:
                     f"sensors: {name}: body {model.body(body).name!r} of {self.mjcf.name} has no"
                     " joint: what is seen to move needs a <freejoint/>, or joints that carry it"
                 )
+
+    def forces_of(self, model: Any, joint: int) -> ForceSettings:
+        """How forces that nobody applied are weighed at a joint of a model.
+
+        One that an effect adds is weighed like the strictest of the scene's that slide or turn as
+        it does.
+
+        Args:
+            model: A model of the scene.
+            joint: Number of the joint.
+
+        Raises:
+            InputError: The scene has no joint to go by.
+        """
+        name = model.joint(joint).name
+        if name in self.scene.forces:
+            return self.scene.forces[name]
+        slides = int(model.jnt_type[joint]) == 2
+        known: list[tuple[NormSettings, float]] = []
+        for other, force in self.scene.forces.items():
+            kind = int(model.jnt_type[model.joint(other).id])
+            alike = {0: force.translation if slides else force.rotation, 1: force.rotation}
+            norm = alike.get(kind, force.along)
+            if norm is not None and (slides or kind != 2) and (not slides or kind in (0, 2)):
+                known.append((norm, force.of_contact))
+        if not known:
+            raise InputError(
+                f"forces: none of the scene's joints {'slides' if slides else 'turns'}, as"
+                f" {name.removeprefix(ADDED)} does: how it is weighed is not known"
+            )
+        norm, share = max(known, key=lambda k: k[0].norm().weight)
+        return ForceSettings(along=norm, of_contact=share)
 
     def setup(self, values: tuple[Value, ...] = ()) -> Setup:
         """The scene as a model is made from it.

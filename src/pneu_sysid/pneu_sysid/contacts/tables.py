@@ -21,10 +21,10 @@ from pneu_sysid.contacts.estimate import (
     estimate,
     parameters_of,
 )
-from pneu_sysid.contacts.fit import begun
 from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.scene import Loaded, Value
 from pneu_sysid.contacts.track import Track
+from pneu_sysid.contacts.trajectories import begun
 
 Floats = NDArray[np.float64]
 

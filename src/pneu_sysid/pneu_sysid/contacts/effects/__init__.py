@@ -27,10 +27,12 @@ from pneu_sysid.contacts.effects.gravity_tilt_y import GravityTiltY
 from pneu_sysid.contacts.effects.joint_damping import JointDamping
 from pneu_sysid.contacts.effects.joint_friction import JointFriction
 from pneu_sysid.contacts.effects.joint_stiffness import JointStiffness
+from pneu_sysid.contacts.effects.link_bend import LinkBend
 from pneu_sysid.contacts.effects.remote_distance import RemoteDistance
 from pneu_sysid.contacts.effects.sensor_bias import SensorBias
 from pneu_sysid.contacts.effects.sensor_lag import SensorLag
 from pneu_sysid.contacts.effects.sensor_scale import SensorScale
+from pneu_sysid.contacts.effects.springy_tip import SpringyTip
 
 BUILT_IN: tuple[type[SceneEffect], ...] = (
     ContactFriction,
@@ -43,6 +45,8 @@ BUILT_IN: tuple[type[SceneEffect], ...] = (
     JointDamping,
     JointStiffness,
     Armature,
+    SpringyTip,
+    LinkBend,
     GeometryScale,
     BodyMass,
     CentreOfMassX,

@@ -17,6 +17,8 @@ Floats = NDArray[np.float64]
 
 ALL = "all"
 """The place that stands for everything of its kind that touches."""
+ADDED = "pneu "
+"""What names of joints begin with that the MJCF lacks, and that effects add."""
 
 
 @dataclass
@@ -85,6 +87,11 @@ class SceneEffect(ABC):
         logarithmic: Whether it is estimated by its logarithm: what may be ten times as large.
         in_mjcf: Whether it changes the MJCF, and not only what sensors make of it.
         candidate: Whether it is tried where something is missing.
+        adds_joint: Whether it is a joint that the MJCF lacks: where it has a value there is one
+            more direction of motion.
+        of_contacts: Whether it says how contacts push. Where impacts are faster than sensors,
+            contacts that push less leave less that nobody applied: such an effect is found by what
+            roll-outs foretell, where a scene has a horizon.
         formula: What it does, in a line.
         source: Where that is from.
     """
@@ -99,6 +106,8 @@ class SceneEffect(ABC):
     logarithmic: ClassVar[bool] = False
     in_mjcf: ClassVar[bool] = True
     candidate: ClassVar[bool] = True
+    adds_joint: ClassVar[bool] = False
+    of_contacts: ClassVar[bool] = False
     formula: ClassVar[str]
     source: ClassVar[str]
 
@@ -175,12 +184,16 @@ def of_bodies(setup: Setup) -> list[str]:
 
 
 def hinges(setup: Setup) -> list[str]:
-    """Names of the joints of one coordinate.
+    """Names of the MJCF's joints of one coordinate.
 
     Args:
         setup: The scene.
     """
-    return [j.name for j in setup.spec.joints if int(j.type) >= 2 and j.name]
+    return [
+        joint.name
+        for joint in setup.spec.joints
+        if int(joint.type) >= 2 and joint.name and not joint.name.startswith(ADDED)
+    ]
 
 
 def moving_bodies(setup: Setup) -> list[Any]:
@@ -239,6 +252,19 @@ def tilt_world(setup: Setup, tilt: tuple[float, float]) -> None:
     frame.quat = Rotation.from_rotvec([*tilt, 0.0]).as_quat(scalar_first=True)
     setup.tilt = tilt
     lean_gravity(setup)
+
+
+def carried(setup: Setup) -> list[Any]:
+    """The bodies that move and are carried by another: those without a free joint of their own.
+
+    Args:
+        setup: The scene.
+    """
+    return [
+        body
+        for body in moving_bodies(setup)
+        if body.name and not any(int(joint.type) == 0 for joint in body.joints)
+    ]
 
 
 AXES = "xyz"

@@ -15,6 +15,7 @@ class ContactDamping(SceneEffect):
     upper = 1e5
     typical = 1e2
     logarithmic = True
+    of_contacts = True
     formula = "reference acceleration = -damping * velocity - stiffness * impedance * depth"
     source = "MuJoCo, modeling: solref of two negative numbers; thesis 2.3.2"
 

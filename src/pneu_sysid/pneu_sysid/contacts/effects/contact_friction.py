@@ -13,6 +13,7 @@ class ContactFriction(SceneEffect):
     lower = 0.005
     upper = 3.0
     typical = 0.1
+    of_contacts = True
     formula = "|tangential force| <= coefficient * normal force"
     source = "Coulomb; MuJoCo, computation: friction cones"
 

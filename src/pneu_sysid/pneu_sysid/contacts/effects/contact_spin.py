@@ -14,6 +14,7 @@ class ContactSpin(SceneEffect):
     upper = 0.1
     typical = 0.002
     candidate = False
+    of_contacts = True
     formula = "|moment about the normal| <= coefficient * normal force"
     source = "MuJoCo, computation: friction cones, condim 4"
 

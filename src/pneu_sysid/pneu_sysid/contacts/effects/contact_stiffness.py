@@ -15,6 +15,7 @@ class ContactStiffness(SceneEffect):
     upper = 1e7
     typical = 1e3
     logarithmic = True
+    of_contacts = True
     formula = "reference acceleration = -damping * velocity - stiffness * impedance * depth"
     source = "MuJoCo, modeling: solref of two negative numbers; thesis 2.3.2"
 

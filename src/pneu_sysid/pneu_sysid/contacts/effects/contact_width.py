@@ -14,6 +14,7 @@ class ContactWidth(SceneEffect):
     upper = 0.02
     typical = 5e-4
     logarithmic = True
+    of_contacts = True
     formula = "impedance rises with depth up to this width"
     source = "MuJoCo, modeling: solimp; thesis 2.3.2"
 

@@ -14,6 +14,7 @@ class RemoteDistance(SceneEffect):
     upper = 0.02
     typical = 2e-4
     absent = 0.0
+    of_contacts = True
     formula = "contacts begin at this distance (margin)"
     source = "thesis 2.5.1"
 

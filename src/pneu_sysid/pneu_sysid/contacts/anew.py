@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters by what trajectories leave that are drawn anew for every step of them.
+
+Where parameters say where a floor is or which way is down, a trajectory that was estimated with
+other values lies on another floor, and nothing that moves it a little brings it onto this one; nor
+does one recording that is far off let the others move. Here each step of the parameters is that of
+Gauss and Newton with trajectories taken out, and every recording is drawn and estimated anew for
+it, alone. How wrong a model is of each recording is not known: with a variance of its own for each
+the likelihood is a sum of logarithms of their costs (variance components), and one that went
+another way outweighs none.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sysid.contacts.arrow import Arrow, Eliminated, eliminate
+from pneu_sysid.contacts.chain import LEAST, Chain
+from pneu_sysid.contacts.estimate import (
+    Estimated,
+    Parameter,
+    Problem,
+    State,
+    Tell,
+    bounded,
+)
+from pneu_sysid.contacts.physics import Physics
+from pneu_sysid.contacts.scene import Loaded, Value
+from pneu_sysid.contacts.track import Track
+from pneu_sysid.contacts.trajectories import redrawn, smoothed
+
+Floats = NDArray[np.float64]
+
+STEPS = 8
+"""Of the parameters, at most."""
+REACH = 3.0
+"""Most that a step changes a parameter by, in what is typical of it."""
+HALVINGS = 2
+"""Of a step that makes nothing better."""
+SETTLED = 0.1
+"""Standard errors: a step that is shorter is none."""
+FIRST = 1e-6
+"""Damping of the parameters' step, as a share of its Hessian's diagonal."""
+
+
+@dataclass
+class Anew:
+    """Parameters found, and the trajectories that go with them.
+
+    Attributes:
+        values: The scene's effects with them.
+        x: (c,) their coordinates.
+        std_errors: (c,) of them, by leaving out one recording after another.
+        chains: The recordings.
+        q: Trajectory of each.
+        found: The last estimate of the trajectories.
+        history: Cost by `likelihood` after each step, the start first.
+    """
+
+    values: tuple[Value, ...]
+    x: Floats
+    std_errors: Floats
+    chains: list[Chain]
+    q: tuple[Floats, ...]
+    found: Estimated
+    history: list[float]
+
+
+def weights(chains: Sequence[Chain], costs: Floats) -> Floats:
+    """(chains,) what recordings count by, their variances being what they leave.
+
+    Args:
+        chains: The recordings.
+        costs: (chains,) of each.
+    """
+    return np.array(
+        [c.size / max(float(cost), LEAST * c.size) for c, cost in zip(chains, costs, strict=True)]
+    )
+
+
+def likelihood(chains: Sequence[Chain], costs: Floats) -> float:
+    """Minus the logarithm of the likelihood, each recording with a variance of its own.
+
+    Args:
+        chains: The recordings.
+        costs: (chains,) of each.
+    """
+    return float(
+        np.sum([-c.size * np.log(w) for c, w in zip(chains, weights(chains, costs), strict=True)])
+    )
+
+
+def left(arrows: Sequence[Arrow]) -> list[Eliminated]:
+    """What is left of parameters with trajectories taken out; nothing where that cannot be done.
+
+    Args:
+        arrows: Of the recordings.
+    """
+    out = []
+    for arrow in arrows:
+        gone = eliminate(arrow, 1e-12) or eliminate(arrow, 1e-6)
+        if gone is None:
+            c = len(arrow.tip_slope)
+            gone = Eliminated(
+                np.zeros((c, c)),
+                np.zeros(c),
+                np.zeros_like(arrow.slope),
+                np.zeros_like(arrow.shaft),
+            )
+        out.append(gone)
+    return out
+
+
+def anew(
+    loaded: Loaded,
+    tracks: Sequence[Track],
+    chains: Sequence[Chain],
+    q: tuple[Floats, ...],
+    values: tuple[Value, ...],
+    parameters: Sequence[Parameter],
+    physics: Physics,
+    steps: int = STEPS,
+    tell: Tell | None = None,
+) -> Anew:
+    """Finds parameters by what trajectories leave that are drawn anew for them.
+
+    Args:
+        loaded: The scene.
+        tracks: The recordings.
+        chains: Their knots.
+        q: Trajectories to start from, drawn under the scene's values.
+        values: The scene's effects.
+        parameters: Which of them are found.
+        physics: What evaluates models.
+        steps: Of the parameters, at most.
+        tell: Called with a note and the fraction done.
+
+    Returns:
+        What was found.
+    """
+    there, q, found = smoothed(loaded, chains, values, q, physics)
+    now = likelihood(there, found.costs)
+    history = [now]
+    x, errors = np.zeros(0), np.full(len(parameters), np.inf)
+    for number in range(steps + 1):
+        problem = Problem(loaded, there, values, parameters, physics, centred=False)
+        x = problem.start()
+        ways, errors = _steps(problem, State(q, x))
+        if number == steps or np.all(np.abs(ways[0]) <= SETTLED * errors):
+            break
+        if tell is not None:
+            tell(f"likelihood {-now:.5g}", number / steps)
+        better = None
+        for halving, step in product(range(HALVINGS + 1), ways):
+            tried = problem.valued(x + 0.5**halving * step)
+            drawn = redrawn(loaded, there, tracks, tried, physics)
+            others, at, estimated = smoothed(loaded, there, tried, drawn, physics)
+            cost = likelihood(others, estimated.costs)
+            if cost < now:
+                better = (tried, others, at, estimated, cost)
+                break
+        if better is None:
+            break
+        values, there, q, found, now = better
+        history.append(now)
+    return Anew(values, x, errors, there, q, found, history)
+
+
+def _steps(problem: Problem, state: State) -> tuple[list[Floats], Floats]:
+    """Steps of the parameters that may help, and (c,) their standard errors.
+
+    The first is that of least likelihood. Where a trajectory lies on the wrong floor nothing of its
+    recording is as its slopes say, and a few such may lead all astray: the second is the median of
+    what each recording alone would have.
+    """
+    arrows = problem.arrows(state)
+    gone = left(arrows)
+    by = weights(problem.chains, np.array([a.cost for a in arrows]))
+    H = np.array([w * e.hessian for w, e in zip(by, gone, strict=True)])
+    g = np.array([w * e.slope for w, e in zip(by, gone, strict=True)])
+    _, known_slope, known_bend = problem.prior(state.x)
+    known = np.diag(known_bend)
+    whole, slope = H.sum(axis=0) + known, g.sum(axis=0) + known_slope
+    low, high = problem.bounds()
+    reach = np.array(
+        [1.0 if p.effect.logarithmic else REACH * p.effect.typical for p in problem.parameters]
+    )
+
+    def within(hessian: Floats, slope: Floats) -> Floats:
+        step = bounded(hessian, slope, FIRST, low - state.x, high - state.x)
+        if step is None:
+            return np.zeros(len(state.x))
+        return np.asarray(step / max(1.0, float(np.max(np.abs(step) / reach))))
+
+    ways = [within(whole, slope)]
+    n = len(H)
+    if n < 2:
+        return ways, np.sqrt(np.maximum(np.diag(np.linalg.pinv(whole)), 0.0))
+    alone = [within(h + known, b + known_slope) for h, b in zip(H, g, strict=True)]
+    ways.append(np.median(alone, axis=0))
+    without = np.array(
+        [-np.linalg.pinv(whole - h) @ (slope - b) for h, b in zip(H, g, strict=True)]
+    )
+    spread = np.sum((without - without.mean(axis=0)) ** 2, axis=0)
+    return ways, np.asarray(np.sqrt((n - 1) / n * spread))
