@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every effect of scenes: what it declares, that it is where it says, and does something."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 import pneu_sysid.contacts.effects as catalogue
 from pneu_common.errors import InputError
+from pneu_sysid.contacts.bearings import bearings_of
 from pneu_sysid.contacts.chain import Chain
 from pneu_sysid.contacts.effects import find_scene_effect, scene_effects
 from pneu_sysid.contacts.effects.base import SceneEffect, Setup
@@ -137,3 +140,48 @@ def test_a_shifted_centre_of_mass_is_where_it_says(loaded: Loaded) -> None:
     assert np.sort(model.body("second").inertia) == pytest.approx(
         1.5 * np.sort(base.body("second").inertia)
     )
+
+
+def test_a_bearing_is_slowed_by_what_it_carries() -> None:
+    """A wheel that spins by itself: the pin carries its weight, its friction is a share of it."""
+    spec = mujoco.MjSpec.from_string(
+        """<mujoco><option timestep="0.001"/><worldbody><body pos="0 0 1">
+        <joint name="pin" axis="0 1 0"/><geom type="cylinder" size=".1 .01" mass="2"
+        quat="0.7071068 0.7071068 0 0"/></body></worldbody></mujoco>"""
+    )
+    model = spec.compile()
+    bearings = bearings_of(model, {"pin": 0.003})
+    assert bearings is not None and bearings_of(model, {"pin": 0.0}) is None
+    data = mujoco.MjData(model)
+    data.qvel[0] = -5.0
+    mujoco.mj_forward(model, data)
+    assert bearings.torque(model, data) == pytest.approx([-0.003 * 2.0 * 9.81], rel=1e-6)
+    inertia = float(model.body_inertia[1].max())
+    speeds = []
+    for _ in range(3000):
+        data.qfrc_applied[0] = -bearings.slowing(model, data, 0.001)[0]
+        mujoco.mj_step(model, data)
+        speeds.append(data.qvel[0])
+    slowing = 0.003 * 2.0 * 9.81 / inertia
+    assert speeds[0] == pytest.approx(-5.0 + 0.001 * slowing, rel=1e-4)
+    assert np.all(np.diff(np.abs(speeds)) <= 0.0) and abs(speeds[-1]) < 0.01  # and no chatter
+
+
+def test_slopes_of_a_bearing_are_those_of_its_friction(loaded: Loaded, chain: Chain) -> None:
+    setup = loaded.setup()
+    find_scene_effect("joint_load_friction").put(setup, "elbow", 0.003)
+    model = setup.spec.compile()
+    bearings = bearings_of(model, setup.loaded)
+    motion = chain.motion(chain.start, setup)
+    physics = Physics(1)
+    slopes = physics.slopes(model, motion, True, bearings)
+    plain = physics.slopes(model, motion, True)
+    v = 1e-5 * np.random.default_rng(0).normal(size=motion.v.shape)
+    ends = [
+        physics.evaluate(model, replace(motion, v=motion.v + way * v), bearings)[0]
+        - physics.evaluate(model, replace(motion, v=motion.v + way * v))[0]
+        for way in (1.0, -1.0)
+    ]
+    assert np.max(np.abs(ends[0])) > 1e-3  # N m
+    foretold = np.einsum("nko,nk->no", slopes.force[1] - plain.force[1], v)
+    assert 0.5 * (ends[0] - ends[1]) == pytest.approx(foretold, rel=1e-3, abs=1e-9)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from pneu_sysid.contacts.arrow import Arrow, Zeros
+from pneu_sysid.contacts.bearings import bearings_of
 from pneu_sysid.contacts.effects.base import Reading, Setup
 from pneu_sysid.contacts.manifold import (
     Manifold,
@@ -142,7 +143,7 @@ class Chain:
             physics: What evaluates it.
         """
         motion = self.motion(q, setup)
-        force, sensors = physics.evaluate(model, motion)
+        force, sensors = physics.evaluate(model, motion, bearings_of(model, setup.loaded))
         return Outputs(force, sensors, motion)
 
     def forces(self, outputs: Outputs, setup: Setup) -> Floats:
@@ -347,7 +348,7 @@ class Chain:
         by_a[1:-1, :, :k] = -start[:-1] / mean
         by_a[1:-1, :, k : 2 * k] = (start[1:] - end[:-1]) / mean
         by_a[1:-1, :, 2 * k :] = end[1:] / mean
-        slopes = physics.slopes(model, motion, centred)
+        slopes = physics.slopes(model, motion, centred, bearings_of(model, setup.loaded))
         force = slopes.force
         if setup.drag:
             for at in self.free:

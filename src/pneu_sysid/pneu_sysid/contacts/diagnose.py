@@ -150,12 +150,38 @@ def divided(loaded: Loaded, tracks: Sequence[Track]) -> tuple[list[Track], list[
     return list(tracks[::2]), list(tracks[1::2])
 
 
-def held_cost(
-    fit: SceneFit, chains: Sequence[Chain], q: tuple[Floats, ...], physics: Physics
-) -> Floats:
-    """(chains, kinds) cost per knot of a fitted scene on other recordings; NaN without a knot.
+@dataclass(frozen=True)
+class Aside:
+    """What a fitted scene leaves of recordings that it was not fitted to.
 
-    Trajectories are estimated anew under parameters that are held (thesis, table 2.3).
+    Attributes:
+        chains: The recordings.
+        q: Trajectory of each, estimated under parameters that are held (thesis, table 2.3).
+        total: (chains,) cost of each.
+        kinds: (chains, kinds) cost per knot; NaN without a knot.
+    """
+
+    chains: list[Chain]
+    q: tuple[Floats, ...]
+    total: Floats
+    kinds: Floats
+
+    def least(self, other: "Aside") -> "Aside":
+        """The better of two for each recording: what one start misses another may find.
+
+        Args:
+            other: The same recordings, under the same parameters.
+        """
+        worse = other.total < self.total
+        q = tuple(b if w else a for a, b, w in zip(self.q, other.q, worse, strict=True))
+        kinds = np.where(worse[:, None], other.kinds, self.kinds)
+        return Aside(self.chains, q, np.minimum(self.total, other.total), kinds)
+
+
+def left_aside(
+    fit: SceneFit, chains: Sequence[Chain], q: tuple[Floats, ...], physics: Physics
+) -> Aside:
+    """What a fitted scene leaves of other recordings.
 
     Args:
         fit: The scene.
@@ -166,7 +192,8 @@ def held_cost(
     problem = Problem(fit.loaded, chains, fit.values, [], physics, centred=False)
     found = estimate(problem, State(q, problem.start()), ITERATIONS, enough=ENOUGH)
     outputs, _, setup = problem.outputs(found.state)
-    return np.array([by_kind(c, o, setup) for c, o in zip(chains, outputs, strict=True)])
+    kinds = np.array([by_kind(c, o, setup) for c, o in zip(chains, outputs, strict=True)])
+    return Aside(list(chains), found.state.q, found.costs, kinds)
 
 
 def diagnose_scene(
@@ -196,7 +223,7 @@ def diagnose_scene(
     said = tell or (lambda note, done: None)
     said("the model as it is", 0.0)
     judge = _Judge(loaded, used, aside, values, physics)
-    base, held = judge.base()
+    base, known = judge.base()
     said("candidates", 0.15)
     scores = scored(
         Problem(loaded, base.chains, base.values, base.parameters, physics),
@@ -206,12 +233,12 @@ def diagnose_scene(
     found: list[Finalist] = []
     for number, score in enumerate(shortlist(scores, finalists)):
         said(score.parameter.label, 0.2 + 0.8 * number / finalists)
-        found.append(_refitted(judge, base, score, held))
+        found.append(_refitted(judge, base, score, known))
     found.sort(key=lambda f: -f.gain)
     _tie(found, scores)
     verdict, sentence = _verdict(found)
     return SceneDiagnosis(
-        verdict, sentence, base, scores, found, held,
+        verdict, sentence, base, scores, found, known.kinds,
         [t.name for t in used], [t.name for t in aside],
     )  # fmt: skip
 
@@ -287,11 +314,11 @@ class _Judge:
         self.foretells = loaded.scene.horizon_s is not None
         self.others: list[Chain] = []
 
-    def base(self) -> tuple[SceneFit, Floats]:
+    def base(self) -> tuple[SceneFit, Aside]:
         """The scene as it is, fitted, and what it leaves aside."""
         chains, q = begun(self.loaded, self.used, self.values, self.physics)
         fit = self._fitted(chains, q, self.values, AGAIN)
-        return fit, self.held(fit)
+        return fit, self.left(fit)
 
     def _fitted(
         self,
@@ -311,15 +338,32 @@ class _Judge:
             self.loaded, chains, values, q, self.physics, ITERATIONS, ENOUGH, tracks=self.used
         )
 
-    def held(self, fit: SceneFit) -> Floats:
-        """(aside, kinds) what a fitted scene leaves of each recording kept aside."""
+    def left(self, fit: SceneFit) -> Aside:
+        """What a fitted scene leaves of each recording kept aside."""
         if not self.others:  # knots, and what may be wrong of contacts, are the same for all
             self.others = begun(self.loaded, self.aside, fit.values, self.physics)[0]
         others = self.others
         if fit.chains[0].manifold.nv != others[0].manifold.nv:  # a joint was added
             others = begun(self.loaded, self.aside, fit.values, self.physics)[0]
         q = redrawn(self.loaded, others, self.aside, fit.values, self.physics)
-        return held_cost(fit, others, q, self.physics)
+        return left_aside(fit, others, q, self.physics)
+
+    def pair(self, base: SceneFit, known: Aside, fit: SceneFit) -> tuple[Aside, Aside]:
+        """What the scene as it is and another leave, each from where the other ended too.
+
+        Trajectories that touch have many valleys; one that only one of the two models happened to
+        start in would count for it.
+
+        Args:
+            base: The scene as it is.
+            known: What it leaves.
+            fit: The other.
+        """
+        here = self.left(fit)
+        if here.q[0].shape != known.q[0].shape:
+            return known, here
+        there = left_aside(base, known.chains, here.q, self.physics)
+        return known.least(there), here.least(left_aside(fit, here.chains, known.q, self.physics))
 
     def refitted(self, base: SceneFit, candidate: Parameter, start: float) -> SceneFit:
         """The scene with a candidate, which comes last of its parameters."""
@@ -336,7 +380,7 @@ class _Judge:
         return self._fitted(chains, q, values, CANDIDATE_STEPS, candidate, base.scales)
 
 
-def _refitted(judge: _Judge, base: SceneFit, score: SceneScore, held: Floats) -> Finalist:
+def _refitted(judge: _Judge, base: SceneFit, score: SceneScore, known: Aside) -> Finalist:
     p = score.parameter
     now = p.effect.value(judge.loaded.setup(base.values), p.place)
     start = p.value(p.coordinate(now) + score.step)
@@ -347,10 +391,10 @@ def _refitted(judge: _Judge, base: SceneFit, score: SceneScore, held: Floats) ->
         start = float(np.clip(start, now - reach, now + reach))
     fit = judge.refitted(base, p, float(np.clip(start, p.lower, p.upper)))
     strength, error = fit.told(len(fit.parameters) - 1)
-    left = judge.held(fit)
-    mean, spread = _fall(held, left)
+    before, after = judge.pair(base, known, fit)
+    mean, spread = _fall(before.kinds, after.kinds)
     return Finalist(
-        score, fit, strength, error, left, float(1.0 - np.exp(-mean)),
+        score, fit, strength, error, after.kinds, float(1.0 - np.exp(-mean)),
         mean / spread if spread > 0.0 else 0.0,
     )  # fmt: skip
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim.mechanism.loading import mujoco_module
+from pneu_sysid.contacts.bearings import bearings_of
 from pneu_sysid.contacts.chain import Chain
 from pneu_sysid.contacts.effects.base import Setup
 
@@ -84,6 +85,8 @@ def drawn(chain: Chain, model: Any, setup: Setup, within_s: float = WITHIN_S) ->
     data = mujoco.MjData(model)
     drag = np.zeros(man.nv)
     drag[chain.free.ravel()] = setup.drag
+    bearings = bearings_of(model, setup.loaded)
+    slowed: Floats | None = None
     pull, off = np.empty(man.nv), np.empty(man.nv)
     for i in range(1, chain.size - 1):
         data.qpos[:] = q[i]
@@ -95,7 +98,11 @@ def drawn(chain: Chain, model: Any, setup: Setup, within_s: float = WITHIN_S) ->
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_mulM(model, data, pull, wanted)
         data.qfrc_applied[:] = pull - drag * v
+        if slowed is not None and bearings is not None:
+            data.qfrc_applied[bearings.along] -= slowed
         mujoco.mj_forward(model, data)
+        if bearings is not None:  # by what it carried a step before
+            slowed = bearings.slowing(model, data, h[i])
         v = v + 0.5 * (h[i] + h[i - 1]) * data.qacc
         if not np.all(np.isfinite(v)) or np.max(np.abs(v)) > FASTEST:
             break

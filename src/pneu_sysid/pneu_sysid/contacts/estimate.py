@@ -303,11 +303,14 @@ class Problem:
         with _timed(seconds, "columns"):
             said, model, setup = self.outputs(state)
             columns = self.columns(state, said, setup)
+        # of several recordings each is a thread's, and not the knots of one
+        physics = self.physics if len(self.chains) == 1 else Physics(1)
+
+        def one(chain: Chain, q: Floats, o: Outputs, column: list[tuple[Floats, Floats]]) -> Arrow:
+            return chain.arrow(q, o, model, setup, column, physics, self.centred)
+
         with _timed(seconds, "slopes"):
-            return [
-                chain.arrow(q, o, model, setup, col, self.physics, self.centred)
-                for chain, q, o, col in zip(self.chains, state.q, said, columns, strict=True)
-            ]
+            return self.physics.each(one, self.chains, state.q, said, columns)
 
     def moved(self, state: State, steps: Sequence[Floats], by: Floats, share: float) -> State:
         """A state some way along a direction.
@@ -537,18 +540,24 @@ def _one_by_one(
 
     One that is far off would else hold back the steps of all.
     """
-    found = []
-    for k, (chain, q) in enumerate(zip(problem.chains, state.q, strict=True)):
+    count = len(problem.chains)
+    done = [0.0] * count
 
-        def part(note: str, done: float, k: int = k) -> None:
+    def one(k: int) -> Estimated:
+        chain = problem.chains[k]
+
+        def part(note: str, share: float) -> None:
             assert tell is not None
-            tell(f"{problem.chains[k].name}: {note}", (k + done) / len(problem.chains))
+            done[k] = share
+            tell(f"{chain.name}: {note}", sum(done) / count)
 
-        alone = Problem(
-            problem.loaded, [chain], problem.values, [], problem.physics, problem.centred
-        )
-        begun = State((q,), state.x)
-        found.append(estimate(alone, begun, iterations, enough=enough, tell=tell and part))
+        # a recording is short: threads share recordings, and not the knots of one
+        alone = Physics(1)
+        only = Problem(problem.loaded, [chain], problem.values, [], alone, problem.centred)
+        begun = State((state.q[k],), state.x)
+        return estimate(only, begun, iterations, enough=enough, tell=tell and part)
+
+    found = problem.physics.each(one, range(count))
     longest = max(len(f.history) for f in found)
     history = np.sum([f.history + f.history[-1:] * (longest - len(f.history)) for f in found], 0)
     seconds: dict[str, float] = {}

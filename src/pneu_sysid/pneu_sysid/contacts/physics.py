@@ -15,6 +15,7 @@ from joblib import cpu_count
 from numpy.typing import NDArray
 
 from pneu_sim.mechanism.loading import mujoco_module
+from pneu_sysid.contacts.bearings import Bearings
 
 Floats = NDArray[np.float64]
 T = TypeVar("T")
@@ -81,12 +82,15 @@ class Physics:
         self._mujoco = mujoco_module()
         self._pool = ThreadPoolExecutor(self.workers)
 
-    def evaluate(self, model: Any, motion: Motion) -> tuple[Floats, Floats]:
+    def evaluate(
+        self, model: Any, motion: Motion, bearings: Bearings | None = None
+    ) -> tuple[Floats, Floats]:
         """Forces that nobody applied, and what sensors read.
 
         Args:
             model: An ``MjModel``.
             motion: The motion.
+            bearings: Joints whose friction grows with their load.
 
         Returns:
             (n, nv) generalised forces that the motion takes beyond those of actuators,
@@ -110,6 +114,8 @@ class Physics:
                 inverse(model, data)
                 force[i] = told
                 sensors[i] = read
+                if bearings is not None:
+                    force[i, bearings.along] += bearings.torque(model, data)
                 if model.nu:
                     actuation(model, data)
                     force[i] -= data.qfrc_actuator
@@ -117,7 +123,9 @@ class Physics:
         self._over(n, some)
         return force, sensors
 
-    def slopes(self, model: Any, motion: Motion, centred: bool = True) -> Slopes:
+    def slopes(
+        self, model: Any, motion: Motion, centred: bool = True, bearings: Bearings | None = None
+    ) -> Slopes:
         """What `evaluate` changes by with position, velocity and acceleration.
 
         Args:
@@ -125,6 +133,7 @@ class Physics:
             motion: The motion.
             centred: Whether differences are taken both ways, at twice the time: their error is then
                 of second order, which matters where contacts are stiff.
+            bearings: Joints whose friction grows with their load.
         """
         n, nv, ns = len(motion.q), int(model.nv), int(model.nsensordata)
         force = np.empty((3, n, nv, nv))
@@ -154,9 +163,35 @@ class Physics:
                             force[k, i] = 0.5 * (force[k, i] + f[k])
                             if read is not None:
                                 sensors[k, i] = 0.5 * (sensors[k, i] + read)
+                if bearings is not None:
+                    at = motion.q[i], motion.v[i], motion.a[i]
+                    force[:, i, :, bearings.along] += self._of_bearings(model, data, at, bearings)
 
         self._over(n, some)
         return Slopes(force, sensors)
+
+    def _of_bearings(
+        self, model: Any, data: Any, at: tuple[Floats, Floats, Floats], bearings: Bearings
+    ) -> Floats:
+        """(b, 3, nv) what bearings' friction changes by with position, velocity, acceleration."""
+        nv = int(model.nv)
+        out = np.empty((len(bearings.by), 3, nv))
+        step = np.zeros(nv)
+        for kind in range(3):
+            for k in range(nv):
+                ends = []
+                for way in (STEP, -STEP):
+                    data.qpos[:], data.qvel[:], data.qacc[:] = at
+                    if kind == 0:
+                        step[k] = 1.0
+                        self._mujoco.mj_integratePos(model, data.qpos, step, way)
+                        step[k] = 0.0
+                    else:
+                        (data.qvel, data.qacc)[kind - 1][k] += way
+                    self._mujoco.mj_inverse(model, data)
+                    ends.append(bearings.torque(model, data))
+                out[:, kind, k] = (ends[0] - ends[1]) / (2.0 * STEP)
+        return out
 
     def contact_forces(self, model: Any, motion: Motion) -> Floats:
         """Generalised forces of contacts and other constraints.

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim.mechanism.loading import mujoco_module
+from pneu_sysid.contacts.bearings import bearings_of
 from pneu_sysid.contacts.chain import Chain, Outputs
 from pneu_sysid.contacts.effects.base import SceneEffect, Setup
 from pneu_sysid.contacts.estimate import Problem
@@ -65,6 +66,7 @@ def rolled_out(chain: Chain, model: Any, setup: Setup, q: Floats, starts: Ints) 
     drag = np.zeros(man.nv)
     drag[chain.free.ravel()] = setup.drag
     forward = mujoco.mj_forward
+    bearings = bearings_of(model, setup.loaded)
     plain = not len(man.turns_q)
     for number, first in enumerate(starts):
         last = chain.size - 1 if number + 1 == len(starts) else int(starts[number + 1]) - 1
@@ -72,16 +74,20 @@ def rolled_out(chain: Chain, model: Any, setup: Setup, q: Floats, starts: Ints) 
         v = man.between(q[first : first + 1], q[first + 1 : first + 2])[0] / h[first]
         out[first], vel[first] = at, v
         data.qacc_warmstart[:] = 0.0
+        slowed: Floats | None = None
         for i in range(first, last):
             if i > first:
                 data.qpos[:] = at
                 data.qvel[:] = v
                 if model.nu:
                     data.ctrl[:] = chain.control[i]
-                if setup.drag:
-                    data.qfrc_applied[:] = -drag * v
+                data.qfrc_applied[:] = -drag * v
+                if slowed is not None and bearings is not None:
+                    data.qfrc_applied[bearings.along] -= slowed
                 forward(model, data)
                 acc[i] = data.qacc
+                if bearings is not None:  # by what it carried a step before
+                    slowed = bearings.slowing(model, data, h[i])
                 v = v + 0.5 * (h[i] + h[i - 1]) * data.qacc
                 if not np.max(np.abs(v)) < 1e6:
                     break

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_sysid.contacts.bearings import bearings_of
 from pneu_sysid.contacts.chain import Chain, Outputs
 from pneu_sysid.contacts.effects.base import SceneEffect, Setup
 from pneu_sysid.contacts.manifold import manifold_of
@@ -51,7 +52,8 @@ def yielding_column(
     at, along = int(model.jnt_qposadr[number]), int(model.jnt_dofadr[number])
     moving = replace(chain, manifold=manifold_of(model))
     resting = np.insert(q, at, 0.0, axis=1)
-    carried = physics.evaluate(model, moving.motion(resting, setup))[0][:, along]
+    bearings = bearings_of(model, setup.loaded)
+    carried = physics.evaluate(model, moving.motion(resting, setup), bearings)[0][:, along]
     carried[[0, -1]] = carried[[1, -2]]  # the ends have no accelerations
     size = SEEN / max(float(np.max(np.abs(carried))), 1e-12)
     rows = []
@@ -59,7 +61,7 @@ def yielding_column(
         bent = resting.copy()
         bent[:, at] = -way * carried
         motion = moving.motion(bent, setup)
-        force, sensors = physics.evaluate(model, motion)
+        force, sensors = physics.evaluate(model, motion, bearings)
         v, a = np.delete(motion.v, along, 1), np.delete(motion.a, along, 1)
         there = Motion(q, v, a, motion.control)
         rows.append(chain.rows(Outputs(np.delete(force, along, 1), sensors, there), setup))

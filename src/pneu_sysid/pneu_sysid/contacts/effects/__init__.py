@@ -26,6 +26,7 @@ from pneu_sysid.contacts.effects.gravity_tilt_x import GravityTiltX
 from pneu_sysid.contacts.effects.gravity_tilt_y import GravityTiltY
 from pneu_sysid.contacts.effects.joint_damping import JointDamping
 from pneu_sysid.contacts.effects.joint_friction import JointFriction
+from pneu_sysid.contacts.effects.joint_load_friction import JointLoadFriction
 from pneu_sysid.contacts.effects.joint_stiffness import JointStiffness
 from pneu_sysid.contacts.effects.link_bend import LinkBend
 from pneu_sysid.contacts.effects.remote_distance import RemoteDistance
@@ -42,6 +43,7 @@ BUILT_IN: tuple[type[SceneEffect], ...] = (
     ContactWidth,
     RemoteDistance,
     JointFriction,
+    JointLoadFriction,
     JointDamping,
     JointStiffness,
     Armature,

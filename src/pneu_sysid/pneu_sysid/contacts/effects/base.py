@@ -46,6 +46,7 @@ class Setup:
         widths: How many components each has.
         clock: Duration of a second of the recording, s.
         drag: Force against the velocity of the centre of each body that moves freely, N s/m.
+        loaded: Friction of joints by what they carry, torque per force, by the joint.
         scaled: What geoms were multiplied by.
         gravity: Gravity of the MJCF, m/s^2.
         heavier: What it was multiplied by.
@@ -60,6 +61,7 @@ class Setup:
     widths: dict[str, int]
     clock: float = 1.0
     drag: float = 0.0
+    loaded: dict[str, float] = field(default_factory=dict)
     scaled: float = 1.0
     gravity: tuple[float, ...] = ()
     heavier: float = 1.0
