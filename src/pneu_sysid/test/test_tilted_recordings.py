@@ -11,6 +11,7 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from pneu_common.errors import InputError
+from pneu_sysid.contacts.anew import anew
 from pneu_sysid.contacts.arrow import Arrow, Zeros, eliminate
 from pneu_sysid.contacts.chain import Chain, level
 from pneu_sysid.contacts.effects import find_scene_effect
@@ -220,19 +221,44 @@ def test_tilt_and_heights_are_found() -> None:
     """From a level start, of three tosses whose heights were zeroed in three ways."""
     loaded = elbow(("z",))
     tracks = []
+    truly = []
+    for seed, rise_m in ((2, 0.5), (3, -0.02), (4, 0.0)):
+        chain, q = tossed(loaded, seed)
+        tracks.append(seen(q, chain.time_s, rise_m))
+        truly.append((chain.time_s, TURN.apply(q[:, :3])[:, 2]))
+    physics = Physics()
+    values = (
+        *(v.but(fit=False) for v in loaded.scene.values),
+        *(v.but(value=0.0) for v in leaning()),
+    )
+    chains, starts = begun(loaded, tracks, values, physics)
+    fitted = parameters_of(loaded, values)
+    found = anew(loaded, tracks, chains, starts, values, fitted, physics)
+    assert found.x == pytest.approx(TILT, abs=0.001)
+    assert np.all(np.diff(found.history) < 0.0)
+    for (t, height), chain, q in zip(truly, found.chains, found.q, strict=True):
+        off = q[:, 2] - np.interp(chain.time_s, t, height)
+        assert np.median(np.abs(off)) < 3e-4  # m, above the floor's zero
+
+
+@pytest.mark.long
+def test_drawing_anew_finds_what_one_estimate_does_not() -> None:
+    """Everything at once, contacts too: the first estimate stays on the level floor."""
+    loaded = elbow(("z",))
+    tracks = []
     for seed, rise_m in ((2, 0.5), (3, -0.02), (4, 0.0)):
         chain, q = tossed(loaded, seed)
         tracks.append(seen(q, chain.time_s, rise_m))
     physics = Physics()
-    values = (
-        *loaded.scene.values,
-        *(v.but(value=0.0) for v in leaning()),
-    )
+    values = (*loaded.scene.values, *(v.but(value=0.0) for v in leaning()))
     chains, starts = begun(loaded, tracks, values, physics)
-    fit = joint(loaded, chains, values, starts, physics, tracks=tracks)
-    found = {p.effect.name: fit.told(k)[0] for k, p in enumerate(fit.parameters)}
-    assert found["frame_tilt_x"] == pytest.approx(TILT[0], abs=0.002)
-    assert found["frame_tilt_y"] == pytest.approx(TILT[1], abs=0.002)
+    once = joint(loaded, chains, values, starts, physics)
+    often = joint(loaded, chains, values, starts, physics, tracks=tracks)
+    names = [p.effect.name for p in often.parameters]
+    tilt = [names.index("frame_tilt_x"), names.index("frame_tilt_y")]
+    assert np.max(np.abs(once.x[tilt] - TILT)) > 0.01
+    assert often.x[tilt] == pytest.approx(TILT, abs=0.002)
+    assert often.estimated.cost < 0.01 * once.estimated.cost
 
 
 def test_zeros_are_of_vectors() -> None:
