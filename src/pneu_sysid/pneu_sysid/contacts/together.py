@@ -28,12 +28,14 @@ TOGETHER = 50
 """Iterations of trajectories and parameters together, at most."""
 SETTLED = 1e-5
 """A share of the cost that is not worth another of them."""
-DRAWN_ANEW = 3
+DRAWN_ANEW = 6
 """Times that trajectories are drawn anew under what was found, at most."""
-EXPLAINED = 1.0
-"""Cost per reading below which a trajectory explains what was read; norms expect a half."""
+EXPLAINED = 0.5
+"""Cost per reading that norms expect where a trajectory explains what was read."""
 BETTER = 0.02
-"""Share of the cost that drawing anew must take away to be tried again."""
+"""Share of the cost that drawing anew must take away to count as help."""
+GIVEN_UP = 2
+"""Times in a row that it did not help: parameters may move on while one trajectory goes astray."""
 
 
 @dataclass
@@ -109,16 +111,16 @@ def joint(
     readings = np.array([readings_of(c) for c in chains])
     problem = Problem(loaded, chains, values, parameters, physics)
     found = estimate(problem, State(q, problem.start()), iterations, enough=enough, tell=tell)
+    last, worse = found, 0
     for _ in range(DRAWN_ANEW if tracks and parameters else 0):
         if np.all(found.costs <= EXPLAINED * readings):
             break
-        drawn = redrawn(loaded, chains, tracks, found.values, physics)
-        state = State(drawn, found.state.x)
-        other = estimate(problem, state, iterations, enough=enough, tell=tell)
-        gone = found.cost - other.cost
-        if gone > 0.0:
-            found = other
-        if gone < BETTER * other.cost:
+        drawn = redrawn(loaded, chains, tracks, last.values, physics)
+        state = State(drawn, last.state.x)
+        last = estimate(problem, state, iterations, enough=enough, tell=tell)
+        worse = worse + 1 if last.cost > (1.0 - BETTER) * found.cost else 0
+        found = min(found, last, key=lambda estimated: estimated.cost)
+        if worse == GIVEN_UP:
             break
     unsettled = "The estimate did not settle; more iterations may help."
     return SceneFit(
