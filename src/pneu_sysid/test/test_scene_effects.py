@@ -10,7 +10,7 @@ import pytest
 
 import pneu_sysid.contacts.effects as catalogue
 from pneu_common.errors import InputError
-from pneu_sysid.contacts.bearings import bearings_of
+from pneu_sysid.contacts.bearings import bearings_of, feel_load
 from pneu_sysid.contacts.chain import Chain
 from pneu_sysid.contacts.effects import find_scene_effect, scene_effects
 from pneu_sysid.contacts.effects.base import SceneEffect, Setup
@@ -149,13 +149,16 @@ def test_a_bearing_is_slowed_by_what_it_carries() -> None:
         <joint name="pin" axis="0 1 0"/><geom type="cylinder" size=".1 .01" mass="2"
         quat="0.7071068 0.7071068 0 0"/></body></worldbody></mujoco>"""
     )
+    feel_load(spec, "pin")
     model = spec.compile()
     bearings = bearings_of(model, {"pin": 0.003})
     assert bearings is not None and bearings_of(model, {"pin": 0.0}) is None
     data = mujoco.MjData(model)
     data.qvel[0] = -5.0
     mujoco.mj_forward(model, data)
-    assert bearings.torque(model, data) == pytest.approx([-0.003 * 2.0 * 9.81], rel=1e-6)
+    assert bearings.torque(data.sensordata, data.qvel) == pytest.approx(
+        [-0.003 * 2.0 * 9.81], rel=1e-6
+    )
     inertia = float(model.body_inertia[1].max())
     speeds = []
     for _ in range(3000):
@@ -176,12 +179,23 @@ def test_slopes_of_a_bearing_are_those_of_its_friction(loaded: Loaded, chain: Ch
     physics = Physics(1)
     slopes = physics.slopes(model, motion, True, bearings)
     plain = physics.slopes(model, motion, True)
-    v = 1e-5 * np.random.default_rng(0).normal(size=motion.v.shape)
-    ends = [
-        physics.evaluate(model, replace(motion, v=motion.v + way * v), bearings)[0]
-        - physics.evaluate(model, replace(motion, v=motion.v + way * v))[0]
-        for way in (1.0, -1.0)
-    ]
-    assert np.max(np.abs(ends[0])) > 1e-3  # N m
-    foretold = np.einsum("nko,nk->no", slopes.force[1] - plain.force[1], v)
-    assert 0.5 * (ends[0] - ends[1]) == pytest.approx(foretold, rel=1e-3, abs=1e-9)
+    rng = np.random.default_rng(0)
+    found, foretold = [], []
+    for kind, size in enumerate((1e-7, 1e-5, 1e-3)):
+        step = size * rng.normal(size=motion.v.shape)
+        ends = []
+        for way in (1.0, -1.0):
+            there = [
+                replace(motion, q=chain.manifold.moved(motion.q, way * step)),
+                replace(motion, v=motion.v + way * step),
+                replace(motion, a=motion.a + way * step),
+            ][kind]
+            slowed, free = (physics.evaluate(model, there, b)[0] for b in (bearings, None))
+            ends.append(slowed - free)
+        found.append(0.5 * (ends[0] - ends[1])[:, 6])
+        changes = slopes.force[kind] - plain.force[kind]
+        foretold.append(np.einsum("nko,nk->no", changes, step)[:, 6])
+        assert np.max(np.abs(ends[0])) > 1e-3  # N m
+    for one, other in zip(found, foretold, strict=True):
+        close = np.isclose(one, other, rtol=1e-3, atol=1e-3 * np.max(np.abs(one)))
+        assert np.mean(close) > 0.95  # all but where a contact just opens

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_sim.mechanism.loading import mujoco_module
 from pneu_sysid.contacts.chain import POSITION, VELOCITY, Chain, Channel, Floats, Ints
-from pneu_sysid.contacts.effects.base import AXES
 from pneu_sysid.contacts.manifold import conjugate, manifold_of, product
+from pneu_sysid.contacts.names import AXES
 from pneu_sysid.contacts.norms import Norm
 from pneu_sysid.contacts.rest import touching_down
 from pneu_sysid.contacts.scene import Loaded

@@ -114,13 +114,13 @@ class Physics:
                 inverse(model, data)
                 force[i] = told
                 sensors[i] = read
-                if bearings is not None:
-                    force[i, bearings.along] += bearings.torque(model, data)
                 if model.nu:
                     actuation(model, data)
                     force[i] -= data.qfrc_actuator
 
         self._over(n, some)
+        if bearings is not None:
+            force[:, bearings.along] += bearings.torque(sensors, motion.v)
         return force, sensors
 
     def slopes(
@@ -163,35 +163,12 @@ class Physics:
                             force[k, i] = 0.5 * (force[k, i] + f[k])
                             if read is not None:
                                 sensors[k, i] = 0.5 * (sensors[k, i] + read)
-                if bearings is not None:
-                    at = motion.q[i], motion.v[i], motion.a[i]
-                    force[:, i, :, bearings.along] += self._of_bearings(model, data, at, bearings)
 
         self._over(n, some)
+        if bearings is not None:
+            read = self.evaluate(model, motion)[1]
+            force[:, :, :, bearings.along] += bearings.slopes(read, motion.v, sensors)
         return Slopes(force, sensors)
-
-    def _of_bearings(
-        self, model: Any, data: Any, at: tuple[Floats, Floats, Floats], bearings: Bearings
-    ) -> Floats:
-        """(b, 3, nv) what bearings' friction changes by with position, velocity, acceleration."""
-        nv = int(model.nv)
-        out = np.empty((len(bearings.by), 3, nv))
-        step = np.zeros(nv)
-        for kind in range(3):
-            for k in range(nv):
-                ends = []
-                for way in (STEP, -STEP):
-                    data.qpos[:], data.qvel[:], data.qacc[:] = at
-                    if kind == 0:
-                        step[k] = 1.0
-                        self._mujoco.mj_integratePos(model, data.qpos, step, way)
-                        step[k] = 0.0
-                    else:
-                        (data.qvel, data.qacc)[kind - 1][k] += way
-                    self._mujoco.mj_inverse(model, data)
-                    ends.append(bearings.torque(model, data))
-                out[:, kind, k] = (ends[0] - ends[1]) / (2.0 * STEP)
-        return out
 
     def contact_forces(self, model: Any, motion: Motion) -> Floats:
         """Generalised forces of contacts and other constraints.

@@ -16,7 +16,8 @@ from pneu_common.files import write_whole
 from pneu_common.validation import Listed, Settings, sentence
 from pneu_sim.mechanism.loading import mujoco_module
 from pneu_sysid.contacts.effects import find_scene_effect
-from pneu_sysid.contacts.effects.base import ADDED, Reading, SceneEffect, Setup
+from pneu_sysid.contacts.effects.base import Reading, SceneEffect, Setup
+from pneu_sysid.contacts.names import ADDED
 from pneu_sysid.contacts.norms import Norm
 
 SCHEMA_VERSION = 1

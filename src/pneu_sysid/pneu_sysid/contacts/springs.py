@@ -5,8 +5,15 @@ A body that does not yield has no such joint: a coordinate that nothing can move
 everything stiff.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from pneu_sim.mechanism.loading import mujoco_module
-from pneu_sysid.contacts.effects.base import ADDED, AXES, Setup
+from pneu_sysid.contacts.names import ADDED, AXES
+
+if TYPE_CHECKING:  # effects are made of these
+    from pneu_sysid.contacts.effects.base import Setup
 
 SETTLES_S = 0.002
 """Time constant of what yields: damping over stiffness."""

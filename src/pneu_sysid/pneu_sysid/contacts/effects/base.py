@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pneu_sysid.contacts.names import ADDED, AXES
+
 Floats = NDArray[np.float64]
 
 ALL = "all"
 """The place that stands for everything of its kind that touches."""
-ADDED = "pneu "
-"""What names of joints begin with that the MJCF lacks, and that effects add."""
 
 
 @dataclass
@@ -227,7 +227,7 @@ def lean_gravity(setup: Setup) -> None:
     setup.spec.option.gravity = setup.heavier * turned.apply(setup.gravity)
 
 
-TILTED = "pneu tilted"
+TILTED = f"{ADDED}tilted"
 """Name of the frame that all that is fixed is in, where it is turned."""
 
 
@@ -267,9 +267,6 @@ def carried(setup: Setup) -> list[Any]:
         for body in moving_bodies(setup)
         if body.name and not any(int(joint.type) == 0 for joint in body.joints)
     ]
-
-
-AXES = "xyz"
 
 
 def components(setup: Setup) -> list[str]:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dry friction of a joint's bearing: more, the more the joint carries."""
 
+from pneu_sysid.contacts.bearings import feel_load
 from pneu_sysid.contacts.effects.base import SceneEffect, Setup, hinges
 
 
@@ -25,3 +26,5 @@ class JointLoadFriction(SceneEffect):
 
     def put(self, setup: Setup, place: str, value: float) -> None:
         setup.loaded[place] = value
+        if value:
+            feel_load(setup.spec, place)

@@ -3,7 +3,8 @@
 
 import numpy as np
 
-from pneu_sysid.contacts.effects.base import ADDED, AXES, SceneEffect, Setup, carried
+from pneu_sysid.contacts.effects.base import SceneEffect, Setup, carried
+from pneu_sysid.contacts.names import ADDED, AXES
 from pneu_sysid.contacts.springs import add_spring, compliance, place_of
 
 ALONG = 0.99

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A body that yields sideways to what pushes it: soft skin, a silicone tip."""
 
-from pneu_sysid.contacts.effects.base import AXES, SceneEffect, Setup, carried, touching
+from pneu_sysid.contacts.effects.base import SceneEffect, Setup, carried, touching
+from pneu_sysid.contacts.names import AXES
 from pneu_sysid.contacts.springs import add_spring, compliance, place_of
 
 
