@@ -205,10 +205,12 @@ def test_the_slope_is_that_of_the_cost_with_the_best_zero() -> None:
     physics = Physics(1)
     values = (*loaded.scene.values, *leaning())
     begun_chains, starts = begun(loaded, [seen(q, chain.time_s, 0.4)], values, physics)
-    problem = Problem(loaded, begun_chains, values, parameters_of(loaded, values), physics)
+    rng = np.random.default_rng(5)
+    trust = rng.uniform(0.2, 3.0, begun_chains[0].size)  # and where knots count unevenly
+    chains = [replace(begun_chains[0], trust=trust)]
+    problem = Problem(loaded, chains, values, parameters_of(loaded, values), physics)
     state = State(starts, problem.start())
     arrow = problem.arrows(state)[0]
-    rng = np.random.default_rng(5)
     step = 1e-10 * rng.normal(size=arrow.slope.shape)
     by = 1e-10 * rng.normal(size=len(state.x))
     ahead = problem.cost(problem.moved(state, [step], by, 1.0))

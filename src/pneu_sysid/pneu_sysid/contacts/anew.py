@@ -5,20 +5,21 @@ Where parameters say where a floor is or which way is down, a trajectory that wa
 other values lies on another floor, and nothing that moves it a little brings it onto this one; nor
 does one recording that is far off let the others move. Here each step of the parameters is that of
 Gauss and Newton with trajectories taken out, and every recording is drawn and estimated anew for
-it, alone. How wrong a model is of each recording is not known: with a variance of its own for each
-the likelihood is a sum of logarithms of their costs (variance components), and one that went
-another way outweighs none.
+it, alone. How wrong a model is of each recording is not known, nor of its flights and its contacts:
+with a variance of its own for each the likelihood is a sum of logarithms of their costs (variance
+components), one that went another way outweighs none, and what shows in flight is not drowned by
+what contacts get wrong.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sysid.contacts.arrow import Arrow, Eliminated, eliminate
-from pneu_sysid.contacts.chain import LEAST, Chain
+from pneu_sysid.contacts.chain import LEAST, Chain, by_kind
 from pneu_sysid.contacts.estimate import (
     Estimated,
     Parameter,
@@ -69,28 +70,48 @@ class Anew:
     history: list[float]
 
 
-def weights(chains: Sequence[Chain], costs: Floats) -> Floats:
-    """(chains,) what recordings count by, their variances being what they leave.
+def likelihood(kinds: Floats, counts: Floats) -> float:
+    """Minus the logarithm of the likelihood, each recording's flights and contacts for themselves.
+
+    Args:
+        kinds: (chains, kinds) cost per knot; NaN without a knot.
+        counts: (chains, kinds) knots.
+    """
+    return float(np.nansum(counts * np.log(np.maximum(kinds, LEAST))))
+
+
+def kinds_of(problem: Problem, q: Sequence[Floats]) -> Floats:
+    """(chains, kinds) cost per knot of trajectories, far from everything and near something.
+
+    Args:
+        problem: The problem.
+        q: Trajectory of each chain.
+    """
+    said, _, setup = problem.outputs(State(tuple(q), problem.start()))
+    return np.array([by_kind(c, o, setup) for c, o in zip(problem.chains, said, strict=True)])
+
+
+def counts_of(chains: Sequence[Chain]) -> Floats:
+    """(chains, kinds) knots far from everything, and near something.
 
     Args:
         chains: The recordings.
-        costs: (chains,) of each.
     """
-    return np.array(
-        [c.size / max(float(cost), LEAST * c.size) for c, cost in zip(chains, costs, strict=True)]
-    )
+    return np.array([[np.sum(~c.near), np.sum(c.near)] for c in chains], dtype=float)
 
 
-def likelihood(chains: Sequence[Chain], costs: Floats) -> float:
-    """Minus the logarithm of the likelihood, each recording with a variance of its own.
+def trusted(chains: Sequence[Chain], kinds: Floats) -> list[Chain]:
+    """Recordings whose knots count by what their kind leaves: its variance.
 
     Args:
         chains: The recordings.
-        costs: (chains,) of each.
+        kinds: (chains, kinds) cost per knot.
     """
-    return float(
-        np.sum([-c.size * np.log(w) for c, w in zip(chains, weights(chains, costs), strict=True)])
-    )
+    by = 1.0 / np.maximum(np.nan_to_num(kinds, nan=1.0), LEAST)
+    return [
+        replace(c, trust=np.where(c.near, near, far))
+        for c, (far, near) in zip(chains, by, strict=True)
+    ]
 
 
 def left(arrows: Sequence[Arrow]) -> list[Eliminated]:
@@ -141,12 +162,19 @@ def anew(
     Returns:
         What was found.
     """
+    counts = counts_of(chains)
+
+    def told(chains: list[Chain], values: tuple[Value, ...], q: tuple[Floats, ...]) -> Floats:
+        return kinds_of(Problem(loaded, chains, values, [], physics), q)
+
     there, q, found = smoothed(loaded, chains, values, q, physics)
-    now = likelihood(there, found.costs)
+    kinds = told(there, values, q)
+    now = likelihood(kinds, counts)
     history = [now]
     x, errors = np.zeros(0), np.full(len(parameters), np.inf)
     for number in range(steps + 1):
-        problem = Problem(loaded, there, values, parameters, physics, centred=False)
+        weighed = trusted(there, kinds)
+        problem = Problem(loaded, weighed, values, parameters, physics, centred=False)
         x = problem.start()
         ways, errors = _steps(problem, State(q, x))
         if number == steps or np.all(np.abs(ways[0]) <= SETTLED * errors):
@@ -158,13 +186,14 @@ def anew(
             tried = problem.valued(x + 0.5**halving * step)
             drawn = redrawn(loaded, there, tracks, tried, physics)
             others, at, estimated = smoothed(loaded, there, tried, drawn, physics)
-            cost = likelihood(others, estimated.costs)
+            left_over = told(others, tried, at)
+            cost = likelihood(left_over, counts)
             if cost < now:
-                better = (tried, others, at, estimated, cost)
+                better = (tried, others, at, estimated, left_over, cost)
                 break
         if better is None:
             break
-        values, there, q, found, now = better
+        values, there, q, found, kinds, now = better
         history.append(now)
     return Anew(values, x, errors, there, q, found, history)
 
@@ -178,9 +207,8 @@ def _steps(problem: Problem, state: State) -> tuple[list[Floats], Floats]:
     """
     arrows = problem.arrows(state)
     gone = left(arrows)
-    by = weights(problem.chains, np.array([a.cost for a in arrows]))
-    H = np.array([w * e.hessian for w, e in zip(by, gone, strict=True)])
-    g = np.array([w * e.slope for w, e in zip(by, gone, strict=True)])
+    H = np.array([e.hessian for e in gone])
+    g = np.array([e.slope for e in gone])
     _, known_slope, known_bend = problem.prior(state.x)
     known = np.diag(known_bend)
     whole, slope = H.sum(axis=0) + known, g.sum(axis=0) + known_slope

@@ -2,9 +2,10 @@
 """Every effect that a scene lacks, scored at the strength that it has: more columns of one arrow.
 
 With the trajectory taken out, what is left of a candidate is one row and column beside those of the
-fitted parameters: its step, the cost that it would take away, and by leaving out one recording
-after another, or one stretch of a long one, whether that may be chance. Each recording counts by
-what it leaves (`anew.weights`): one that went another way would else outweigh all others.
+fitted parameters: its step, what it would add to the likelihood, and by leaving out one recording
+after another, or one stretch of a long one, whether that may be chance. Flights and contacts of
+each recording count by what they leave (`anew.trusted`): one that went another way would else
+outweigh all others.
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sysid.contacts.anew import left, weights
+from pneu_sysid.contacts.anew import kinds_of, left, trusted
 from pneu_sysid.contacts.estimate import Parameter, Problem, State
 
 Floats = NDArray[np.float64]
@@ -76,12 +77,12 @@ def scored(problem: Problem, state: State, candidates: Sequence[Parameter]) -> S
     """
     c = len(problem.parameters)
     wider = problem.fitting([*problem.parameters, *candidates])
+    wider.chains = trusted(problem.chains, kinds_of(problem, state.q))
     x = wider.start()
     arrows = wider.arrows(State(state.q, x))
     gone = left(arrows)
-    by = weights(problem.chains, np.array([a.cost for a in arrows]))
-    H = np.array([w * e.hessian for w, e in zip(by, gone, strict=True)])
-    g = np.array([w * e.slope for w, e in zip(by, gone, strict=True)])
+    H = np.array([e.hessian for e in gone])
+    g = np.array([e.slope for e in gone])
     _, prior_slope, prior_bend = problem.prior(state.x)
     known = np.zeros(g.shape[1])
     known[:c] = prior_bend

@@ -99,6 +99,7 @@ class Chain:
         start: (n, nq) configurations as sensors alone tell them.
         slack: (n, nv) how much wider forces' standard deviations are than their norms say.
         near: (n,) whether bodies are near each other, as sensors alone tell.
+        trust: (n,) what norms at a knot are multiplied by; 1 unless given.
     """
 
     name: str
@@ -111,6 +112,7 @@ class Chain:
     start: Floats
     slack: Floats
     near: NDArray[np.bool_]
+    trust: Floats | None = None
 
     @property
     def size(self) -> int:
@@ -179,7 +181,8 @@ class Chain:
             should[:, component] += bias
         misread = np.asarray(should - read)
         for component in channel.unzeroed:
-            misread[:, component] -= level(misread[:, component], channel.norm)
+            trust = None if self.trust is None else self.trust[channel.knots]
+            misread[:, component] -= level(misread[:, component], channel.norm, trust)
         return misread
 
     def measured(self, channel: Channel, told: Reading) -> Floats:
@@ -252,7 +255,7 @@ class Chain:
         total = np.zeros(self.size)
         for k, norm in enumerate(self.norms()):
             total += np.where(there[:, k], norm.cost(rows[:, k]), 0.0)
-        return total
+        return total if self.trust is None else total * self.trust
 
     def arrow(
         self,
@@ -282,6 +285,9 @@ class Chain:
         norms = self.norms()
         bend = np.stack([norm.curvature(r[:, i]) for i, norm in enumerate(norms)], axis=1) * there
         slope = np.stack([norm.slope(r[:, i]) for i, norm in enumerate(norms)], axis=1) * there
+        if self.trust is not None:
+            bend *= self.trust[:, None]
+            slope *= self.trust[:, None]
         J = self._jacobian(outputs, model, setup, physics, centred)
         J *= there[:, :, None]
         P = np.zeros((n, len(norms), len(columns)))
@@ -314,7 +320,7 @@ class Chain:
             tip=flat.T @ (flat * bend.reshape(-1, 1)),
             slope=_by_knot(G, k),
             tip_slope=flat.T @ slope.ravel(),
-            cost=float(sum(np.sum(norm.cost(r[:, i])) for i, norm in enumerate(norms))),
+            cost=self.cost(outputs, setup),
             zeros=zeros,
         )
 
@@ -393,17 +399,21 @@ def _by_knot(of: Floats, k: int) -> Floats:
     return out
 
 
-def level(misread: Floats, norm: Norm) -> float:
+def level(misread: Floats, norm: Norm, trust: Floats | None = None) -> float:
     """The zero that makes readings least wrong.
 
     Args:
         misread: (m,) what is read too little.
         norm: How it is weighed.
+        trust: (m,) what each counts by; all alike unless given.
     """
+    by = np.ones_like(misread) if trust is None else trust
     low, high = float(np.min(misread, initial=np.inf)), float(np.max(misread, initial=-np.inf))
     if not low < high or not np.isfinite(high - low):
         return low if np.isfinite(low) else 0.0
-    return float(brentq(lambda m: float(np.sum(norm.slope(misread - m))), low, high, xtol=1e-15))
+    return float(
+        brentq(lambda m: float(np.sum(by * norm.slope(misread - m))), low, high, xtol=1e-15)
+    )
 
 
 def _turn_of(q: Floats) -> Floats:
@@ -466,7 +476,7 @@ def by_kind(chain: Chain, outputs: Outputs, setup: Setup) -> Floats:
         outputs: What the model says.
         setup: The scene.
     """
-    cost = chain.costs(outputs, setup)
+    cost = replace(chain, trust=None).costs(outputs, setup)
     return np.array(
         [np.mean(cost[at]) if np.any(at) else np.nan for at in (~chain.near, chain.near)]
     )

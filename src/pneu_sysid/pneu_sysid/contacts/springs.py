@@ -5,15 +5,10 @@ A body that does not yield has no such joint: a coordinate that nothing can move
 everything stiff.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from typing import Any
 
 from pneu_sim.mechanism.loading import mujoco_module
 from pneu_sysid.contacts.names import ADDED, AXES
-
-if TYPE_CHECKING:  # effects are made of these
-    from pneu_sysid.contacts.effects.base import Setup
 
 SETTLES_S = 0.002
 """Time constant of what yields: damping over stiffness."""
@@ -40,23 +35,23 @@ def joint_name(effect: str, body: str, axis: int) -> str:
     return f"{ADDED}{effect} {body}.{AXES[axis]}"
 
 
-def compliance(setup: Setup, effect: str, place: str) -> float:
+def compliance(spec: Any, effect: str, place: str) -> float:
     """How much an added joint yields; 0 where there is none.
 
     Args:
-        setup: The scene.
+        spec: An ``MjSpec``.
         effect: Which effect it is of.
         place: ``body.axis``.
     """
-    joint = setup.spec.joint(joint_name(effect, *place_of(place)))
+    joint = spec.joint(joint_name(effect, *place_of(place)))
     return 0.0 if joint is None else 1.0 / float(joint.stiffness[0])
 
 
-def add_spring(setup: Setup, effect: str, body: str, axis: int, value: float, slides: bool) -> None:
+def add_spring(spec: Any, effect: str, body: str, axis: int, value: float, slides: bool) -> None:
     """Makes a body yield against what carries it; where it yields nothing, takes the joint away.
 
     Args:
-        setup: The scene, changed in place.
+        spec: An ``MjSpec``, changed in place.
         effect: Which effect it is of.
         body: Name of the body.
         axis: Axis of its own.
@@ -65,14 +60,14 @@ def add_spring(setup: Setup, effect: str, body: str, axis: int, value: float, sl
     """
     kinds = mujoco_module().mjtJoint
     name = joint_name(effect, body, axis)
-    joint = setup.spec.joint(name)
+    joint = spec.joint(name)
     if value <= 0.0:
         if joint is not None:
-            setup.spec.delete(joint)
+            spec.delete(joint)
         return
     if joint is None:
         along = [float(k == axis) for k in range(3)]
         kind = kinds.mjJNT_SLIDE if slides else kinds.mjJNT_HINGE
-        joint = setup.spec.body(body).add_joint(name=name, type=kind, axis=along)
+        joint = spec.body(body).add_joint(name=name, type=kind, axis=along)
     joint.stiffness = [1.0 / value, 0.0, 0.0]
     joint.damping = [SETTLES_S / value, 0.0, 0.0]

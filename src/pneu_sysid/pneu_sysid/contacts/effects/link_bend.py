@@ -41,8 +41,8 @@ class LinkBend(SceneEffect):
         return out
 
     def value(self, setup: Setup, place: str) -> float:
-        return compliance(setup, self.name, place)
+        return compliance(setup.spec, self.name, place)
 
     def put(self, setup: Setup, place: str, value: float) -> None:
         body, axis = place_of(place)
-        add_spring(setup, self.name, body, axis, value, slides=False)
+        add_spring(setup.spec, self.name, body, axis, value, slides=False)

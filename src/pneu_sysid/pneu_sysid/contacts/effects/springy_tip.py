@@ -26,8 +26,8 @@ class SpringyTip(SceneEffect):
         return [f"{body.name}.{axis}" for body in bodies for axis in AXES]
 
     def value(self, setup: Setup, place: str) -> float:
-        return compliance(setup, self.name, place)
+        return compliance(setup.spec, self.name, place)
 
     def put(self, setup: Setup, place: str, value: float) -> None:
         body, axis = place_of(place)
-        add_spring(setup, self.name, body, axis, value, slides=True)
+        add_spring(setup.spec, self.name, body, axis, value, slides=True)
