@@ -108,7 +108,7 @@ class SceneCandidate(Result):
     unit: str
     """Unit of its strength."""
     score: Perhaps
-    """Cost that it would take away to first order, over all."""
+    """What it would add to the logarithm of the likelihood, to first order."""
     step: Perhaps
     """By how much it would change, to first order; its logarithm where that is estimated."""
     step_t: Perhaps

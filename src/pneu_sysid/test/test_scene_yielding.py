@@ -162,3 +162,15 @@ def test_where_nothing_bends_none_is_named(tmp_path: Path) -> None:
 def test_a_compliance_to_fit_needs_a_start(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"link_bend@hand\.y: value is missing"):
         arm(tmp_path, (Value(effect="link_bend", at="hand.y"),))
+
+
+def test_a_joint_that_is_added_is_weighed_as_the_scene_weighs_its_own(tmp_path: Path) -> None:
+    """A bend like the shoulder, a tip that slides like its moment at a tenth of a metre."""
+    for effect, share in (("link_bend", 1.0), ("springy_tip", 0.01)):
+        loaded = arm(tmp_path, (Value(effect=effect, at="hand.y", value=1e-3),))
+        model = loaded.setup(loaded.scene.values).spec.compile()
+        added = model.joint(joint_name(effect, "hand", 1)).id
+        theirs = loaded.scene.forces["shoulder"].along
+        norm = loaded.forces_of(model, added).along
+        assert theirs is not None and norm is not None
+        assert norm.norm().weight == pytest.approx(share * theirs.norm().weight)

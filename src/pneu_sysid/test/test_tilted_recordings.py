@@ -32,10 +32,10 @@ TILT = (0.03, -0.02)
 TURN = Rotation.from_rotvec([*TILT, 0.0])
 
 
-def leaning(at: str = "world") -> tuple[Value, ...]:
+def leaning() -> tuple[Value, ...]:
     return (
-        Value(effect="frame_tilt_x", at=at, value=TILT[0]),
-        Value(effect="frame_tilt_y", at=at, value=TILT[1]),
+        Value(effect="frame_tilt_x", at="world", value=TILT[0]),
+        Value(effect="frame_tilt_y", at="world", value=TILT[1]),
     )
 
 
@@ -109,7 +109,7 @@ def test_a_frame_that_leans_sees_a_floor_and_gravity_that_lean() -> None:
     assert np.max(np.abs(untold)) > 0.02 * weight
 
 
-def test_what_is_mounted_leans_and_what_moves_freely_does_not(tmp_path: Path) -> None:
+def test_what_is_mounted_leans_and_what_moves_freely_does_not() -> None:
     loaded = elbow(())
     setup = loaded.setup()
     world = setup.spec.worldbody

@@ -18,8 +18,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sysid.contacts.arrow import Arrow, Eliminated, eliminate
-from pneu_sysid.contacts.chain import LEAST, Chain, by_kind
+from pneu_sysid.contacts.arrow import Arrow, Eliminated, eliminate, jackknife
+from pneu_sysid.contacts.chain import LEAST, Chain
 from pneu_sysid.contacts.estimate import (
     Estimated,
     Parameter,
@@ -43,8 +43,8 @@ HALVINGS = 2
 """Of a step that makes nothing better."""
 SETTLED = 0.1
 """Standard errors: a step that is shorter is none."""
-FIRST = 1e-6
-"""Damping of the parameters' step, as a share of its Hessian's diagonal."""
+DAMPING = 1e-6
+"""Of the parameters' step, as a share of its Hessian's diagonal."""
 
 
 @dataclass
@@ -78,17 +78,6 @@ def likelihood(kinds: Floats, counts: Floats) -> float:
         counts: (chains, kinds) knots.
     """
     return float(np.nansum(counts * np.log(np.maximum(kinds, LEAST))))
-
-
-def kinds_of(problem: Problem, q: Sequence[Floats]) -> Floats:
-    """(chains, kinds) cost per knot of trajectories, far from everything and near something.
-
-    Args:
-        problem: The problem.
-        q: Trajectory of each chain.
-    """
-    said, _, setup = problem.outputs(State(tuple(q), problem.start()))
-    return np.array([by_kind(c, o, setup) for c, o in zip(problem.chains, said, strict=True)])
 
 
 def counts_of(chains: Sequence[Chain]) -> Floats:
@@ -164,11 +153,11 @@ def anew(
     """
     counts = counts_of(chains)
 
-    def told(chains: list[Chain], values: tuple[Value, ...], q: tuple[Floats, ...]) -> Floats:
-        return kinds_of(Problem(loaded, chains, values, [], physics), q)
+    def leaves(chains: list[Chain], values: tuple[Value, ...], q: tuple[Floats, ...]) -> Floats:
+        return Problem(loaded, chains, values, [], physics).kinds(State(q, np.zeros(0)))
 
     there, q, found = smoothed(loaded, chains, values, q, physics)
-    kinds = told(there, values, q)
+    kinds = leaves(there, values, q)
     now = likelihood(kinds, counts)
     history = [now]
     x, errors = np.zeros(0), np.full(len(parameters), np.inf)
@@ -186,7 +175,7 @@ def anew(
             tried = problem.valued(x + 0.5**halving * step)
             drawn = redrawn(loaded, there, tracks, tried, physics)
             others, at, estimated = smoothed(loaded, there, tried, drawn, physics)
-            left_over = told(others, tried, at)
+            left_over = leaves(others, tried, at)
             cost = likelihood(left_over, counts)
             if cost < now:
                 better = (tried, others, at, estimated, left_over, cost)
@@ -218,19 +207,14 @@ def _steps(problem: Problem, state: State) -> tuple[list[Floats], Floats]:
     )
 
     def within(hessian: Floats, slope: Floats) -> Floats:
-        step = bounded(hessian, slope, FIRST, low - state.x, high - state.x)
+        step = bounded(hessian, slope, DAMPING, low - state.x, high - state.x)
         if step is None:
             return np.zeros(len(state.x))
         return np.asarray(step / max(1.0, float(np.max(np.abs(step) / reach))))
 
     ways = [within(whole, slope)]
-    n = len(H)
-    if n < 2:
-        return ways, np.sqrt(np.maximum(np.diag(np.linalg.pinv(whole)), 0.0))
-    alone = [within(h + known, b + known_slope) for h, b in zip(H, g, strict=True)]
-    ways.append(np.median(alone, axis=0))
-    without = np.array(
-        [-np.linalg.pinv(whole - h) @ (slope - b) for h, b in zip(H, g, strict=True)]
-    )
-    spread = np.sum((without - without.mean(axis=0)) ** 2, axis=0)
-    return ways, np.asarray(np.sqrt((n - 1) / n * spread))
+    errors = jackknife(H, g, known, known_slope)
+    if len(H) > 1:
+        alone = [within(h + known, b + known_slope) for h, b in zip(H, g, strict=True)]
+        ways.append(np.median(alone, axis=0))
+    return ways, errors

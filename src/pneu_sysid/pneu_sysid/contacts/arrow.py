@@ -174,3 +174,42 @@ def eliminate(arrow: Arrow, damping: float = 0.0) -> Eliminated | None:
 def _seen(left: Floats, told: Floats) -> Floats:
     """A Hessian of zeros that can be inverted."""
     return np.asarray(left + LEAST_SEEN * np.diag(np.diag(told)))
+
+
+def inverse(matrix: Floats) -> Floats:
+    """Inverse of a Hessian whose columns differ by orders; of what is seen.
+
+    Args:
+        matrix: (c, c).
+    """
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.asarray(
+        np.linalg.pinv(matrix / np.outer(scale, scale), 1e-10) / np.outer(scale, scale)
+    )
+
+
+def jackknife(
+    hessians: Floats, slopes: Floats, known: Floats | None = None, pull: Floats | None = None
+) -> Floats:
+    """Standard errors of parameters, by leaving out one recording after another, to first order.
+
+    Args:
+        hessians: (n, c, c) of each recording, its trajectory taken out.
+        slopes: (n, c).
+        known: (c, c) Hessian of what is known of them beforehand.
+        pull: (c,) its slope.
+
+    Returns:
+        (c,); of one recording what the curvature tells, were the norms what they say.
+    """
+    n, c = slopes.shape
+    whole = hessians.sum(axis=0) + (0.0 if known is None else known)
+    slope = slopes.sum(axis=0) + (0.0 if pull is None else pull)
+    if not c:
+        return np.zeros(0)
+    if n < 2:
+        return np.sqrt(np.maximum(np.diag(inverse(whole)), 0.0))
+    left = np.array(
+        [-inverse(whole - h) @ (slope - g) for h, g in zip(hessians, slopes, strict=True)]
+    )
+    return np.asarray(np.sqrt((n - 1) / n * np.sum((left - left.mean(axis=0)) ** 2, axis=0)))

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sysid.contacts.anew import kinds_of, left, trusted
+from pneu_sysid.contacts.anew import left, trusted
+from pneu_sysid.contacts.arrow import inverse, jackknife
 from pneu_sysid.contacts.estimate import Parameter, Problem, State
 
 Floats = NDArray[np.float64]
@@ -55,13 +56,11 @@ class Scores:
         scores: Each, the one of largest gain first.
         alike: (K, K) cosines between what is left of their columns.
         gain: What the fitted parameters alone would still add to it.
-        cost: The cost.
     """
 
     scores: list[SceneScore]
     alike: Floats
     gain: float
-    cost: float
 
 
 def scored(problem: Problem, state: State, candidates: Sequence[Parameter]) -> Scores:
@@ -77,50 +76,35 @@ def scored(problem: Problem, state: State, candidates: Sequence[Parameter]) -> S
     """
     c = len(problem.parameters)
     wider = problem.fitting([*problem.parameters, *candidates])
-    wider.chains = trusted(problem.chains, kinds_of(problem, state.q))
+    wider.chains = trusted(problem.chains, problem.kinds(state))
     x = wider.start()
     arrows = wider.arrows(State(state.q, x))
     gone = left(arrows)
     H = np.array([e.hessian for e in gone])
     g = np.array([e.slope for e in gone])
     _, prior_slope, prior_bend = problem.prior(state.x)
-    known = np.zeros(g.shape[1])
-    known[:c] = prior_bend
-    start = np.zeros(g.shape[1])
-    start[:c] = prior_slope
-    whole, slope = H.sum(axis=0) + np.diag(known), g.sum(axis=0) + start
+    none = np.zeros(len(candidates))
+    known, pull = np.diag(np.append(prior_bend, none)), np.append(prior_slope, none)
+    whole, slope = H.sum(axis=0) + known, g.sum(axis=0) + pull
     base = _gain(whole[:c, :c], slope[:c])
-    own = whole[c:, c:] - whole[c:, :c] @ _inverse(whole[:c, :c]) @ whole[:c, c:]
+    own = whole[c:, c:] - whole[c:, :c] @ inverse(whole[:c, :c]) @ whole[:c, c:]
     scores = []
     for k, candidate in enumerate(candidates):
         at = [*range(c), c + k]
-        here = whole[np.ix_(at, at)]
-        step = -_inverse(here) @ slope[at]
-        without = []
-        for r in range(len(g)):
-            rest = here - H[r][np.ix_(at, at)]
-            without.append(float((-_inverse(rest) @ (slope[at] - g[r][at]))[-1]))
-        n = len(without)
-        spread = np.array(without) - np.mean(without)
-        error = float(np.sqrt((n - 1) / n * np.sum(spread**2))) if n > 1 else np.inf
+        block = np.ix_(at, at)
+        here = whole[block]
+        step = -inverse(here) @ slope[at]
+        errors = jackknife(H[:, at][:, :, at], g[:, at], known[block], pull[at])
         share = float(own[k, k] / whole[c + k, c + k]) if whole[c + k, c + k] > 0.0 else 0.0
         gain = _gain(here, slope[at]) - base if share > SEEN else 0.0
         if step[-1] < 0.0 and not candidate.effect.logarithmic and x[c + k] <= candidate.lower:
             gain = 0.0  # what is nothing cannot be less
-        scores.append(SceneScore(candidate, float(step[-1]), error, gain, share))
+        scores.append(SceneScore(candidate, float(step[-1]), float(errors[-1]), gain, share))
     scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
     order = np.argsort([-s.gain for s in scores])
     alike = (own / np.outer(scale, scale))[np.ix_(order, order)]
-    return Scores([scores[i] for i in order], alike, base, sum(a.cost for a in arrows))
-
-
-def _inverse(matrix: Floats) -> Floats:
-    """Inverse of a Hessian whose columns differ by orders; of what is seen."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return np.asarray(
-        np.linalg.pinv(matrix / np.outer(scale, scale), 1e-10) / np.outer(scale, scale)
-    )
+    return Scores([scores[i] for i in order], alike, base)
 
 
 def _gain(hessian: Floats, slope: Floats) -> float:
-    return float(0.5 * slope @ _inverse(hessian) @ slope) if len(slope) else 0.0
+    return float(0.5 * slope @ inverse(hessian) @ slope) if len(slope) else 0.0

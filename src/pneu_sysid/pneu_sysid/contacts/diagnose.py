@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats.mstats import trimmed_mean, trimmed_stde
 
+from pneu_sysid.contacts.anew import STEPS
 from pneu_sysid.contacts.candidates import SceneScore, Scores, scored
-from pneu_sysid.contacts.chain import LEAST, Chain, by_kind
+from pneu_sysid.contacts.chain import LEAST, Chain
 from pneu_sysid.contacts.estimate import (
     Parameter,
     Problem,
@@ -42,10 +43,8 @@ POLISHED = 5
 """Steps of parameters to what predicts best, at most."""
 TURNS = 2
 """Of what trajectories tell and what predicts best, one after the other."""
-AGAIN = 8
-"""Steps of what trajectories tell of the scene as it is, at most, in each turn."""
 CANDIDATE_STEPS = 2
-"""The same with a candidate, which begins at its score."""
+"""Of what trajectories tell with a candidate, in each turn: it begins at its score."""
 WORTH = 0.02
 """Share by which the cost of what is kept aside must fall."""
 SURE = 2.5
@@ -191,9 +190,7 @@ def left_aside(
     """
     problem = Problem(fit.loaded, chains, fit.values, [], physics, centred=False)
     found = estimate(problem, State(q, problem.start()), ITERATIONS, enough=ENOUGH)
-    outputs, _, setup = problem.outputs(found.state)
-    kinds = np.array([by_kind(c, o, setup) for c, o in zip(chains, outputs, strict=True)])
-    return Aside(list(chains), found.state.q, found.costs, kinds)
+    return Aside(list(chains), found.state.q, found.costs, problem.kinds(found.state))
 
 
 def diagnose_scene(
@@ -317,7 +314,7 @@ class _Judge:
     def base(self) -> tuple[SceneFit, Aside]:
         """The scene as it is, fitted, and what it leaves aside."""
         chains, q = begun(self.loaded, self.used, self.values, self.physics)
-        fit = self._fitted(chains, q, self.values, AGAIN)
+        fit = self._fitted(chains, q, self.values)
         return fit, self.left(fit)
 
     def _fitted(
@@ -325,7 +322,7 @@ class _Judge:
         chains: Sequence[Chain],
         q: tuple[Floats, ...],
         values: tuple[Value, ...],
-        steps: int,
+        steps: int = STEPS,
         also: Parameter | None = None,
         scales: Floats | None = None,
     ) -> SceneFit:

@@ -18,7 +18,7 @@ from scipy.linalg import cholesky
 from scipy.optimize import lsq_linear
 
 from pneu_sysid.contacts.arrow import Arrow, Eliminated, eliminate
-from pneu_sysid.contacts.chain import Chain, Outputs
+from pneu_sysid.contacts.chain import Chain, Outputs, by_kind
 from pneu_sysid.contacts.effects import find_scene_effect
 from pneu_sysid.contacts.effects.base import SceneEffect, Setup
 from pneu_sysid.contacts.physics import Physics
@@ -231,6 +231,15 @@ class Problem:
         total = sum(c.cost(o, setup) for c, o in zip(self.chains, said, strict=True))
         cost = total + self.prior(state.x)[0]
         return cost if np.isfinite(cost) else np.inf
+
+    def kinds(self, state: State) -> Floats:
+        """(chains, kinds) cost per knot, far from everything and near something; NaN without one.
+
+        Args:
+            state: Trajectories and parameters.
+        """
+        said, _, setup = self.outputs(state)
+        return np.array([by_kind(c, o, setup) for c, o in zip(self.chains, said, strict=True)])
 
     def prior(self, x: Floats) -> tuple[float, Floats, Floats]:
         """Cost of what is known of parameters, its gradient, and the diagonal of its Hessian.

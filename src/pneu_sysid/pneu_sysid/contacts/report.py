@@ -164,7 +164,7 @@ def _candidates(diagnosis: SceneDiagnoseResult | None) -> Markup:
     first = table("Refitted, and judged by recordings kept aside", head, rows, class_="ranking")
     if not others:
         return first
-    score = tag("th", "cost it would take away", scope="col", class_="num")
+    score = tag("th", "log-likelihood it would add", scope="col", class_="num")
     second = table("To first order, over all recordings fitted", ["effect", score], others)
     return join(first, tag("details", tag("summary", "Candidates that were only scored"), second))
 

@@ -17,10 +17,11 @@ from pneu_common.validation import Listed, Settings, sentence
 from pneu_sim.mechanism.loading import mujoco_module
 from pneu_sysid.contacts.effects import find_scene_effect
 from pneu_sysid.contacts.effects.base import Reading, SceneEffect, Setup
-from pneu_sysid.contacts.names import ADDED
 from pneu_sysid.contacts.norms import Norm
 
 SCHEMA_VERSION = 1
+LEVER_M = 0.1
+"""Of a force that is weighed like a moment, where a scene says nothing of forces."""
 
 Positive = Annotated[float, Field(gt=0.0)]
 Names = Annotated[tuple[str, ...], Listed]
@@ -366,28 +367,35 @@ class Loaded:
         Args:
             model: A model of the scene.
             joint: Number of the joint.
-
-        Raises:
-            InputError: The scene has no joint to go by.
         """
         name = model.joint(joint).name
         if name in self.scene.forces:
             return self.scene.forces[name]
         slides = int(model.jnt_type[joint]) == 2
-        known: list[tuple[NormSettings, float]] = []
-        for other, force in self.scene.forces.items():
-            kind = int(model.jnt_type[model.joint(other).id])
-            alike = {0: force.translation if slides else force.rotation, 1: force.rotation}
-            norm = alike.get(kind, force.along)
-            if norm is not None and (slides or kind != 2) and (not slides or kind in (0, 2)):
-                known.append((norm, force.of_contact))
-        if not known:
-            raise InputError(
-                f"forces: none of the scene's joints {'slides' if slides else 'turns'}, as"
-                f" {name.removeprefix(ADDED)} does: how it is weighed is not known"
-            )
-        norm, share = max(known, key=lambda k: k[0].norm().weight)
-        return ForceSettings(along=norm, of_contact=share)
+        known = [norm for norm in self._forces(model) if norm[0] == slides]
+        lever = 1.0
+        if not known:  # by what a force is worth as a moment, or a moment as a force
+            known = self._forces(model)
+            lever = LEVER_M if slides else 1.0 / LEVER_M
+        _, norm, share = max(known, key=lambda k: k[1].norm().weight)
+        at = norm.norm()
+        width = at.width / lever if np.isfinite(at.width) else None
+        along = NormSettings(weight=at.weight * lever**2, kind=at.kind, width=width)
+        return ForceSettings(along=along, of_contact=share)
+
+    def _forces(self, model: Any) -> list[tuple[bool, NormSettings, float]]:
+        """Whether a norm is of forces rather than moments, the norm, and the share of contacts."""
+        out = []
+        for name, force in self.scene.forces.items():
+            slides = int(model.jnt_type[model.joint(name).id]) == 2
+            for norm, linear in (
+                (force.translation, True),
+                (force.rotation, False),
+                (force.along, slides),
+            ):
+                if norm is not None:
+                    out.append((linear, norm, force.of_contact))
+        return out
 
     def setup(self, values: tuple[Value, ...] = ()) -> Setup:
         """The scene as a model is made from it.

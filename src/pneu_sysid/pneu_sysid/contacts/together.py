@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_sysid.contacts.arrow import jackknife
 from pneu_sysid.contacts.chain import Chain
 from pneu_sysid.contacts.estimate import (
     Estimated,
@@ -124,27 +125,18 @@ def joint(
             break
     unsettled = "The estimate did not settle; more iterations may help."
     return SceneFit(
-        loaded, found.values, parameters, found.state.x, jackknife(found), list(chains),
-        found.state.q, found, None, found.costs / readings, [] if found.converged else [unsettled],
-    )  # fmt: skip
-
-
-def jackknife(found: Estimated) -> Floats:
-    """(c,) standard errors of an estimate's parameters, by leaving out one chain after another.
-
-    Args:
-        found: The estimate.
-    """
-    n, c = found.slope.shape
-    if not c:
-        return np.zeros(0)
-    if n < 2:  # what the curvature of the cost tells, were the norms what they say
-        return np.sqrt(np.maximum(np.diag(np.linalg.pinv(found.hessian.sum(axis=0))), 0.0))
-    H, g = found.hessian.sum(axis=0), found.slope.sum(axis=0)
-    left = np.array(
-        [-np.linalg.pinv(H - h) @ (g - b) for h, b in zip(found.hessian, found.slope, strict=True)]
+        loaded=loaded,
+        values=found.values,
+        parameters=parameters,
+        x=found.state.x,
+        std_errors=jackknife(found.hessian, found.slope),
+        chains=list(chains),
+        q=found.state.q,
+        estimated=found,
+        scales=None,
+        loss=found.costs / readings,
+        notes=[] if found.converged else [unsettled],
     )
-    return np.asarray(np.sqrt((n - 1) / n * np.sum((left - left.mean(axis=0)) ** 2, axis=0)))
 
 
 def readings_of(chain: Chain) -> int:
