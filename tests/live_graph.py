@@ -78,8 +78,12 @@ class Graph:
             self.listen(DiagnosticArray, "/diagnostics", 10)
         return len(self.got["/diagnostics"])
 
-    def wait_until_told(self, part, text, since=0, seconds=6.0):
-        """Waits until the diagnostics of a part contain a text, or one of several; the status."""
+    def wait_until_told(self, part, text, since=0, seconds=6.0, level=None):
+        """Waits until the diagnostics of a part contain a text, or one of several; the status.
+
+        With a level, those of that level alone: what was published before a fault was seen is no
+        answer to it.
+        """
         texts = (text,) if isinstance(text, str) else text
         found = []
 
@@ -88,7 +92,9 @@ class Graph:
                 status
                 for message in self.got["/diagnostics"][since:]
                 for status in message.status
-                if status.name.endswith(part) and any(one in status.message for one in texts)
+                if status.name.endswith(part)
+                and any(one in status.message for one in texts)
+                and level in (None, status.level)
             ]
             return found
 

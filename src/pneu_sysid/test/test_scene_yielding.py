@@ -152,6 +152,7 @@ def test_a_link_that_bends_is_named_and_sized(tmp_path: Path) -> None:
     assert float(joint.stiffness[0]) == pytest.approx(1.0 / bend.strength)
 
 
+@pytest.mark.long
 def test_where_nothing_bends_none_is_named(tmp_path: Path) -> None:
     loaded = arm(tmp_path)
     tracks = [swung(loaded, (), 1.0, seed) for seed in range(4, 8)]
