@@ -135,7 +135,8 @@ def _free(model: Any) -> Ints:
 def guess(loaded: Loaded, track: Track, t: Floats, model: Any) -> Floats:
     """(n, nq) configurations as sensors of position alone tell them; the MJCF's where none does.
 
-    Joints are where their encoders say, bodies that move freely where a frame on them is seen, and
+    Joints are where their encoders say, also those that an encoder tells with others, by a fixed
+    tendon; bodies that move freely where a frame on them is seen, and
     where its zero is the recording's own, so that they touch what is fixed.
 
     Args:
@@ -149,6 +150,8 @@ def guess(loaded: Loaded, track: Track, t: Floats, model: Any) -> Floats:
     where: dict[int, Floats] = {}
     turned: dict[int, Floats] = {}
     unzeroed: list[tuple[int, int, int]] = []
+    told: set[int] = set()
+    together: list[tuple[int, Floats]] = []
     kinds = mujoco.mjtSensor
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -159,6 +162,9 @@ def guess(loaded: Loaded, track: Track, t: Floats, model: Any) -> Floats:
         kind, thing = int(model.sensor_type[sensor]), int(model.sensor_objid[sensor])
         if kind == kinds.mjSENS_JOINTPOS:
             q[:, model.jnt_qposadr[thing]] = track.sensors[name].smooth(t)[:, 0]
+            told.add(thing)
+        elif kind == kinds.mjSENS_TENDONPOS:
+            together.append((thing, track.sensors[name].smooth(t)[:, 0]))
         elif kind in (kinds.mjSENS_FRAMEPOS, kinds.mjSENS_FRAMEQUAT):
             if int(model.sensor_refid[sensor]) >= 0:
                 continue
@@ -180,6 +186,7 @@ def guess(loaded: Loaded, track: Track, t: Floats, model: Any) -> Floats:
                     (joint, address, AXES.index(axis))
                     for axis in loaded.scene.sensors[name].unzeroed
                 ]
+    _untangle(q, told, together, model)
     for address, place in where.items():
         if np.any(place):
             at = q[:, address + 3 : address + 7]
@@ -189,6 +196,39 @@ def guess(loaded: Loaded, track: Track, t: Floats, model: Any) -> Floats:
     for joint, address, component in unzeroed:
         q[:, address + component] += touching_down(q, joint, component, model)
     return q
+
+
+def _untangle(q: Floats, told: set[int], together: list[tuple[int, Floats]], model: Any) -> None:
+    """Puts joints where encoders of fixed tendons say, those with encoders of their own held.
+
+    Args:
+        q: (n, nq) configurations, changed in place.
+        told: Joints with encoders of their own.
+        together: Tendons, and (n,) how long each was read.
+        model: The model.
+    """
+    rows, lengths = [], []
+    of_joint = int(mujoco_module().mjtWrap.mjWRAP_JOINT)
+    for tendon, length in together:
+        first = int(model.tendon_adr[tendon])
+        at = range(first, first + int(model.tendon_num[tendon]))
+        if any(int(model.wrap_type[k]) != of_joint for k in at):
+            continue  # its way through space tells no joint
+        row = np.zeros(int(model.njnt))
+        for k in at:
+            row[int(model.wrap_objid[k])] += float(model.wrap_prm[k])
+        rows.append(row)
+        lengths.append(length)
+    if not rows:
+        return
+    by = np.array(rows)
+    free = [j for j in np.flatnonzero(by.any(axis=0)) if int(j) not in told]
+    if not free:
+        return
+    addresses = model.jnt_qposadr
+    known = [j for j in range(int(model.njnt)) if by[:, j].any() and j not in free]
+    left = np.array(lengths) - by[:, known] @ q[:, addresses[known]].T
+    q[:, addresses[free]] = (np.linalg.pinv(by[:, free]) @ left).T
 
 
 def _frame(mujoco: Any, model: Any, data: Any, kind: int, thing: int) -> tuple[int, Floats, Floats]:
