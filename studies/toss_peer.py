@@ -8,10 +8,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pneu_sysid.contacts.estimate import parameters_of
 from pneu_sysid.contacts.foresee import Foreseen
+from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.scene import Loaded, Value
+
+FIRST = 8
+"""Readings by which a recording's own zero is told."""
 
 
 def available() -> bool:
@@ -21,6 +26,29 @@ def available() -> bool:
     except ImportError:
         return False
     return hasattr(sysid, "optimize")
+
+
+def zero(foreseen: Foreseen, sensor: str, model: Any) -> NDArray[np.float64]:
+    """(w,) the recording's own zero of a sensor, as it begins; zero where it has none.
+
+    ``mujoco.sysid`` has no zeros that differ from one recording to the next.
+
+    Args:
+        foreseen: The recording, foretold: it begins as it was read, but for that zero.
+        sensor: The sensor.
+        model: The model that foretold it.
+    """
+    chain = foreseen.chain
+    channel = next(c for c in chain.channels if c.name == sensor)
+    out = np.zeros(channel.width)
+    if channel.unzeroed:
+        first = channel.knots[:FIRST]
+        said = Physics(1).evaluate(model, foreseen.motion.whole(chain.start))[1]
+        should = said[first, channel.address : channel.address + channel.width]
+        read = foreseen.track.sensors[sensor].at(chain.time_s[first])
+        at = list(channel.unzeroed)
+        out[at] = np.median(read - should, axis=0)[at]
+    return out
 
 
 def fitted(
@@ -58,11 +86,12 @@ def fitted(
 
     states, controls, readings, names = [], [], [], []
     for f in begun:
-        series = [f.track.sensors[name] for name in loaded.names]
-        t = series[0].time_s
+        t = f.track.sensors[loaded.names[0]].time_s
         states.append(sysid.create_initial_state(model, f.motion.q[0], f.motion.v[0]))
         controls.append(sysid.TimeSeries(t - t[0], np.zeros((len(t), model.nu)), {}))
-        table = np.concatenate([s.values for s in series], axis=1)
+        table = np.concatenate(
+            [f.track.sensors[name].values - zero(f, name, model) for name in loaded.names], axis=1
+        )
         readings.append(
             sysid.TimeSeries.from_names(t - t[0], table, model, names=list(loaded.names))
         )

@@ -75,6 +75,21 @@ def with_authors(loaded: Loaded, thing: Object) -> tuple[Value, ...]:
     return tuple(given.values())
 
 
+FRAMES = ("frame_tilt_x", "frame_tilt_y")
+"""Effects that say of the recordings' frame what their authors do not."""
+
+
+def in_frame(values: tuple[Value, ...], fitted: tuple[Value, ...]) -> tuple[Value, ...]:
+    """Values in a frame that stands as it was found.
+
+    Args:
+        values: They.
+        fitted: Those that were found.
+    """
+    found = {(v.effect, v.at): v for v in fitted if v.effect in FRAMES}
+    return tuple(found.get((v.effect, v.at), v) for v in values)
+
+
 def row(name: str, thing: Object, foreseen: list[Foreseen]) -> str:
     """A line of the table of what was foretold.
 
@@ -161,6 +176,11 @@ def section(
     tell("fitting")
     fit = fit_scene(loaded, used, physics=physics)
     rows.append(row("fitted", thing, foresee(loaded, others, fit.values)))
+    if any(v.effect in FRAMES for v in fit.values):
+        theirs = in_frame(with_authors(loaded, thing), fit.values)
+        rows.insert(
+            1, row("the authors' friction, frame as fitted", thing, foresee(loaded, others, theirs))
+        )
     tell("diagnosing")
     found: SceneDiagnosis = diagnose_scene(loaded, tracks, fit.values, physics, tell)
     lines = [
