@@ -14,8 +14,7 @@ import math
 import signal
 import sys
 import time
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
@@ -25,9 +24,6 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Bool
-from std_srvs.srv import Trigger
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes.common import (
@@ -44,28 +40,23 @@ from pneu_graph.nodes.lifetime import initialised
 from pneu_hw_bridge.device_clock import DeviceClock
 from pneu_hw_bridge.link import Link, Sample
 from pneu_hw_bridge.modbus.bus import ModbusBus
+from pneu_hw_bridge.nodes.emergency import Emergency
 from pneu_hw_bridge.nodes.readings import ReadingsPublisher
 from pneu_hw_bridge.nodes.settings import BridgeParameters
 from pneu_hw_bridge.nodes.signals import told, topics_of
 from pneu_hw_bridge.nodes.writers import competing
 from pneu_hw_bridge.priority import precedence
 from pneu_hw_bridge.registers.load import load_register_map
-from pneu_hw_bridge.registers.schema import Device
 from pneu_hw_bridge.safety.bound import Bound, bound, check
 from pneu_hw_bridge.safety.lateness import Lateness
 from pneu_hw_bridge.safety.limits import limits_of
-from pneu_hw_bridge.safety.memory import Memory
 from pneu_hw_bridge.safety.stops import stops_of
-from pneu_hw_bridge.safety.supervisor import Latches, State, Supervisor
-from pneu_hw_bridge.stopping import StopListener, call_all
+from pneu_hw_bridge.safety.supervisor import State, Supervisor
 from pneu_sim import topics
 from pneu_sim.rig import load_rig
 
 LOOK_S = 0.05
 """How often publishers of the command topic are counted."""
-
-MOST_CALLS = 64
-"""Calls for a stop that the node has still to hear of."""
 
 SWITCH_S = 5e-4
 """So long a thread may keep another one waiting that wants to run Python."""
@@ -80,14 +71,6 @@ NO_WATCHDOG = (
     "its register map has no device.watchdog_s: if this bridge is killed or its line cut, the"
     " valves STAY AS THEY ARE"
 )
-
-E_STOP_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-"""A state that late joiners must learn."""
 
 
 class ValveBridge(LifecycleNode):
@@ -109,7 +92,6 @@ class ValveBridge(LifecycleNode):
                 "use_sim_time: found true; real valves and sensors keep the machine's time"
             )
         self.add_on_set_parameters_callback(self._check_parameters)
-        self._latches = Latches()
         self._lateness = Lateness()
         self._bus: ModbusBus | None = None
         self._link: Link | None = None
@@ -121,24 +103,10 @@ class ValveBridge(LifecycleNode):
         self._unwatched: list[str] = []
         self._commands: list[topics.Topic] = []
         self._writers: dict[str, list[bytes]] = {}
-        self._driving = False
         self._commander = ""
-        self._e_stop = self.create_publisher(Bool, "e_stop", E_STOP_QOS)
         self._applied = self.create_publisher(ValveCommand, topics.APPLIED_TOPIC, READINGS_QOS)
-        self.create_service(Trigger, "~/e_stop", self._on_e_stop)
-        self.create_service(Trigger, "~/reset_e_stop", self._on_reset)
+        self._emergency = Emergency(self, self._stop, self._reset)
         self._diagnostics = Diagnostics(self, self._report)
-        self._memory: Memory | None = None
-        self._device = ""
-        self._calls: deque[Mapping[str, Any]] = deque(maxlen=MOST_CALLS)
-        self._called = self.create_guard_condition(self._on_called)
-        self._ear: StopListener | None = None
-        try:
-            self._ear = StopListener(self.get_fully_qualified_name(), self._on_call)
-        except OSError as error:
-            self.get_logger().error(f"'pneu stop' cannot reach this bridge: {error}")
-        self.create_subscription(Bool, "e_stop", self._on_stop_of_others, E_STOP_QOS)
-        self._say_e_stop()
 
     def start_if_asked(self) -> None:
         """Configures and activates where the parameter ``autostart`` says so.
@@ -181,11 +149,11 @@ class ValveBridge(LifecycleNode):
                 None if rig is None else stops_of(rig),
             )
             check(registers, limits, 1.0 / settings.rate_hz, settings.timeout_s)
-            self._recall(registers.device)
+            self._emergency.recall(registers.device.where)
             arrived = self.create_guard_condition(self._on_samples)
             self._entities.append((self.destroy_guard_condition, arrived))
             self._link = Link(
-                Supervisor(limits, self._latches),
+                Supervisor(limits, self._emergency.latches),
                 arrived.trigger,
                 max(1, round(settings.rate_hz / settings.publish_rate_hz)),
                 registers.clock is not None,
@@ -241,8 +209,8 @@ class ValveBridge(LifecycleNode):
         """
         if self._link is not None:
             self._look_around()
-            self._driving = True
-            self._keep()  # before anything can move
+            self._emergency.driving = True
+            self._emergency.keep()  # before anything can move
             self._link.enable(True)
         return super().on_activate(state)
 
@@ -299,8 +267,8 @@ class ValveBridge(LifecycleNode):
             return True
         self._link.enable(False)
         vented = self._bus.vent()
-        self._driving = False
-        self._keep()
+        self._emergency.driving = False
+        self._emergency.keep()
         if vented.verified:
             self.get_logger().info(
                 f"{why}: vented in {1e3 * vented.duration_s:.1f} ms, {vented.message}"
@@ -318,8 +286,7 @@ class ValveBridge(LifecycleNode):
             self.vent("end")
         finally:
             self._close()
-            if self._ear is not None:
-                self._ear.close()
+            self._emergency.close()
 
     def _close(self) -> None:
         """Closes the bus and destroys what configuring created."""
@@ -401,7 +368,7 @@ class ValveBridge(LifecycleNode):
             else:
                 self.get_logger().info(text)
         if changes:
-            self._keep()
+            self._emergency.keep()
             self._diagnostics.publish()
 
     def _is_known(self, topic: topics.Topic, gid: dict[str, Any] | None) -> bool:
@@ -453,99 +420,21 @@ class ValveBridge(LifecycleNode):
         """
         link, bus = self._link, self._bus
         if link is None or bus is None:
-            self._latches.e_stop = self._latches.e_stop or reason
+            latches = self._emergency.latches
+            latches.e_stop = latches.e_stop or reason
             return True, "latched; the bus is not open"
         link.e_stop(reason)
         vented = bus.vent()
         return vented.verified, vented.message
 
-    def _on_e_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        del request
-        response.success, response.message = self._stop("called for by service")
-        self._after_stop()
-        return response
-
-    def _on_call(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Stops on a word to the socket, in its thread; the node learns of it afterwards."""
-        device, space = asked.get("device"), asked.get("namespace")
-        shared = device is None and space is None  # all are meant
-        if not (shared or device == self._device or space == self.get_namespace()):
-            return {}
-        before = self._latches.e_stop
-        safe, message = self._stop(str(asked.get("reason") or "called for"))
-        self._calls.append({"passed": "by" in asked, "before": before})
-        self._called.trigger()
-        return {"bridge": self.get_fully_qualified_name(), "safe": safe, "message": message}
-
-    def _on_called(self) -> None:
-        while self._calls:
-            call = self._calls.popleft()
-            if not call["before"]:
-                self._after_stop(pass_on=not call["passed"])
-
-    def _on_stop_of_others(self, message: Bool) -> None:
-        """Obeys the stop of another bridge in the namespace."""
-        if message.data and not self._latches.e_stop:
-            self._stop("another bridge of this namespace was stopped")
-            self._after_stop()
-
-    def _after_stop(self, pass_on: bool = True) -> None:
-        """Tells all who have to know: the graph, the next start, whoever shares the device."""
-        self._say_e_stop()
-        self._keep()
-        if pass_on:
-            call_all(
-                {
-                    "reason": f"{self.get_fully_qualified_name()}: {self._latches.e_stop}",
-                    "by": self.get_fully_qualified_name(),
-                    "device": self._device,
-                    "namespace": self.get_namespace(),
-                },
-                but=self._ear.path if self._ear is not None else None,
-            )
-
-    def _recall(self, device: Device) -> None:
-        """Remembers what was latched when the bridge before ended."""
-        self._device = device.where
-        self._memory = Memory(self.get_fully_qualified_name(), self._device)
-        before = self._memory.recall()
-        if before.e_stop or before.trip:
-            self.get_logger().error(
-                f"stopped before this start, and not reset: {before.e_stop or before.trip}"
-            )
-        self._latches.e_stop = self._latches.e_stop or before.e_stop
-        self._latches.trip = self._latches.trip or before.trip
-        self._say_e_stop()
-
-    def _keep(self) -> None:
-        """Keeps for the next start what must not be forgotten."""
-        if self._memory is None:
-            return
-        try:
-            self._memory.keep(self._latches, self._driving)
-        except OSError as error:
-            self.get_logger().error(
-                f"a stop would be forgotten by a restart: {error}", throttle_duration_sec=10.0
-            )
-
-    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        del request
-        if self._link is None:
-            refused = ""
-            if self._latches.trip:
-                refused = "the bus is not open, so the pressures are not known"
-            else:
-                self._latches.e_stop = ""
-        else:
-            refused = self._link.reset()
-        response.success = not refused
-        response.message = refused or "released; the next command is followed"
-        self._keep()
-        self._say_e_stop()
-        return response
-
-    def _say_e_stop(self) -> None:
-        self._e_stop.publish(Bool(data=bool(self._latches.e_stop)))
+    def _reset(self) -> str:
+        """Releases the stop; returns why not, or nothing."""
+        if self._link is not None:
+            return self._link.reset()
+        if self._emergency.latches.trip:
+            return "the bus is not open, so the pressures are not known"
+        self._emergency.latches.e_stop = ""
+        return ""
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         for parameter in parameters:
@@ -561,8 +450,14 @@ class ValveBridge(LifecycleNode):
         name = self.get_name()
         link, bus = self._link, self._bus
         if link is None or bus is None:
-            level = DiagnosticStatus.ERROR if self._latches.e_stop else DiagnosticStatus.OK
-            message = f"e-stop: {self._latches.e_stop}" if self._latches.e_stop else "not open"
+            level = (
+                DiagnosticStatus.ERROR if self._emergency.latches.e_stop else DiagnosticStatus.OK
+            )
+            message = (
+                f"e-stop: {self._emergency.latches.e_stop}"
+                if self._emergency.latches.e_stop
+                else "not open"
+            )
             return [status(level, f"{name}: safety", message, {}, "modbus")]
         report = link.report()
         level = {
