@@ -27,6 +27,8 @@ setup(
         "console_scripts": [
             "valve_bridge = pneu_hw_bridge.nodes.valve_bridge:main",
             "kokoro_bridge = pneu_hw_bridge.nodes.valve_bridge:main",
+            "phantom_bridge = pneu_hw_bridge.nodes.phantom_bridge:main",
+            "hand_lab = pneu_hw_bridge.nodes.hand_lab:main",
         ],
         "pneu.commands": ["3-lab = pneu_hw_bridge.commands:register"],
         "pneu.at_once": ["stop = pneu_hw_bridge.stop_command:at_once"],

@@ -26,6 +26,7 @@ setup(
     entry_points={
         "console_scripts": [
             "simulator = pneu_sim.nodes.simulator:main",
+            "hand_simulator = pneu_sim.nodes.hand_simulator:main",
             "robot_view = pneu_sim.nodes.robot_view:main",
         ],
         "pneu.commands": ["1-sim = pneu_sim.commands:register"],

@@ -223,23 +223,41 @@ def restart(control_port: ControlPort = CONTROL_PORT, ready_file: ReadyFile = No
 
 
 def seal_effects(
-    effects: Annotated[Path, typer.Argument(help="YAML list of effect, place, parameters.")],
+    effects: Annotated[
+        Path,
+        typer.Argument(
+            help="YAML list of effect, place, parameters; or what is hidden of a hand (pneu_truth)."
+        ),
+    ],
     output: Annotated[Path, typer.Argument(help="The sealed file.")],
     force: Force = False,
 ) -> None:
     """Hide effects in a file that shows nothing at a glance."""
+    from pneu_common.documents import read_yaml
+    from pneu_hw_bridge.hand_lab.hidden import seal_truth
     from pneu_hw_bridge.lab.sealed import read_effects, seal
+    from pneu_sim.hand.truth import read_truth
 
     check_output(output, force)
-    seal(read_effects(effects), output)
+    data = read_yaml(effects, "list of effects")
+    if isinstance(data, dict) and "pneu_truth" in data:
+        seal_truth(read_truth(effects), output)
+    else:
+        seal(read_effects(effects), output)
 
 
 def reveal(
     sealed: Annotated[Path, typer.Argument(help="Sealed file.")],
 ) -> None:
     """Show what a sealed file hides."""
+    from pneu_hw_bridge.hand_lab.hidden import open_truth
     from pneu_hw_bridge.lab.sealed import open_sealed
+    from pneu_hw_bridge.sealing import open_values
 
+    if isinstance(open_values(sealed, "list of effects"), dict):
+        for line in open_truth(sealed).lines():
+            print(line)
+        return
     for effect in open_sealed(sealed):
         numbers = ", ".join(f"{name}={value:g}" for name, value in effect.parameters.items())
         print(f"{effect.effect}@{effect.place} {numbers}".rstrip())

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant behind emulated devices, in real time as far as the machine lets it.
+
+Its time is its own: it begins at the time of day, and where the machine is late by more than a
+moment it stands still rather than jump. What is stamped by it is right however busy the machine
+is.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_hw_bridge.hand_lab.amplifier import Amplifier
+from pneu_hw_bridge.hand_lab.box import Box
+from pneu_hw_bridge.phantom.emulated import punctual
+from pneu_sim.hand.world import Reading, World
+
+BEHIND_S = 0.02
+"""A plant that is behind the machine's clock by more stands still meanwhile."""
+
+Floats = NDArray[np.float64]
+Pull = Callable[[World], None]
+"""What an operator's hand does to the plant: sets ``data.xfrc_applied`` before each step."""
+
+
+class HandPlant:
+    """The plant and its devices.
+
+    Attributes:
+        world: What moves.
+        amplifiers: By the names of arms.
+        boxes: Force sensors, by the names of arms.
+        origin_ns: The time of day at which plant time began.
+        skipped_s: For how long it stood still.
+        failure: Why it ended; empty where it was told to.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        folder: str | Path,
+        ports: dict[str, tuple[int, int]] | None = None,
+        hear: Callable[[Reading, int], None] | None = None,
+        pull: Pull | None = None,
+    ) -> None:
+        """Opens the devices; nothing moves yet.
+
+        Args:
+            world: What moves.
+            folder: Of the sockets.
+            ports: UDP and web port of each arm's force sensor; free ones unless given.
+            hear: Called with what inertial units and motion capture read, and its time, ns.
+            pull: What an operator does.
+
+        Raises:
+            InputError: A socket or a port cannot be had.
+        """
+        self.world = world
+        self.skipped_s = 0.0
+        self.failure = ""
+        self.origin_ns = 0
+        self._hear = hear
+        self._pull = pull
+        self.amplifiers: dict[str, Amplifier] = {}
+        self.boxes: dict[str, Box] = {}
+        self._end = threading.Event()
+        self._thread: threading.Thread | None = None
+        try:
+            for arm, its in world.hand.settings.arms.items():
+                self.amplifiers[arm] = Amplifier(Path(folder) / f"{arm}.sock")
+                if its.wrench is not None:
+                    port, web = (ports or {}).get(arm, (0, 0))
+                    self.boxes[arm] = Box(its.wrench, port=port, web_port=web)
+        except BaseException:
+            self._close()
+            raise
+
+    def start(self) -> None:
+        """Lets it move."""
+        self._thread = threading.Thread(target=self._run, name="plant", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ends it."""
+        self._end.set()
+        if self._thread is not None:
+            self._thread.join()
+        self._close()
+
+    def _close(self) -> None:
+        for amplifier in self.amplifiers.values():
+            amplifier.close()
+        for box in self.boxes.values():
+            box.close()
+
+    def _run(self) -> None:
+        try:
+            punctual()
+            self._move()
+        except Exception as error:
+            self.failure = f"the plant failed: {error}"
+
+    def _counts(self, arm: str) -> tuple[int, int, int]:
+        counts = (*self.world.counts(arm), 0, 0, 0)
+        return counts[0], counts[1], counts[2]
+
+    def _move(self) -> None:
+        world = self.world
+        self.origin_ns = time.time_ns() - round(1e9 * world.time_s)
+        begun_s = time.monotonic() - world.time_s
+        arms = {arm: self._counts(arm) for arm in self.amplifiers}
+        read_ns = self.origin_ns + round(1e9 * world.time_s)
+        while not self._end.is_set():
+            now_s = time.monotonic()
+            behind_s = now_s - begun_s - world.time_s
+            if behind_s > BEHIND_S:
+                self.skipped_s += behind_s
+                begun_s += behind_s
+            elif behind_s < 0.0:
+                time.sleep(-behind_s)
+                continue
+            torques = {
+                arm: amplifier.exchange(arms[arm], read_ns, now_s)[: len(world.arms[arm])]
+                for arm, amplifier in self.amplifiers.items()
+            }
+            if self._pull is not None:
+                self._pull(world)
+            read_ns = self.origin_ns + round(1e9 * world.time_s)
+            readings = world.advance(torques)
+            for arm in arms:
+                arms[arm] = self._counts(arm)
+            for box in self.boxes.values():
+                box.poll()
+            for reading in readings:
+                if reading.kind == "wrench":
+                    self.boxes[reading.name].send(reading.number, reading.values.tolist())
+                elif self._hear is not None:
+                    self._hear(reading, self.origin_ns + round(1e9 * reading.time_s))
+            if not np.isfinite(world.data.qacc).all():
+                raise ArithmeticError(f"it ran away at {world.time_s:.3f} s")
