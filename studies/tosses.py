@@ -242,7 +242,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="folder with folders cube and elbow of CSV files")
     parser.add_argument("--only", nargs="*", choices=list(OBJECTS), default=list(OBJECTS))
-    parser.add_argument("--most", type=int, default=48, help="tosses of each, evenly")
+    parser.add_argument("--most", type=int, default=64, help="tosses of each, evenly")
     parser.add_argument("--page", type=Path, help="file that receives the page")
     parser.add_argument("--workers", type=int)
     options = parser.parse_args(arguments)

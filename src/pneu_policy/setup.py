@@ -27,6 +27,7 @@ setup(
         "console_scripts": [
             "pid = pneu_policy.nodes.pid:main",
             "policy = pneu_policy.nodes.policy:main",
+            "exercise = pneu_policy.nodes.exercise:main",
             "excite = pneu_policy.nodes.excite:main",
             "joint = pneu_policy.nodes.joint:main",
             "target = pneu_policy.nodes.target:main",

@@ -74,7 +74,9 @@ class Child:
         with theirs:
             number = theirs.fileno()
             self._process = subprocess.Popen(
-                [sys.executable, "-m", module, str(number)], pass_fds=(number,)
+                [sys.executable, "-m", module, str(number)],
+                pass_fds=(number,),
+                start_new_session=True,  # the terminal's signals are its node's, which ends it
             )
         try:
             self._link.send(packed(settings))

@@ -4,7 +4,12 @@
 import numpy as np
 import pytest
 
-from pneu_sysid.contacts.diagnose import _fall, per_knot
+from pneu_sysid.contacts.candidates import Seen
+from pneu_sysid.contacts.diagnose import Floats, _falls, _mean, per_knot
+
+
+def _fall(before: Floats, after: Floats) -> tuple[float, float]:
+    return _mean(np.nanmean(_falls(before, after), axis=1))
 
 
 def test_flights_and_contacts_count_alike() -> None:
@@ -30,3 +35,24 @@ def test_recordings_that_never_touch_are_judged_by_flight_alone() -> None:
     mean, _ = _fall(before, 0.5 * before)
     assert mean == pytest.approx(np.log(2.0))
     assert per_knot(before) == pytest.approx(2.0)
+
+
+def test_a_step_found_in_some_recordings_is_foretold_in_others() -> None:
+    """Against a line through noise, in closed form: y = a + b t, b unknown to the model."""
+    rng = np.random.default_rng(4)
+    t = rng.uniform(-1.0, 1.0, size=(20, 30))
+    y = 0.2 + 0.5 * t + rng.normal(size=t.shape)
+    J = np.stack([np.ones_like(t), t], axis=2)
+    r = -y  # at a = b = 0
+    H, g = np.einsum("rni,rnj->rij", J, J), np.einsum("rni,rn->ri", J, r)
+    none = np.zeros((2, 2)), np.zeros(2)
+    ours, others = (Seen(H[k::2], g[k::2], 1, ["b"], *none) for k in (0, 1))
+    at, step = ours.step("b")
+    line = np.linalg.lstsq(J[::2].reshape(-1, 2), y[::2].ravel(), rcond=None)[0]
+    assert step == pytest.approx(line)
+    mean = ours.step(None)[1]
+    assert mean == pytest.approx([y[::2].mean()])
+    left = 0.5 * np.sum((y[1::2] - J[1::2] @ line) ** 2, axis=1)
+    plain = 0.5 * np.sum((y[1::2] - y[::2].mean()) ** 2, axis=1)
+    rise = others.rise(at, step) - others.rise(*ours.step(None))
+    assert rise == pytest.approx(plain - left)

@@ -4,7 +4,6 @@
 import contextlib
 import gc
 import json
-import signal
 import socket
 import struct
 import sys
@@ -158,8 +157,6 @@ def _obey(link: socket.socket, plant: HandPlant) -> None:
 
 def main() -> None:
     """Runs the plant on the socket whose number is the argument."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # the node, which gets them too, ends this
     with precedence(), socket.socket(fileno=int(sys.argv[1])) as link:
         sys.setswitchinterval(1e-4)
         run(link)

@@ -31,6 +31,7 @@ from pneu_graph.nodes.common import (
     EXIT_BAD_INPUT,
     READINGS_QOS,
     Diagnostics,
+    pause,
     say_ready,
     status,
     steady_clock,
@@ -55,6 +56,9 @@ LOOK_S = 0.05
 """How often publishers of the command topic are counted."""
 REOPEN_S = 0.5
 """How often a device that was lost is looked for."""
+
+AGAIN_S = 0.2
+"""Between two looks for devices at the start."""
 
 WAITING = 4096
 """Samples that may wait for the executor."""
@@ -117,13 +121,12 @@ class PhantomBridge(LifecycleNode):
         """
         try:
             name, arm = self._arm()
-            self._settings = self._told(arm)
             self._joint_names = tuple(arm.joints)
             self._emergency.recall(f"{self._params.device} {name}")
             arrived = self.create_guard_condition(self._on_samples)
             self._entities.append((self.destroy_guard_condition, arrived))
             self._arrived = arrived
-            self._open()
+            self._open_patiently(arm)
         except InputError as error:
             self.get_logger().error(str(error))
             self._close()
@@ -257,6 +260,19 @@ class PhantomBridge(LifecycleNode):
             "rate_hz": p.rate_hz,
             "every": max(1, round(p.rate_hz / p.publish_rate_hz)),
         }
+
+    def _open_patiently(self, arm: ArmSettings) -> None:
+        """Opens device and force sensor, which may still be starting."""
+        end_s = time.monotonic() + self._params.wait_s
+        while True:
+            try:
+                self._settings = self._told(arm)
+                self._open()
+                return
+            except InputError:
+                if time.monotonic() > end_s:
+                    raise
+            pause(AGAIN_S)
 
     def _open(self) -> None:
         """Starts the process of the loop."""

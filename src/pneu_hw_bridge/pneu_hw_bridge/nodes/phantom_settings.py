@@ -43,6 +43,9 @@ class PhantomParameters(Parameters):
     net_ft_host: str = parameter("", "address of the Net F/T box; empty where the arm has none")
     net_ft_port: int = parameter(rdt.PORT, "its UDP port", within=(1, 65535))
     net_ft_web_port: int = parameter(80, "port of its page of settings", within=(1, 65535))
+    wait_s: float = parameter(
+        10.0, "how long device and force sensor are waited for at the start", within=(0.0, 600.0)
+    )
     commander: str = parameter(
         "", "full name of the node that may command, such as /lab/reach; empty for any one node"
     )

@@ -22,6 +22,9 @@ TORQUES = struct.Struct("<Iddd")
 """Number of the frame, N m."""
 FAULTS = ("amplifier fault",)
 
+OPENS_S = 0.3
+"""How long the socket is tried for."""
+
 LONGEST_RUN = 4096
 """Frames that are taken at a tick, at most."""
 
@@ -62,7 +65,7 @@ class EmulatedDevice:
         Raises:
             DeviceMissingError: Nobody is there.
         """
-        end_s = time.monotonic() + 2.0
+        end_s = time.monotonic() + OPENS_S
         while True:
             link = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             try:

@@ -10,7 +10,6 @@ left, which lets go within milliseconds.
 import contextlib
 import gc
 import json
-import signal
 import socket
 import sys
 import time
@@ -287,10 +286,6 @@ def run(link: socket.socket) -> None:
 
 def main() -> None:
     """Runs the servo on the socket whose number is the argument."""
-    # The terminal's signals go to the node too, which ends this in good order.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     with precedence(), socket.socket(fileno=int(sys.argv[1])) as link:
         sys.setswitchinterval(1e-4)
         run(link)

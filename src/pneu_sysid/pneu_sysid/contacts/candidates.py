@@ -49,6 +49,54 @@ class SceneScore:
 
 
 @dataclass(frozen=True)
+class Seen:
+    """What recordings say of parameters and candidates, trajectories taken out, to second order.
+
+    Attributes:
+        hessian: (recordings, c + K, c + K) of minus the logarithm of the likelihood.
+        slope: (recordings, c + K).
+        fitted: c, how many parameters are fitted; candidates follow.
+        labels: Of the candidates.
+        known: (c + K, c + K) what was known of them beforehand.
+        pull: (c + K,) its slope.
+    """
+
+    hessian: Floats
+    slope: Floats
+    fitted: int
+    labels: list[str]
+    known: Floats
+    pull: Floats
+
+    def step(self, label: str | None) -> tuple[NDArray[np.int64], Floats]:
+        """What they would change to, all together, with one candidate or none.
+
+        Args:
+            label: The candidate.
+
+        Returns:
+            Numbers of the parameters, and (c,) or (c + 1,) their steps.
+        """
+        more = [] if label is None else [self.fitted + self.labels.index(label)]
+        at = np.array([*range(self.fitted), *more], dtype=np.int64)
+        block = np.ix_(at, at)
+        whole = self.hessian.sum(axis=0)[block] + self.known[block]
+        return at, -inverse(whole) @ (self.slope.sum(axis=0)[at] + self.pull[at])
+
+    def rise(self, at: NDArray[np.int64], step: Floats) -> Floats:
+        """(recordings,) what a step adds to the logarithm of each one's likelihood.
+
+        Args:
+            at: Numbers of the parameters.
+            step: Their steps.
+        """
+        bend = self.hessian[:, at][:, :, at]
+        return np.asarray(
+            -self.slope[:, at] @ step - 0.5 * np.einsum("i,rij,j->r", step, bend, step)
+        )
+
+
+@dataclass(frozen=True)
 class Scores:
     """All candidates.
 
@@ -56,11 +104,36 @@ class Scores:
         scores: Each, the one of largest gain first.
         alike: (K, K) cosines between what is left of their columns.
         gain: What the fitted parameters alone would still add to it.
+        seen: What it was told by.
     """
 
     scores: list[SceneScore]
     alike: Floats
     gain: float
+    seen: Seen
+
+
+def seen(problem: Problem, state: State, candidates: Sequence[Parameter]) -> Seen:
+    """What recordings say of parameters and candidates.
+
+    Args:
+        problem: The problem, its parameters fitted, to these recordings or to others.
+        state: Trajectories and parameters.
+        candidates: Effects that it does not fit.
+    """
+    wider = problem.fitting([*problem.parameters, *candidates])
+    wider.chains = trusted(problem.chains, problem.kinds(state))
+    gone = left(wider.arrows(State(state.q, wider.start())))
+    _, prior_slope, prior_bend = problem.prior(state.x)
+    none = np.zeros(len(candidates))
+    return Seen(
+        np.array([e.hessian for e in gone]),
+        np.array([e.slope for e in gone]),
+        len(problem.parameters),
+        [p.label for p in candidates],
+        np.diag(np.append(prior_bend, none)),
+        np.append(prior_slope, none),
+    )
 
 
 def scored(problem: Problem, state: State, candidates: Sequence[Parameter]) -> Scores:
@@ -75,16 +148,9 @@ def scored(problem: Problem, state: State, candidates: Sequence[Parameter]) -> S
         Their scores.
     """
     c = len(problem.parameters)
-    wider = problem.fitting([*problem.parameters, *candidates])
-    wider.chains = trusted(problem.chains, problem.kinds(state))
-    x = wider.start()
-    arrows = wider.arrows(State(state.q, x))
-    gone = left(arrows)
-    H = np.array([e.hessian for e in gone])
-    g = np.array([e.slope for e in gone])
-    _, prior_slope, prior_bend = problem.prior(state.x)
-    none = np.zeros(len(candidates))
-    known, pull = np.diag(np.append(prior_bend, none)), np.append(prior_slope, none)
+    told = seen(problem, state, candidates)
+    x = problem.fitting([*problem.parameters, *candidates]).start()
+    H, g, known, pull = told.hessian, told.slope, told.known, told.pull
     whole, slope = H.sum(axis=0) + known, g.sum(axis=0) + pull
     base = _gain(whole[:c, :c], slope[:c])
     own = whole[c:, c:] - whole[c:, :c] @ inverse(whole[:c, :c]) @ whole[:c, c:]
@@ -103,7 +169,7 @@ def scored(problem: Problem, state: State, candidates: Sequence[Parameter]) -> S
     scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
     order = np.argsort([-s.gain for s in scores])
     alike = (own / np.outer(scale, scale))[np.ix_(order, order)]
-    return Scores([scores[i] for i in order], alike, base)
+    return Scores([scores[i] for i in order], alike, base, told)
 
 
 def _gain(hessian: Floats, slope: Floats) -> float:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats.mstats import trimmed_mean, trimmed_stde
 
-from pneu_sysid.contacts.anew import STEPS
-from pneu_sysid.contacts.candidates import SceneScore, Scores, scored
+from pneu_sysid.contacts.anew import STEPS, counts_of
+from pneu_sysid.contacts.candidates import SceneScore, Scores, Seen, scored, seen
 from pneu_sysid.contacts.chain import LEAST, Chain
 from pneu_sysid.contacts.estimate import (
     Parameter,
@@ -29,6 +29,7 @@ from pneu_sysid.contacts.turns import in_turns
 from pneu_sysid.result_base import Verdict
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 FINALISTS = 6
 """Candidates that are refitted."""
@@ -43,12 +44,14 @@ POLISHED = 5
 """Steps of parameters to what predicts best, at most."""
 TURNS = 2
 """Of what trajectories tell and what predicts best, one after the other."""
+CANDIDATE_TURNS = 1
+"""Of them with a candidate: all else is where it should be."""
 CANDIDATE_STEPS = 2
 """Of what trajectories tell with a candidate, in each turn: it begins at its score."""
 WORTH = 0.02
-"""Share by which the cost of what is kept aside must fall."""
+"""Share by which the cost of flights or of contacts that are kept aside must fall."""
 SURE = 2.5
-"""Standard errors, over what is kept aside, by which it must."""
+"""Standard errors, over what is kept aside, by which its likelihood must rise."""
 TIED = 1.5
 """Standard errors within which two candidates explain what is kept aside equally well; `SURE`,
 where their columns are alike."""
@@ -57,7 +60,7 @@ ALIKE = 0.95
 TRIMMED = 0.2
 """Share of recordings on either side that a mean leaves out: a roll-out that tips over by a little
 tells nothing of what is missing."""
-MOST = 48
+MOST = 64
 """Recordings that are looked at, evenly from those given: every second is kept aside."""
 
 
@@ -72,7 +75,9 @@ class Finalist:
         std_error: Of that.
         held: (aside, kinds) cost per knot of each recording kept aside.
         gain: Share by which that falls, the mean of logarithms.
-        lead: The fall, in standard errors over the recordings.
+        worth: The same of the kind of motion in which it falls most.
+        rise: (aside,) by which the logarithm of each one's likelihood rises.
+        lead: That rise, in standard errors over the recordings.
         alike: Labels of finalists that explain as much.
     """
 
@@ -82,6 +87,8 @@ class Finalist:
     std_error: float
     held: Floats
     gain: float
+    worth: float
+    rise: Floats
     lead: float
     alike: list[str] = field(default_factory=list)
 
@@ -222,16 +229,23 @@ def diagnose_scene(
     judge = _Judge(loaded, used, aside, values, physics)
     base, known = judge.base()
     said("candidates", 0.15)
+    candidates = candidates_of(loaded, base.values, base.parameters)
     scores = scored(
         Problem(loaded, base.chains, base.values, base.parameters, physics),
         State(base.q, base.x),
-        candidates_of(loaded, base.values, base.parameters),
+        candidates,
+    )
+    chosen = shortlist(scores, finalists)
+    others = seen(
+        Problem(loaded, known.chains, base.values, base.parameters, physics),
+        State(known.q, base.x),
+        [s.parameter for s in chosen],
     )
     found: list[Finalist] = []
-    for number, score in enumerate(shortlist(scores, finalists)):
+    for number, score in enumerate(chosen):
         said(score.parameter.label, 0.2 + 0.8 * number / finalists)
-        found.append(_refitted(judge, base, score, known))
-    found.sort(key=lambda f: -f.gain)
+        found.append(_refitted(judge, base, score, known, _foretold(scores, others, score)))
+    found.sort(key=lambda f: (not _good(f), -_mean(f.rise)[0]))
     _tie(found, scores)
     verdict, sentence = _verdict(found)
     return SceneDiagnosis(
@@ -326,9 +340,10 @@ class _Judge:
         also: Parameter | None = None,
         scales: Floats | None = None,
     ) -> SceneFit:
+        turns = TURNS if also is None else CANDIDATE_TURNS
         if self.foretells and parameters_of(self.loaded, values):
             return in_turns(
-                self.loaded, self.used, chains, q, values, self.physics, AHEAD_S, TURNS,
+                self.loaded, self.used, chains, q, values, self.physics, AHEAD_S, turns,
                 also=also, scales=scales, polished=POLISHED, steps=steps,
             )  # fmt: skip
         return joint(
@@ -377,7 +392,27 @@ class _Judge:
         return self._fitted(chains, q, values, CANDIDATE_STEPS, candidate, base.scales)
 
 
-def _refitted(judge: _Judge, base: SceneFit, score: SceneScore, known: Aside) -> Finalist:
+def _foretold(scores: Scores, others: Seen, score: SceneScore) -> Floats:
+    """(aside,) what the step of a candidate adds to the likelihood of what is kept aside.
+
+    To second order about trajectories of the scene as it is: no valley that one model happened to
+    find, and the other did not, counts for either.
+    """
+    label = score.parameter.label
+    at, step = scores.seen.step(label)
+    with_it = others.rise(_among(at, scores.seen, others, label), step)
+    plain, rest = scores.seen.step(None)
+    return with_it - others.rise(plain, rest)
+
+
+def _among(at: Ints, own: Seen, others: Seen, label: str) -> Ints:
+    """Numbers of the same parameters among those of others."""
+    return np.append(at[: own.fitted], others.fitted + others.labels.index(label))
+
+
+def _refitted(
+    judge: _Judge, base: SceneFit, score: SceneScore, known: Aside, foretold: Floats
+) -> Finalist:
     p = score.parameter
     now = p.effect.value(judge.loaded.setup(base.values), p.place)
     start = p.value(p.coordinate(now) + score.step)
@@ -389,33 +424,51 @@ def _refitted(judge: _Judge, base: SceneFit, score: SceneScore, known: Aside) ->
     fit = judge.refitted(base, p, float(np.clip(start, p.lower, p.upper)))
     strength, error = fit.told(len(fit.parameters) - 1)
     before, after = judge.pair(base, known, fit)
-    mean, spread = _fall(before.kinds, after.kinds)
+    falls = _falls(before.kinds, after.kinds)
+    mean, spread = _mean(np.nanmean(falls, axis=1))
+    by_kind = [_mean(k[np.isfinite(k)])[0] for k in falls.T if np.isfinite(k).sum() > 1]
+    # a weak effect is told by slopes, a strong one by what it leaves where slopes no longer hold
+    ways = [foretold, np.nansum(falls * counts_of(after.chains), axis=1)]
+    leads = [_lead(way) for way in ways]
+    best = int(np.argmax(leads))
+    if mean < -spread:  # estimated anew it does harm, whatever slopes say
+        best, leads = 1, [-np.inf, _lead(ways[1])]
     return Finalist(
         score, fit, strength, error, after.kinds, float(1.0 - np.exp(-mean)),
-        mean / spread if spread > 0.0 else 0.0,
+        float(1.0 - np.exp(-max([mean, *by_kind]))), ways[best], leads[best],
     )  # fmt: skip
 
 
-def _fall(before: Floats, after: Floats) -> tuple[float, float]:
-    """Mean fall of the logarithm over recordings, and its standard error.
+def _falls(before: Floats, after: Floats) -> Floats:
+    """(recordings, kinds) falls of the logarithm of costs per knot.
 
-    A recording that went another way would else outweigh all others. Each kind of motion counts
-    alike, however long it lasts: how wrong a model is of each is not known, and with a scale of its
-    own for each the likelihood is a sum of logarithms (variance components). What shows in flight
-    is then not drowned by what contacts get wrong, nor by a body that lies still for long.
+    How wrong a model is of each kind of motion is not known, and with a scale of its own for each
+    the likelihood is a sum of logarithms (variance components). What shows in flight is then not
+    drowned by what contacts get wrong, nor by a body that lies still for long.
 
     Args:
         before: (recordings, kinds) costs per knot.
         after: Likewise.
     """
-    fall = np.log(np.maximum(before, LEAST)) - np.log(np.maximum(after, LEAST))
-    fall = np.nanmean(fall, axis=1)
-    if len(fall) < 2:
-        return float(np.mean(fall)), np.inf
+    return np.asarray(np.log(np.maximum(before, LEAST)) - np.log(np.maximum(after, LEAST)))
+
+
+def _mean(values: Floats) -> tuple[float, float]:
+    """Mean over recordings, a fifth at either end left out, and its standard error.
+
+    A recording that went another way would else outweigh all others.
+    """
+    if len(values) < 2:
+        return float(np.mean(values)), np.inf
     return (
-        float(trimmed_mean(fall, (TRIMMED, TRIMMED))),
-        float(trimmed_stde(fall, (TRIMMED, TRIMMED))),
+        float(trimmed_mean(values, (TRIMMED, TRIMMED))),
+        float(trimmed_stde(values, (TRIMMED, TRIMMED))),
     )
+
+
+def _lead(values: Floats) -> float:
+    mean, spread = _mean(values)
+    return mean / spread if spread > 0.0 else 0.0
 
 
 def per_knot(costs: Floats) -> float:
@@ -427,32 +480,40 @@ def per_knot(costs: Floats) -> float:
     return float(np.exp(np.nanmean(np.log(np.maximum(costs, LEAST)))))
 
 
+def _good(found: Finalist) -> bool:
+    return found.worth >= WORTH and found.lead >= SURE
+
+
 def _tie(found: list[Finalist], scores: Scores) -> None:
     order = {s.parameter.label: k for k, s in enumerate(scores.scores)}
-    if not found:
-        return
-    best = found[0]
-    for other in found[1:]:
-        apart, spread = _fall(other.held, best.held)
+    good = [f for f in found if _good(f)]
+    for other in good[1:]:
+        best = good[0]
+        apart, spread = _mean(best.rise - other.rise)
         cosine = abs(scores.alike[order[best.label], order[other.label]])
         enough = SURE if cosine > ALIKE else TIED
-        if other.gain >= WORTH and other.lead >= SURE and apart < enough * spread:
+        if apart < enough * spread:
             best.alike.append(other.label)
 
 
 def _verdict(found: list[Finalist]) -> tuple[Verdict, str]:
-    good = [f for f in found if f.gain >= WORTH and f.lead >= SURE]
-    if not good or found[0] not in good:
-        best = f"; the best, {found[0].label}, by {100 * found[0].gain:.0f} %" if found else ""
+    good = [f for f in found if _good(f)]
+    if not good:
+        best = (
+            f"; the best, {found[0].label}, by {100 * found[0].gain:.0f} %,"
+            f" {found[0].lead:.1f} standard errors"
+            if found
+            else ""
+        )
         return (
             "nothing_missing",
             "No effect of the catalogue explains what is kept aside better than chance"
             f" would{best}.",
         )
-    best_one = found[0]
+    best_one = good[0]
     sentence = (
         f"Missing: {best_one.words}; with it what is kept aside is explained by"
-        f" {100 * best_one.gain:.0f} % better"
+        f" {100 * best_one.worth:.0f} % better"
     )
     if best_one.alike:
         return "ambiguous", f"{sentence}; not to be told from {', '.join(best_one.alike)}."

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The exercise node: an arm taps and presses what is in front of it, for a recording.
+
+The path is the same for the same seed, and goes by the time that the arm's readings are stamped
+with: an emulated arm that stands still on a busy machine is waited for. The node ends when it has
+gone all of it. Topics: reads ``<arm>/joint_states``, gives ``<arm>/command``.
+"""
+
+import math
+import sys
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import JointState
+
+from pneu_common.errors import InputError
+from pneu_graph.nodes import common
+from pneu_graph.nodes.lifetime import initialised
+from pneu_graph.nodes.parameters import Parameters, parameter
+from pneu_sim.hand.exercise import exercise
+from pneu_sim.hand.loading import Hand
+from pneu_sim.hand.paths import Kinematics
+
+APPROACH_S = 1.0
+"""From where the arm is to where its path begins."""
+REST_S = 0.3
+"""At rest, before the path and after it."""
+
+
+@dataclass
+class ExerciseParameters(Parameters):
+    """What the exercise node is told."""
+
+    hand: str = parameter("", "hand file (YAML)", read_only=True)
+    arm: str = parameter("", "arm of the hand file; empty for its only one", read_only=True)
+    tip: str = parameter("", "geom of the tip; empty: ARM_tip", read_only=True)
+    thing: str = parameter("object", "geom that is touched", read_only=True)
+    seconds: float = parameter(10.0, "how long, s", within=(1.0, 600.0), read_only=True)
+    seed: int = parameter(0, "seed of the path", within=(0, 2**31 - 1), read_only=True)
+    rate_hz: float = parameter(
+        500.0, "commands per second of the arm's time", within=(50.0, 2000.0), read_only=True
+    )
+
+
+class ExerciseNode(Node):
+    """The node.
+
+    Attributes:
+        done: Whether all of the path was gone.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        """Plans the path.
+
+        Args:
+            **options: For the node.
+
+        Raises:
+            InputError: A parameter or a file is wrong, or the thing cannot be reached.
+        """
+        super().__init__("exercise", **options)
+        self.done = False
+        try:
+            params = ExerciseParameters.declare(self)
+            if not params.hand:
+                raise InputError("hand: found nothing, a hand file is needed")
+            hand = Hand(params.hand)
+            arms = hand.settings.arms
+            arm = params.arm or (next(iter(arms)) if len(arms) == 1 else "")
+            if arm not in arms:
+                raise InputError(f"arm: found {arm!r}, {params.hand} has {', '.join(arms)}")
+            tip = params.tip or f"{arm}_tip"
+            self.joint_names = list(arms[arm].joints)
+            self._path = exercise(
+                hand, Kinematics(hand, arm, tip), tip, params.thing, params.seconds, params.seed
+            )
+        except InputError:
+            self.destroy_node()
+            raise
+        self._every_s = 1.0 / params.rate_hz
+        self._begun_s = math.nan
+        self._last_s = -math.inf
+        self._from = np.zeros(len(self.joint_names))
+        self._publisher = self.create_publisher(JointState, f"{arm}/command", common.COMMAND_QOS)
+        self.create_subscription(
+            JointState, f"{arm}/joint_states", self._on_joints, qos_profile_sensor_data
+        )
+
+    def _on_joints(self, message: JointState) -> None:
+        now_s = 1e-9 * common.from_stamp(message.header.stamp)
+        if now_s - self._last_s < self._every_s - 1e-6:
+            return
+        self._last_s = now_s
+        if math.isnan(self._begun_s):
+            told = list(message.name)
+            try:
+                self._from = np.array([message.position[told.index(n)] for n in self.joint_names])
+            except (ValueError, IndexError):
+                self.get_logger().warning(
+                    f"joint_states tells {', '.join(told)}, wanted are"
+                    f" {', '.join(self.joint_names)}",
+                    throttle_duration_sec=5.0,
+                )
+                return
+            self._begun_s = now_s
+        since_s = now_s - self._begun_s
+        begin = self._path.angles_rad[0]
+        if since_s < APPROACH_S:
+            s = since_s / APPROACH_S
+            share = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+            speed = 30.0 * s**2 * (1.0 - s) ** 2 / APPROACH_S
+            angles = self._from + share * (begin - self._from)
+            velocity = speed * (begin - self._from)
+        else:
+            angles, velocity = self._path.at(since_s - APPROACH_S - REST_S)
+        command = JointState(
+            name=self.joint_names, position=angles.tolist(), velocity=velocity.tolist()
+        )
+        command.header.stamp = message.header.stamp
+        self._publisher.publish(command)
+        self.done = since_s > APPROACH_S + float(self._path.time_s[-1]) + 2.0 * REST_S
+
+
+def main(args: list[str] | None = None) -> None:
+    """Runs the node.
+
+    Args:
+        args: Command line; None is the process's own.
+    """
+    try:
+        with initialised(args):
+            node = ExerciseNode()
+            try:
+                common.say_ready(node)
+                while rclpy.ok() and not node.done:
+                    rclpy.spin_once(node, timeout_sec=0.5)
+                node.get_logger().info("done")
+            finally:
+                node.destroy_node()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except InputError as error:
+        print(" ".join(str(error).split()), file=sys.stderr)
+        sys.exit(common.EXIT_BAD_INPUT)
+
+
+if __name__ == "__main__":
+    main()
