@@ -17,7 +17,7 @@ that jump by a quarter of a thousand, tell that it is faulty."""
 
 
 class Amplifier:
-    """The amplifier. Its plant calls `exchange` at each step.
+    """The amplifier. Its plant calls `take` before each step and `tell` after it.
 
     Attributes:
         path: Its socket.
@@ -61,12 +61,10 @@ class Amplifier:
                 f"{self.path}: an emulated device cannot listen there ({error.strerror})"
             ) from None
 
-    def exchange(self, counts: tuple[int, int, int], plant_ns: int, now_s: float) -> list[float]:
-        """Tells counts and takes torques.
+    def take(self, now_s: float) -> list[float]:
+        """Takes torques.
 
         Args:
-            counts: Of the encoders.
-            plant_ns: The plant's time.
             now_s: The steady time.
 
         Returns:
@@ -80,7 +78,6 @@ class Amplifier:
                 self._link.setblocking(False)
         if self._link is not None:
             self._hear(now_s)
-            self._tell(counts, plant_ns)
         if self._link is None or now_s - self.heard_s > WATCHDOG_S:
             self.let_go += any(self.torque_n_m)
             self.torque_n_m = [0.0, 0.0, 0.0]
@@ -90,6 +87,28 @@ class Amplifier:
         elif self.zero_s is None:
             self.zero_s = now_s
         return list(given)
+
+    def tell(self, counts: tuple[int, int, int], plant_ns: int) -> None:
+        """Tells counts.
+
+        Args:
+            counts: Of the encoders.
+            plant_ns: When they were read, of the plant's time.
+        """
+        if self.fault == "jump":
+            counts = (counts[0] + 250, counts[1], counts[2])
+        if self.fault != "frozen":
+            self._told = counts
+        wrong = 1 if self.fault == "amplifier" else 0
+        if self._link is None:
+            return
+        try:
+            if self.fault != "frozen":
+                self._link.send(FRAME.pack(plant_ns, *self._told, wrong))
+        except BlockingIOError:  # its reader is behind: it reads what is older first
+            pass
+        except OSError:
+            self._hang_up()
 
     def close(self) -> None:
         """Ends it."""
@@ -111,22 +130,6 @@ class Amplifier:
                 return
             _, *torques = TORQUES.unpack(packet)
             self.torque_n_m, self.heard_s = torques, now_s
-
-    def _tell(self, counts: tuple[int, int, int], plant_ns: int) -> None:
-        if self.fault == "jump":
-            counts = (counts[0] + 250, counts[1], counts[2])
-        if self.fault != "frozen":
-            self._told = counts
-        wrong = 1 if self.fault == "amplifier" else 0
-        if self._link is None:
-            return
-        try:
-            if self.fault != "frozen":
-                self._link.send(FRAME.pack(plant_ns, *self._told, wrong))
-        except BlockingIOError:  # its reader is behind: it reads what is older first
-            pass
-        except OSError:
-            self._hang_up()
 
     def _hang_up(self) -> None:
         if self._link is not None:

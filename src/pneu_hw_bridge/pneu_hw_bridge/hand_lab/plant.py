@@ -112,8 +112,6 @@ class HandPlant:
         world = self.world
         self.origin_ns = time.time_ns() - round(1e9 * world.time_s)
         begun_s = time.monotonic() - world.time_s
-        arms = {arm: self._counts(arm) for arm in self.amplifiers}
-        read_ns = self.origin_ns + round(1e9 * world.time_s)
         while not self._end.is_set():
             now_s = time.monotonic()
             behind_s = now_s - begun_s - world.time_s
@@ -124,15 +122,15 @@ class HandPlant:
                 time.sleep(-behind_s)
                 continue
             torques = {
-                arm: amplifier.exchange(arms[arm], read_ns, now_s)[: len(world.arms[arm])]
+                arm: amplifier.take(now_s)[: len(world.arms[arm])]
                 for arm, amplifier in self.amplifiers.items()
             }
             if self._pull is not None:
                 self._pull(world)
             read_ns = self.origin_ns + round(1e9 * world.time_s)
             readings = world.advance(torques)
-            for arm in arms:
-                arms[arm] = self._counts(arm)
+            for arm, amplifier in self.amplifiers.items():
+                amplifier.tell(self._counts(arm), read_ns)
             for box in self.boxes.values():
                 box.poll()
             for reading in readings:

@@ -91,7 +91,6 @@ class PhantomBridge(LifecycleNode):
         self._state: tuple[int, str] = (-1, "")
         self._reopen_s = 0.0
         self._lateness = Lateness()
-        self._arm_clock = DeviceClock()
         self._sensor_clock = DeviceClock()
         self._joints: deque[JointSample] = deque(maxlen=WAITING)
         self._wrenches: deque[WrenchSample] = deque(maxlen=WAITING)
@@ -276,7 +275,7 @@ class PhantomBridge(LifecycleNode):
 
     def _open(self) -> None:
         """Starts the process of the loop."""
-        self._arm_clock, self._sensor_clock = DeviceClock(), DeviceClock()
+        self._sensor_clock = DeviceClock()
         self._servo = ServoProcess(self._settings, self._on_arrived, self._arrived.trigger)
         latches = self._emergency.latches
         if latches.e_stop:
@@ -331,12 +330,7 @@ class PhantomBridge(LifecycleNode):
     def _on_samples(self) -> None:
         while self._joints:
             sample = self._joints.popleft()
-            stamp_ns: int | None = sample.host_ns
-            if sample.device_ns >= 0:
-                self._arm_clock.observe(sample.device_ns, sample.host_ns, sample.steady_s)
-                stamp_ns = self._arm_clock.stamp(sample.device_ns)
-            if stamp_ns is None:
-                continue
+            stamp_ns = sample.host_ns if sample.device_ns < 0 else sample.device_ns
             message = JointState(
                 name=list(self._joint_names),
                 position=list(sample.position_rad),
@@ -349,11 +343,11 @@ class PhantomBridge(LifecycleNode):
             record = self._wrenches.popleft()
             device_ns = round(1e9 * record.sample / self._calibration.sample_hz)
             self._sensor_clock.observe(device_ns, record.host_ns, record.steady_s)
-            stamp_ns = self._sensor_clock.stamp(device_ns)
-            if stamp_ns is None:
+            felt_ns = self._sensor_clock.stamp(device_ns)
+            if felt_ns is None:
                 continue
             wrench = WrenchStamped()
-            wrench.header.stamp = to_stamp(stamp_ns)
+            wrench.header.stamp = to_stamp(felt_ns)
             wrench.header.frame_id = self._frame
             force, torque = wrench.wrench.force, wrench.wrench.torque
             force.x, force.y, force.z, torque.x, torque.y, torque.z = record.values
@@ -398,9 +392,9 @@ class PhantomBridge(LifecycleNode):
             except InputError as error:
                 self._reopen_s = time.monotonic() + REOPEN_S
                 self.get_logger().error(str(error), throttle_duration_sec=5.0)
-        for clock in (self._arm_clock, self._sensor_clock):
-            while clock.told:
-                self.get_logger().warning(f"{clock.told.popleft()}: the clocks are compared anew")
+        while self._sensor_clock.told:
+            told = self._sensor_clock.told.popleft()
+            self.get_logger().warning(f"force sensor: {told}: the clocks are compared anew")
 
     def _count_writers(self) -> None:
         """Looks who may command: one node, and the one that is named where one is."""

@@ -25,7 +25,7 @@ class Frame:
 
     Attributes:
         counts: Of its encoders.
-        device_ns: When, by the device's own clock; None where it has none.
+        device_ns: When, of the time of day by the device's own clock; None where it has none.
         fault: What the device says is wrong; empty where nothing is.
     """
 

@@ -13,6 +13,7 @@ import json
 import socket
 import sys
 import time
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
@@ -99,8 +100,9 @@ class Servo:
         self._told: tuple[str, str] = ("", "")
         self._joints: list[JointSample] = []
         self._wrenches: list[WrenchSample] = []
+        self._records: deque[tuple[int, int, tuple[float, ...]]] = deque(maxlen=1024)
+        self._clocked = False
         self._sample: int | None = None
-        self._commands_refused = 0
         self._late_s = 0.0
         self._last_s = 0.0
 
@@ -119,10 +121,14 @@ class Servo:
             self._late_s = max(self._late_s, now_s - self._last_s)
         self._last_s = now_s
         if frame is not None:
+            self._clocked = frame.device_ns is not None
             at_s = now_s if frame.device_ns is None else 1e-9 * frame.device_ns
             governor.frame(frame.counts, frame.fault, at_s, now_s)
+        # Records that were there a tick ago are no younger than this frame.
+        clock_ns = now_ns if frame is None or frame.device_ns is None else frame.device_ns
+        self._told_by(clock_ns, now_s if clock_ns == now_ns else 1e-9 * clock_ns, frame is not None)
         if self.sensor is not None:
-            self._feel(now_s, now_ns)
+            self._feel(now_s)
         self._listen(now_s)
         torques = governor.torques(now_s)
         if self._ended:
@@ -173,7 +179,14 @@ class Servo:
             told["sensor_error"] = self.sensor.error
         return told
 
-    def _feel(self, now_s: float, now_ns: int) -> None:
+    def _told_by(self, clock_ns: int, steady_s: float, known: bool) -> None:
+        """Hands on the records of the tick before, with the time by the clock that frames have."""
+        if known or not self._clocked:
+            while self._records:
+                sample, status, values = self._records.popleft()
+                self._wrenches.append(WrenchSample(sample, clock_ns, steady_s, status, values))
+
+    def _feel(self, now_s: float) -> None:
         assert self.sensor is not None and self._calibration is not None
         by = self._calibration
         for record in self.sensor.poll(now_s):
@@ -190,7 +203,7 @@ class Servo:
                 *(x / by.counts_per_n for x in c[:3]),
                 *(x / by.counts_per_n_m for x in c[3:]),
             )
-            self._wrenches.append(WrenchSample(self._sample, now_ns, now_s, record.status, values))
+            self._records.append((self._sample, record.status, values))
 
     def _listen(self, now_s: float) -> None:
         while not self._ended:

@@ -21,7 +21,8 @@ class JointSample:
     """What was at a tick.
 
     Attributes:
-        device_ns: When, by the device's clock; negative where it has none.
+        device_ns: When, by the device's clock, which tells the time of day; negative where it has
+            none.
         host_ns: When the frame was taken, by this machine's clock.
         steady_s: The same by the steady clock.
         position_rad: Of each joint.
@@ -43,8 +44,8 @@ class WrenchSample:
 
     Attributes:
         sample: Number of the box's sample, without end.
-        host_ns: When it was taken from the network, by this machine's clock.
-        steady_s: The same by the steady clock.
+        host_ns: When it was there, by the clock that frames are stamped by.
+        steady_s: The same by a clock that is not set.
         status: Status word.
         values: Force, N, and torque, N m.
     """

@@ -18,7 +18,12 @@ from pneu_sysid.records.clock import clock_jumps
 Floats = NDArray[np.float64]
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
-OF_JOINTS = {"jointpos": "position", "jointvel": "velocity"}
+OF_JOINTS = {
+    "jointpos": "position",
+    "tendonpos": "position",
+    "jointvel": "velocity",
+    "tendonvel": "velocity",
+}
 """What a ``JointState`` tells of a sensor of the MJCF; of all others, its effort."""
 OF_SENSORS: dict[str, dict[str, str]] = {
     "geometry_msgs/msg/WrenchStamped": {"force": "wrench.force", "torque": "wrench.torque"},
