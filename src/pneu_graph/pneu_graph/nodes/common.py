@@ -35,6 +35,14 @@ READINGS_QOS = QoSProfile(
 )
 """For publishers of readings; subscribers take the profile of sensor data."""
 
+FAST_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1000,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""For readings at kilohertz: a recorder that gets no turn for half a second loses none."""
+
 EXIT_BAD_INPUT = 2
 CLOCK_TOPIC = "/clock"
 

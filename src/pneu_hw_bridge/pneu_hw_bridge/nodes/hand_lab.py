@@ -25,7 +25,7 @@ from sensor_msgs.msg import Imu
 from pneu_common.errors import InputError
 from pneu_graph.nodes.common import (
     EXIT_BAD_INPUT,
-    READINGS_QOS,
+    FAST_QOS,
     Diagnostics,
     say_ready,
     status,
@@ -118,17 +118,15 @@ class HandLab(Node):
         self._arrived = self.create_guard_condition(self._on_readings)
         self._publishers_of: dict[tuple[str, str], Any] = {}
         for name in settings.imus:
-            self._publishers_of["imu", name] = self.create_publisher(
-                Imu, f"{name}/imu", READINGS_QOS
-            )
+            self._publishers_of["imu", name] = self.create_publisher(Imu, f"{name}/imu", FAST_QOS)
         for name in settings.poses:
             self._publishers_of["pose", name] = self.create_publisher(
-                PoseStamped, f"{name}/pose", READINGS_QOS
+                PoseStamped, f"{name}/pose", FAST_QOS
             )
         if params.tell_touch:
             for name in settings.arms:
                 self._publishers_of["touch", name] = self.create_publisher(
-                    WrenchStamped, f"{name}/touch", READINGS_QOS
+                    WrenchStamped, f"{name}/touch", FAST_QOS
                 )
         with_sensor = [a for a, its in settings.arms.items() if its.wrench is not None]
         told = {

@@ -29,7 +29,7 @@ from pneu_common.errors import InputError
 from pneu_graph.nodes.common import (
     COMMAND_QOS,
     EXIT_BAD_INPUT,
-    READINGS_QOS,
+    FAST_QOS,
     Diagnostics,
     pause,
     say_ready,
@@ -131,8 +131,8 @@ class PhantomBridge(LifecycleNode):
             self._close()
             return TransitionCallbackReturn.FAILURE
         self._topic = f"{name}/command"
-        self._to_joints = self.create_publisher(JointState, f"{name}/joint_states", READINGS_QOS)
-        self._to_wrench = self.create_publisher(WrenchStamped, f"{name}/wrench", READINGS_QOS)
+        self._to_joints = self.create_publisher(JointState, f"{name}/joint_states", FAST_QOS)
+        self._to_wrench = self.create_publisher(WrenchStamped, f"{name}/wrench", FAST_QOS)
         self._frame = self._params.frame_id or f"{name}_wrench"
         listener = self.create_subscription(JointState, self._topic, self._on_command, COMMAND_QOS)
         look = self.create_timer(LOOK_S, self._look_around, clock=steady_clock())
@@ -207,8 +207,9 @@ class PhantomBridge(LifecycleNode):
         self._active = False
         if self._servo is not None and not self._servo.ended:
             answer = self._servo.ask(enable=False)
-            if answer.get("zero"):
-                self.get_logger().info(f"{why}: torques are zero")
+            if answer.get("zero") or self._servo.ended:
+                gone = f" ({self._servo.ended})" if self._servo.ended else ""
+                self.get_logger().info(f"{why}: torques are zero{gone}")
             else:
                 self.get_logger().error(f"{why}: the loop did not answer; its process is ended")
                 self._close_servo()

@@ -142,7 +142,7 @@ class HandSimulator(Node):
         super().destroy_node()
 
     def _make(self, kind: str, name: str, message: Any, topic: str) -> None:
-        self._to[kind, name] = self.create_publisher(message, topic, common.READINGS_QOS)
+        self._to[kind, name] = self.create_publisher(message, topic, common.FAST_QOS)
 
     def _on_command(self, arm: _Arm, message: JointState) -> None:
         command = command_of(message, arm.names)
