@@ -25,6 +25,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
+            "hand_state = pneu_sysid.nodes.hand_state:main",
             "identify = pneu_sysid.nodes.identify:main",
             "replay = pneu_sysid.nodes.replay:main",
         ],

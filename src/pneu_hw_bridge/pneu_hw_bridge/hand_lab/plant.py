@@ -6,13 +6,11 @@ moment it stands still rather than jump. What is stamped by it is right however 
 is.
 """
 
+import math
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from pneu_hw_bridge.hand_lab.amplifier import Amplifier
 from pneu_hw_bridge.hand_lab.box import Box
@@ -22,7 +20,6 @@ from pneu_sim.hand.world import Reading, World
 BEHIND_S = 0.02
 """A plant that is behind the machine's clock by more stands still meanwhile."""
 
-Floats = NDArray[np.float64]
 Pull = Callable[[World], None]
 """What an operator's hand does to the plant: sets ``data.xfrc_applied`` before each step."""
 
@@ -46,6 +43,7 @@ class HandPlant:
         ports: dict[str, tuple[int, int]] | None = None,
         hear: Callable[[Reading, int], None] | None = None,
         pull: Pull | None = None,
+        look: Callable[[float], bool] | None = None,
     ) -> None:
         """Opens the devices; nothing moves yet.
 
@@ -55,6 +53,7 @@ class HandPlant:
             ports: UDP and web port of each arm's force sensor; free ones unless given.
             hear: Called with what inertial units and motion capture read, and its time, ns.
             pull: What an operator does.
+            look: Called before each step with the steady time; whether to go on.
 
         Raises:
             InputError: A socket or a port cannot be had.
@@ -64,7 +63,7 @@ class HandPlant:
         self.failure = ""
         self.origin_ns = 0
         self._hear = hear
-        self._pull = pull
+        self._pull, self._look = pull, look
         self.amplifiers: dict[str, Amplifier] = {}
         self.boxes: dict[str, Box] = {}
         self._end = threading.Event()
@@ -83,6 +82,13 @@ class HandPlant:
         """Lets it move."""
         self._thread = threading.Thread(target=self._run, name="plant", daemon=True)
         self._thread.start()
+
+    def run(self) -> None:
+        """Lets it move in this thread, until it is told to end."""
+        try:
+            self._run()
+        finally:
+            self._close()
 
     def stop(self) -> None:
         """Ends it."""
@@ -125,6 +131,8 @@ class HandPlant:
                 arm: amplifier.take(now_s)[: len(world.arms[arm])]
                 for arm, amplifier in self.amplifiers.items()
             }
+            if self._look is not None and not self._look(now_s):
+                return
             if self._pull is not None:
                 self._pull(world)
             read_ns = self.origin_ns + round(1e9 * world.time_s)
@@ -138,5 +146,5 @@ class HandPlant:
                     self.boxes[reading.name].send(reading.number, reading.values.tolist())
                 elif self._hear is not None:
                     self._hear(reading, self.origin_ns + round(1e9 * reading.time_s))
-            if not np.isfinite(world.data.qacc).all():
+            if not math.isfinite(world.data.qacc[0]):
                 raise ArithmeticError(f"it ran away at {world.time_s:.3f} s")

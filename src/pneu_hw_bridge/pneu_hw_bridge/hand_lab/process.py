@@ -107,44 +107,50 @@ def run(link: socket.socket) -> None:
                 batch.clear()
 
         ports = {arm: tuple(pair) for arm, pair in told["ports"].items()}
-        plant = HandPlant(world, Path(told["devices"]), ports, hear)
+        looking = _looking(link)
+        plant = HandPlant(
+            world, Path(told["devices"]), ports, hear, look=lambda now_s: looking(plant, now_s)
+        )
     except InputError as error:
         link.send(packed({"failed": str(error)}))
         return
     link.send(packed({"ready": hand.settings.name}))
+    link.setblocking(False)
     gc.collect()
     gc.freeze()
-    plant.start()
-    try:
-        _obey(link, plant)
-    finally:
-        plant.stop()
+    plant.run()
+    if plant.failure:
+        with contextlib.suppress(OSError):
+            link.send(packed({"failure": plant.failure, "let_go": {}}))
 
 
-def _obey(link: socket.socket, plant: HandPlant) -> None:
-    """Takes what the node tells, and tells it how the plant does."""
-    link.settimeout(REPORT_S)
-    while True:
-        report = {
-            "stood_s": plant.skipped_s,
-            "plant_s": plant.world.time_s,
-            "failure": plant.failure,
-            "let_go": {arm: a.let_go for arm, a in plant.amplifiers.items()},
-        }
+def _looking(link: socket.socket) -> Callable[[HandPlant, float], bool]:
+    """Takes what the node tells, and tells it how the plant does, between two steps."""
+    told_s = -REPORT_S
+
+    def look(plant: HandPlant, now_s: float) -> bool:
+        nonlocal told_s
+        if now_s > told_s + REPORT_S:
+            told_s = now_s
+            report = {
+                "stood_s": plant.skipped_s,
+                "plant_s": plant.world.time_s,
+                "failure": plant.failure,
+                "let_go": {arm: a.let_go for arm, a in plant.amplifiers.items()},
+            }
+            with contextlib.suppress(BlockingIOError):
+                link.send(packed(report))
         try:
-            link.send(packed(report))
             message = link.recv(LONGEST)
-        except TimeoutError:
-            continue
+        except BlockingIOError:
+            return True
         except OSError:
-            return
+            return False
         if not message:
-            return
+            return False
         if message[:1] != JSON:
-            continue
+            return True
         told = json.loads(message[1:])
-        if told.get("end"):
-            return
         for one in plant.amplifiers.values():
             one.fault = told.get("arm_fault", one.fault)
         for its in plant.boxes.values():
@@ -152,7 +158,11 @@ def _obey(link: socket.socket, plant: HandPlant) -> None:
         if "answer" in told:
             zero = {arm: a.zero_s for arm, a in plant.amplifiers.items()}
             torques = {arm: a.torque_n_m for arm, a in plant.amplifiers.items()}
-            link.send(packed({"answer": told["answer"], "zero_s": zero, "torques": torques}))
+            with contextlib.suppress(OSError):
+                link.send(packed({"answer": told["answer"], "zero_s": zero, "torques": torques}))
+        return not told.get("end")
+
+    return look
 
 
 def main() -> None:

@@ -87,6 +87,16 @@ class Kinematics:
         )
         return np.array(at)
 
+    def turn(self, angles_rad: Floats, site: int) -> Floats:
+        """(3, 3) how a site is turned: its axes as columns.
+
+        Args:
+            angles_rad: (j,) what encoders read.
+            site: Number of the site.
+        """
+        self.tip(angles_rad)
+        return np.array(self._data.site_xmat[site]).reshape(3, 3)
+
     def slope(self, angles_rad: Floats) -> Floats:
         """(3, j) what the tip moves by with each angle, m/rad.
 

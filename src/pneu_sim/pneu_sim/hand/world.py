@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim.hand.loading import Hand
+from pneu_sim.hand.touch import driven_by, geoms_with, touch_of
 from pneu_sim.hand.truth import Lie, Truth
 from pneu_sim.mechanism.loading import mujoco_module
 
@@ -134,7 +135,9 @@ class World:
         self._touch = touch
         self._touches = 0
         self._geoms = {
-            arm: self._geoms_of(its.joints[next(iter(its.joints))].motor)
+            arm: geoms_with(
+                self.model, driven_by(self.model, next(iter(its.joints.values())).motor)
+            )
             for arm, its in settings.arms.items()
         }
         self._past: deque[Floats] = deque(
@@ -195,29 +198,7 @@ class World:
         Args:
             arm: Its name.
         """
-        own = self._geoms[arm]
-        total, wrench = np.zeros(6), np.zeros(6)
-        for number in range(self.data.ncon):
-            contact = self.data.contact[number]
-            first, second = (int(g) in own for g in contact.geom)
-            if first == second:
-                continue
-            self._mujoco.mj_contactForce(self.model, self.data, number, wrench)
-            force = contact.frame.reshape(3, 3).T @ wrench[:3]  # on the second geom
-            if second:
-                force = -force
-            total[:3] += force
-            total[3:] += np.cross(contact.pos, force)
-        return total
-
-    def _geoms_of(self, motor: str) -> frozenset[int]:
-        """Geoms that an arm carries: those of the tree of its first motor's joint."""
-        model = self.model
-        joint = int(model.actuator_trnid[model.actuator(motor).id, 0])
-        root = int(model.body_rootid[int(model.jnt_bodyid[joint])])
-        return frozenset(
-            g for g in range(model.ngeom) if int(model.body_rootid[model.geom_bodyid[g]]) == root
-        )
+        return touch_of(self.model, self.data, self._geoms[arm])
 
     def _told(self, where: slice, lie: Lie) -> Floats:
         """What a sensor tells but for its noise; of some time ago where it lags."""

@@ -58,8 +58,8 @@ def chain_of(loaded: Loaded, track: Track, model: Any, step_s: float | None = No
     return Chain(
         track.name,
         t,
-        tuple(_channel(loaded, track, model, t, name) for name in names),
-        _control(track, model, t),
+        tuple(channel_of(loaded, track, model, t, name) for name in names),
+        control_of(track, model, t),
         manifold_of(model),
         _dof_norms(loaded, model),
         _free(model),
@@ -69,7 +69,16 @@ def chain_of(loaded: Loaded, track: Track, model: Any, step_s: float | None = No
     )
 
 
-def _channel(loaded: Loaded, track: Track, model: Any, t: Floats, name: str) -> Channel:
+def channel_of(loaded: Loaded, track: Track, model: Any, t: Floats, name: str) -> Channel:
+    """A sensor along knots.
+
+    Args:
+        loaded: The scene.
+        track: The recording.
+        model: The model.
+        t: (n,) the knots.
+        name: The sensor.
+    """
     sensor = int(model.sensor(name).id)
     series = track.sensors[name]
     stage = int(model.sensor_needstage[sensor])
@@ -105,7 +114,14 @@ def _channel(loaded: Loaded, track: Track, model: Any, t: Floats, name: str) -> 
     )
 
 
-def _control(track: Track, model: Any, t: Floats) -> Floats:
+def control_of(track: Track, model: Any, t: Floats) -> Floats:
+    """(n, nu) what actuators are told at knots.
+
+    Args:
+        track: The recording.
+        model: The model.
+        t: (n,) the knots.
+    """
     out = np.zeros((len(t), int(model.nu)))
     for name, series in track.controls.items():
         out[:, model.actuator(name).id] = series.at(t)[:, 0]
