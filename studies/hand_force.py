@@ -302,8 +302,9 @@ def main(arguments: list[str] | None = None) -> int:
             for s, a, b, c, d, e in rows
         ),
         "",
-        f"RMSE against the hidden truth, N. The filter's one number, {changes:.0f} N/s^2 per root of"
-        " Hz, is the best for the first run, which only the truth tells.",
+        "RMSE against the hidden truth, N. The filter's one number,"
+        f" {changes:.0f} N/s^2 per root of Hz, is the best for the first run, which only the truth"
+        " tells.",
         "",
     ]  # fmt: skip
     Kalman.CHANGES = changes
@@ -322,9 +323,9 @@ def main(arguments: list[str] | None = None) -> int:
     lines += [
         "## Pressing with a force that is wanted",
         "",
-        "0.35 N, swinging by 0.15 N at 0.5 Hz; RMSE after the first 2 s, N. Each has the gain that was"
-        f" best for seed {first}, m/s per N: {gains}. An estimate is there to be used a cycle, 10 ms,"
-        " after it was begun; what the sensor changed by since the instant that it is of is added.",
+        "0.35 N, swinging by 0.15 N at 0.5 Hz; RMSE after the first 2 s, N. Each has the gain that"
+        f" was best for seed {first}, m/s per N: {gains}. An estimate is there to be used a cycle,"
+        " 10 ms, after it was begun; what the sensor changed by since its instant is added.",
         "",
         "| seed | by the raw sensor | by the Kalman filter | by the estimate |",
         "|---|---|---|---|",

@@ -57,13 +57,14 @@ class Child:
                 says ``ready``, or ``failed`` and why.
             settings: The first message it gets.
             heard: Called with each further message but answers, in a thread of its own; with
-                nothing when it has ended.
+                nothing when it has ended by itself.
 
         Raises:
             InputError: It is not ready.
         """
         self.ended = ""
         self._heard = heard
+        self._wanted = True
         self._answers: dict[int, dict[str, Any]] = {}
         self._answered = threading.Condition()
         self._numbers = itertools.count(1)
@@ -132,6 +133,7 @@ class Child:
 
     def end(self) -> None:
         """Ends it, in good order where it still can."""
+        self._wanted = False
         if not self.ended:
             self.tell(end=True)
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -161,9 +163,10 @@ class Child:
                 with self._answered:
                     self._answers[told["answer"]] = told
                     self._answered.notify_all()
-            else:
+            elif self._wanted:
                 self._heard(message)
         with self._answered:
             self.ended = self.ended or "its process has ended"
             self._answered.notify_all()
-        self._heard(b"")
+        if self._wanted:
+            self._heard(b"")

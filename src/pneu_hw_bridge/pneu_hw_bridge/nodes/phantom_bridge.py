@@ -224,6 +224,11 @@ class PhantomBridge(LifecycleNode):
             self._close()
             self._emergency.close()
 
+    def destroy_node(self) -> None:
+        """Closes the device, then ends the node."""
+        self._close()
+        super().destroy_node()
+
     def _arm(self) -> tuple[str, ArmSettings]:
         if not self._params.hand:
             raise InputError("hand: found nothing, a hand file is needed")

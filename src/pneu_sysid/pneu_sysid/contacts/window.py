@@ -232,7 +232,6 @@ class Window:
         oldest = max(r.oldest_s for r in self._all)
         if newest - oldest < span + self.step_s:
             return False
-        self.restarts += self._chain is not None
         begin = newest - 0.5 * self.step_s - span
         track = self._track()
         track = track.between(begin - 1e-6, newest, "window")
@@ -245,6 +244,7 @@ class Window:
         chain, q = settled(chain, self._model, self._setup)
         if not np.isfinite(q).all():
             q = chain.start
+        self.restarts += self._chain is not None
         self._chain, self._q = chain, q
         self._slack()
         self._step(SETTLING, held=0)
