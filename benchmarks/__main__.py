@@ -15,6 +15,7 @@ from benchmarks import (
     accuracy,
     contacts,
     graph,
+    hands,
     kernel,
     peers,
     report,
@@ -34,6 +35,7 @@ SUBJECTS = {
     "sysid": sysid,
     "contacts": contacts,
     "training": training,
+    "hands": hands,
     "graph": graph,
 }
 QUICK = "--quick"

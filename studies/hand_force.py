@@ -32,7 +32,9 @@ from pneu_sim.hand.press import Press, PressSettings
 from pneu_sim.hand.truth import Truth
 from pneu_sim.hand.world import Reading, World
 from pneu_sim.hand.wrist import Wrist
+from pneu_sysid.contacts.fit import fit_scene
 from pneu_sysid.contacts.scene import Loaded, load_scene
+from pneu_sysid.contacts.track import Series, Track, unbroken
 from pneu_sysid.contacts.window import Window
 from studies.digest import sources_digest
 
@@ -56,20 +58,23 @@ class Run:
         time_s: When.
         true_n: (n, 3) force of the tip on the thing.
         raw_n: (n, 3) what the sensor says of it.
+        track: What was read, as a recording.
         told: Of estimates: when it is of, what it says, when it was made, how long that took, s.
     """
 
     time_s: list[float] = field(default_factory=list)
     true_n: list[Floats] = field(default_factory=list)
     raw_n: list[Floats] = field(default_factory=list)
+    track: Track | None = None
     told: list[tuple[float, Floats, float, float]] = field(default_factory=list)
 
 
 class Feeder:
-    """Gives a window what sensors of the plant read."""
+    """Gives a window what sensors of the plant read, and keeps it as a recording."""
 
-    def __init__(self, loaded: Loaded, hand: Hand) -> None:
-        self.window = Window(loaded, loaded.scene.values, TIP)
+    def __init__(self, loaded: Loaded, hand: Hand, knots: int) -> None:
+        self.window = Window(loaded, loaded.scene.values, TIP, knots=knots)
+        self._kept: dict[tuple[bool, str], list[tuple[float, Floats]]] = {}
         self._joints = hand.settings.arms[ARM].joints
         arm = hand.settings.arms[ARM].wrench
         assert arm is not None
@@ -81,14 +86,30 @@ class Feeder:
 
     def joints(self, time_s: float, angles: list[float], torques: list[float]) -> None:
         for joint, angle, torque in zip(self._joints.values(), angles, torques, strict=True):
-            self.window.sensor(joint.encoder, time_s, np.array([angle]))
+            self._sensor(joint.encoder, time_s, np.array([angle]))
             self.window.control(joint.motor, time_s, torque)
+            self._kept.setdefault((True, joint.motor), []).append((time_s, np.array([torque])))
 
     def reading(self, reading: Reading) -> None:
         if reading.kind in self._names:
             first, second = self._names[reading.kind]
-            self.window.sensor(first, reading.time_s, reading.values[:3])
-            self.window.sensor(second, reading.time_s, reading.values[3:])
+            self._sensor(first, reading.time_s, reading.values[:3])
+            self._sensor(second, reading.time_s, reading.values[3:])
+
+    def _sensor(self, name: str, time_s: float, values: Floats) -> None:
+        self.window.sensor(name, time_s, values)
+        self._kept.setdefault((False, name), []).append((time_s, values))
+
+    def track(self) -> Track:
+        """What was read, as a recording."""
+        series = {
+            key: Series(np.array([t for t, _ in kept]), np.array([v for _, v in kept]))
+            for key, kept in self._kept.items()
+        }
+        sensors = {name: one for (driven, name), one in series.items() if not driven}
+        turned = sensors["turn"]
+        sensors["turn"] = Series(turned.time_s, unbroken(turned.values))
+        return Track("recorded", sensors, {n: one for (driven, n), one in series.items() if driven})
 
 
 def moved(
@@ -99,6 +120,7 @@ def moved(
     seed: int,
     go: Callable[[float, float, float], tuple[Floats, Floats | None]],
     source: str,
+    knots: int = 16,
 ) -> Run:
     """Moves a plant.
 
@@ -111,10 +133,15 @@ def moved(
         go: Angles to go to and their velocities, by the time, the time since the last call, and the
             force along the line as `source` knows it.
         source: ``raw``, ``kalman`` or ``estimate``.
+        knots: Of the estimate's window.
     """
     world = World(hand, truth, seed, touch=True)
     joints = list(hand.settings.arms[ARM].joints.values())
-    wrist, feeder, velocity = Wrist(hand, ARM), Feeder(loaded, hand), VelocityFilter(len(joints))
+    wrist, feeder, velocity = (
+        Wrist(hand, ARM),
+        Feeder(loaded, hand, knots),
+        VelocityFilter(len(joints)),
+    )
     filtered = Kalman()
     run, torques, force, ready = Run(), [0.0] * len(joints), 0.0, []
     angles = [0.0] * len(joints)
@@ -166,6 +193,7 @@ def moved(
                 ready.append((now + CYCLE_S, float(found.touch[0]), float(then[0])))
         while ready and ready[0][0] <= now:
             told = ready.pop(0)
+    run.track = feeder.track()
     return run
 
 
@@ -228,6 +256,16 @@ def rmse(off: Floats) -> float:
     return float(np.sqrt(np.mean(off**2)))
 
 
+def identified(hand: Hand, truth: Truth, loaded: Loaded, seconds: float, seed: int) -> Loaded:
+    """The scene with what is found of a recording of the plant."""
+    kinematics = Kinematics(hand, ARM, TIP)
+    path = exercise(hand, kinematics, TIP, THING, seconds, seed)
+    run = moved(hand, truth, loaded, seconds, seed, followed(path), "raw")
+    assert run.track is not None
+    fit = fit_scene(loaded, [run.track])
+    return Loaded(loaded.scene.with_values(fit.values), loaded.mjcf.parent)
+
+
 def pressed(
     hand: Hand, truth: Truth, loaded: Loaded, seconds: float, seed: int, source: str, gain: float
 ) -> float:
@@ -259,14 +297,21 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--hand", type=Path, default=ROOT / "scenes/phantom/hand.yaml")
     parser.add_argument("--scene", type=Path, default=ROOT / "scenes/phantom/hanging.yaml")
-    parser.add_argument("--truth", type=Path, help="what is hidden, sealed or plain")
+    parser.add_argument(
+        "--truth", type=Path, default=ROOT / "scenes/phantom/hidden.json",
+        help="what is hidden, sealed or plain",
+    )  # fmt: skip
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--seeds", type=int, nargs="*", default=[11, 12, 13])
     parser.add_argument("--page", type=Path, help="file that receives the page")
     options = parser.parse_args(arguments)
     console = Console(width=140)
     hand, loaded = Hand(options.hand), load_scene(options.scene)
-    truth = open_truth(options.truth) if options.truth else Truth()
+    truth = open_truth(options.truth)
+    console.print("identifying")
+    loaded = identified(hand, truth, loaded, 6.0, 1)
+    found = ", ".join(f"{v.effect}@{v.at} {v.value:.4g}" for v in loaded.scene.values if v.value)
+    console.print(found)
     kinematics = Kinematics(hand, ARM, TIP)
 
     rows = []
@@ -293,8 +338,9 @@ def main(arguments: list[str] | None = None) -> int:
         )  # fmt: skip
         console.print(rows[-1])
     lines = [
-        "# Contact force while an arm moves", "", "Made by `make hand-force`.",
+        "# Contact force while an arm moves", "", "Made by `make hand-force PAGE=file`.",
         f"Made from the sources {sources_digest()}.", "",
+        f"What was identified from a recording of 6 s: {found}.", "",
         "| seed | true force, N, rms | raw sensor | Kalman filter | estimate | its lag, ms |",
         "|---|---|---|---|---|---|",
         *(
