@@ -9,6 +9,7 @@ newest reading by a few knots, since an acceleration needs the knot after it, an
 sure as the readings on either side.
 """
 
+from collections import deque
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -47,6 +48,10 @@ AGAIN = 3
 """Steps after a gap."""
 SETTLING = 6
 """Steps of the first window."""
+TROUBLED = 4.0
+"""Times the usual cost of a window, above which it is estimated further."""
+MENDING = 6
+"""Steps of that, at most."""
 TRIES = 3
 """Halvings of a step that makes nothing better."""
 
@@ -169,6 +174,7 @@ class Window:
         self._q = np.zeros((0, self._model.nq))
         self.cost = 0.0
         self.restarts = 0
+        self._costs: deque[float] = deque(maxlen=200)
 
     def sensor(self, name: str, time_s: float, values: Floats) -> None:
         """Takes a reading.
@@ -215,6 +221,7 @@ class Window:
             self._extend(fresh)
             # after a gap more knots are new than were estimated: they need more than one step
             self._step(self._iterations if fresh < self._knots // 2 else AGAIN)
+            self._mend()
         for readings in self._all:
             readings.forget(newest - (self._knots + KEPT) * self.step_s)
         return self._told(newest)
@@ -334,6 +341,18 @@ class Window:
                     break
             else:
                 return
+
+    def _mend(self) -> None:
+        """Goes on while far more is left than usual, as where an impact went another way."""
+        usual = float(np.median(self._costs)) if self._costs else np.inf
+        for _ in range(MENDING):
+            before = self.cost
+            if self.cost <= TROUBLED * usual:
+                break
+            self._step(1)
+            if self.cost > 0.99 * before:
+                break
+        self._costs.append(self.cost)
 
     def _told(self, newest: float) -> Estimate:
         assert self._chain is not None
