@@ -21,6 +21,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from tests.measured import PATIENCE_S
 
@@ -30,6 +31,7 @@ from pneu_hw_bridge.hand_lab.process import PlantProcess
 from pneu_hw_bridge.phantom.governor import STATES, State
 from pneu_hw_bridge.phantom.net_ft import read_calibration
 from pneu_hw_bridge.phantom.process import ServoProcess
+from pneu_hw_bridge.phantom.servo import device_of
 from pneu_sim.hand.drive import JointCommand
 from pneu_sim.hand.settings import read_hand
 
@@ -214,8 +216,8 @@ def test_it_follows_and_tells_what_it_reads(bench: Bench) -> None:
     assert 350 < len(bench.wrenches) < 650
     numbers = [w.sample for w in bench.wrenches]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-    weight = 0.022 * 9.81 / 2.0  # the tip hangs on the sensor; half of it is a wide margin
-    assert abs(bench.wrenches[-1].values[2]) > weight
+    weight = 0.022 * 9.81  # the tip hangs on the sensor, while the arm shakes a little
+    assert np.mean([w.values[2] for w in bench.wrenches]) == pytest.approx(weight, rel=0.2)
 
 
 @pytest.mark.parametrize(
@@ -284,6 +286,7 @@ def test_a_loop_that_hangs_leaves_no_torque(bench: Bench) -> None:
 NODE = """
 import json, sys, time
 from pneu_hw_bridge.phantom.process import ServoProcess
+from pneu_hw_bridge.phantom.servo import device_of
 from pneu_sim.hand.drive import JointCommand
 servo = ServoProcess(json.loads(sys.argv[1]), lambda j, w: None, lambda: None)
 servo.tell(publishers=[1, ""])
@@ -327,18 +330,13 @@ def test_a_stop_answers_once_torques_are_zero(bench: Bench) -> None:
 
 
 def test_a_device_that_is_not_there_is_one_sentence(tmp_path: Path) -> None:
-    settings: dict[str, Any] = {
-        "joints": {name: joint.model_dump() for name, joint in ARM.joints.items()},
-        "watchdog_s": 0.05, "device_timeout_s": 0.005, "sensor_timeout_s": 0.008, "dwell_s": 0.1,
-        "library": "/nowhere/libHD.so", "sensor": None, "rate_hz": 2000.0, "every": 2,
-    }  # fmt: skip
     for device, says in (
         (f"emulated:{tmp_path}/none.sock", "no emulated device there"),
         ("openhaptics:Left", "'/nowhere/libHD.so': OpenHaptics cannot be used"),
         ("something", "allowed are emulated:SOCKET and openhaptics:NAME"),
     ):
         with pytest.raises(InputError, match=says):
-            ServoProcess(settings | {"device": device}, lambda j, w: None, lambda: None)
+            device_of(device, "/nowhere/libHD.so").open()
 
 
 @pytest.fixture(scope="session")
@@ -378,13 +376,20 @@ def test_openhaptics_drives_a_device_with_its_c_interface(libhd: Path, tmp_path:
 
 def test_openhaptics_says_what_it_has_not(libhd: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="OpenHaptics has no such device"):
-        Bench_settings = {
-            "joints": {name: joint.model_dump() for name, joint in ARM.joints.items()},
-            "watchdog_s": 0.05, "device_timeout_s": 0.005, "sensor_timeout_s": 0.008,
-            "dwell_s": 0.1, "library": str(libhd), "sensor": None, "rate_hz": 2000.0, "every": 2,
-            "device": f"openhaptics:{tmp_path}/none.sock",
-        }  # fmt: skip
-        ServoProcess(Bench_settings, lambda j, w: None, lambda: None)
+        device_of(f"openhaptics:{tmp_path}/none.sock", str(libhd)).open()
+    with pytest.raises(InputError, match="OpenHaptics has no such device"):
+        device_of("openhaptics:", str(libhd)).open()  # there is no default one
+
+
+def test_a_loop_whose_device_is_not_there_says_so(tmp_path: Path) -> None:
+    settings: dict[str, Any] = {
+        "joints": {name: joint.model_dump() for name, joint in ARM.joints.items()},
+        "watchdog_s": 0.05, "device_timeout_s": 0.005, "sensor_timeout_s": 0.008, "dwell_s": 0.1,
+        "library": "", "sensor": None, "rate_hz": 2000.0, "every": 2,
+        "device": f"emulated:{tmp_path}/none.sock",
+    }  # fmt: skip
+    with pytest.raises(InputError, match="no emulated device there"):
+        ServoProcess(settings, lambda j, w: None, lambda: None)
 
 
 def test_a_message_of_plain_values_is_json() -> None:

@@ -101,6 +101,7 @@ def test_force_is_known_ten_milliseconds_later(moved: Any) -> None:
     assert np.mean([np.abs(e.touch[:3]).max() for e in free]) < 0.002
 
 
+@pytest.mark.long
 def test_readings_that_did_not_come_for_a_while_are_made_up_for(moved: Any) -> None:
     events, true = moved
     loaded = load_scene(SCENES / "hanging.yaml")
