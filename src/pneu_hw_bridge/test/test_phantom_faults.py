@@ -211,11 +211,13 @@ def bench(shared: Bench) -> Bench:
 
 def test_it_follows_and_tells_what_it_reads(bench: Bench) -> None:
     del bench.joints[:], bench.wrenches[:]
-    time.sleep(0.5)
-    assert 350 < len(bench.joints) < 650
-    assert 350 < len(bench.wrenches) < 650
+    end_s = time.monotonic() + PATIENCE_S
+    while min(len(bench.joints), len(bench.wrenches)) < 300:
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
     numbers = [w.sample for w in bench.wrenches]
-    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    assert numbers == sorted(set(numbers))
+    assert numbers[-1] - numbers[0] < 1.2 * len(numbers)
     weight = 0.022 * 9.81  # the tip hangs on the sensor, while the arm shakes a little
     assert np.mean([w.values[2] for w in bench.wrenches]) == pytest.approx(weight, rel=0.2)
 
