@@ -330,7 +330,7 @@ def depth(model: mujoco.MjModel, q: Floats) -> Floats:
 
 
 def test_a_recording_of_a_finer_step_tells_friction_stiffness_and_spring(tmp_path: Path) -> None:
-    track, truth = pressed()
+    track, truth = pressed(1.0)
     loaded = finger_scene(tmp_path)
     found = fit_scene(loaded, [track], physics=Physics(2))
     told = {p.label: found.told(k)[0] for k, p in enumerate(found.parameters)}

@@ -219,6 +219,7 @@ def test_the_slope_is_that_of_the_cost_with_the_best_zero() -> None:
     assert 0.5 * (ahead - back) == pytest.approx(foretold, rel=1e-3)
 
 
+@pytest.mark.long
 def test_tilt_and_heights_are_found() -> None:
     """From a level start, of three tosses whose heights were zeroed in three ways."""
     loaded = elbow(("z",))
