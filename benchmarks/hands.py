@@ -22,8 +22,7 @@ RATE_HZ = 2000.0
 
 BARE = """
 import json, sys, time
-from pneu_hw_bridge.phantom.emulated import punctual
-from pneu_hw_bridge.priority import precedence
+from pneu_hw_bridge.priority import precedence, punctual
 seconds, rate = float(sys.argv[1]), float(sys.argv[2])
 ticks, missed = [], 0
 with precedence():
@@ -153,9 +152,11 @@ def loop() -> Table:
 
 def estimate() -> Table:
     """A cycle of the fixed-lag estimate, by the knots of its window."""
-    from studies.hand_force import Kinematics, exercise, followed, moved
+    from studies.hand_force import followed, moved
 
+    from pneu_sim.hand.exercise import exercise
     from pneu_sim.hand.loading import Hand
+    from pneu_sim.hand.paths import Kinematics
     from pneu_sim.hand.truth import Truth
     from pneu_sysid.contacts.scene import load_scene
 

@@ -23,7 +23,7 @@ from scipy.optimize import minimize_scalar
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
 from pneu_hw_bridge.hand_lab.hidden import open_truth
-from pneu_sim.hand.drive import JointCommand, VelocityFilter, torque_of
+from pneu_sim.hand.drive import JointCommand, Motors
 from pneu_sim.hand.exercise import exercise
 from pneu_sim.hand.loading import Hand
 from pneu_sim.hand.paths import Kinematics
@@ -121,6 +121,7 @@ def moved(
     go: Callable[[float, float, float], tuple[Floats, Floats | None]],
     source: str,
     knots: int = 16,
+    changes: float = 100.0,
 ) -> Run:
     """Moves a plant.
 
@@ -134,15 +135,12 @@ def moved(
             force along the line as `source` knows it.
         source: ``raw``, ``kalman`` or ``estimate``.
         knots: Of the estimate's window.
+        changes: Of the filter.
     """
     world = World(hand, truth, seed, touch=True)
     joints = list(hand.settings.arms[ARM].joints.values())
-    wrist, feeder, velocity = (
-        Wrist(hand, ARM),
-        Feeder(loaded, hand, knots),
-        VelocityFilter(len(joints)),
-    )
-    filtered = Kalman()
+    wrist, feeder, motors = Wrist(hand, ARM), Feeder(loaded, hand, knots), Motors(joints)
+    kalman = Kalman(changes)
     run, torques, force, ready = Run(), [0.0] * len(joints), 0.0, []
     angles = [0.0] * len(joints)
     told: tuple[float, float, float] | None = None
@@ -152,25 +150,18 @@ def moved(
     for number in range(steps):
         now = world.time_s
         if number % every == 0:
-            counts = zip(world.counts(ARM), joints, strict=True)
-            angles = [count / joint.counts_per_rad for count, joint in counts]
-            velocity.take(angles, now)
             wanted, speeds = go(now, SERVO_S, force)
-            torques = []
-            for k, joint in enumerate(joints):
-                speed = float(speeds[k]) if speeds is not None else float("nan")
-                command = JointCommand(float(wanted[k]), speed)
-                asked = torque_of(joint, command, angles[k], velocity.velocity_rad_s[k])
-                torques.append(
-                    float(np.clip(asked, -joint.torque_limit_n_m, joint.torque_limit_n_m))
-                )
+            speeds = np.full(len(joints), np.nan) if speeds is None else speeds
+            commands = [JointCommand(*both) for both in zip(wanted, speeds, strict=True)]
+            torques = motors.drive(world.counts(ARM), now, commands)
+            angles = motors.position_rad
             if number % (2 * every) == 0:
                 feeder.joints(now, angles, torques)
         for reading in world.advance({ARM: torques}):
             feeder.reading(reading)
             if reading.kind == "wrench":
                 push = wrist.push(np.array(angles), reading.values[:3])
-                filtered.take(push, 1.0 / 1000.0)
+                kalman.take(push, 1.0 / 1000.0)
                 run.raw_n.append(push)
                 if source == "raw":
                     force = float(push[0])
@@ -178,7 +169,7 @@ def moved(
                     # what the sensor has changed by since the instant that the estimate is of
                     force = told[1] + float(push[0]) - told[2]
                 elif source == "kalman":
-                    force = float(filtered.force_n[0])
+                    force = float(kalman.force_n[0])
             elif reading.kind == "touch":
                 run.time_s.append(reading.time_s)
                 run.true_n.append(reading.values[:3])
@@ -206,11 +197,14 @@ class Kalman:
 
     READ_N = 0.01
     """Of the sensor."""
-    CHANGES = 30.0
-    """Of the force's second derivative, N/s^2 per root of Hz; see `best_changes`."""
 
-    def __init__(self, changes: float | None = None) -> None:
-        self._changes = changes or self.CHANGES
+    def __init__(self, changes: float) -> None:
+        """Knows nothing yet.
+
+        Args:
+            changes: Of the force's second derivative, N/s^2 per root of Hz; see `best_changes`.
+        """
+        self._changes = changes
         self._state = np.zeros((2, 3))
         self._spread = np.diag([1.0, 100.0])
 
@@ -267,7 +261,14 @@ def identified(hand: Hand, truth: Truth, loaded: Loaded, seconds: float, seed: i
 
 
 def pressed(
-    hand: Hand, truth: Truth, loaded: Loaded, seconds: float, seed: int, source: str, gain: float
+    hand: Hand,
+    truth: Truth,
+    loaded: Loaded,
+    seconds: float,
+    seed: int,
+    source: str,
+    gain: float,
+    changes: float,
 ) -> float:
     """How far the force is off that an arm presses with, N; infinite where it runs away."""
     kinematics = Kinematics(hand, ARM, TIP)
@@ -279,7 +280,7 @@ def pressed(
         return press.angles(time_s, step_s, force_n), None
 
     try:
-        run = moved(hand, truth, loaded, seconds, seed, go, source)
+        run = moved(hand, truth, loaded, seconds, seed, go, source, changes=changes)
     except InputError:  # the tip was led to where the arm cannot reach
         return float("inf")
     t, true = np.array(run.time_s), np.array(run.true_n)[:, 0]
@@ -353,16 +354,21 @@ def main(arguments: list[str] | None = None) -> int:
         " tells.",
         "",
     ]  # fmt: skip
-    Kalman.CHANGES = changes
     best: dict[str, float] = {}
     tracked = []
     first, *others = options.seeds
     for source in SOURCES:
-        by = {g: pressed(hand, truth, loaded, options.seconds, first, source, g) for g in GAINS}
+        by = {
+            g: pressed(hand, truth, loaded, options.seconds, first, source, g, changes)
+            for g in GAINS
+        }
         best[source] = min(by, key=lambda g: by[g])
         console.print(source, by)
     for seed in others:
-        offs = [pressed(hand, truth, loaded, options.seconds, seed, s, best[s]) for s in SOURCES]
+        offs = [
+            pressed(hand, truth, loaded, options.seconds, seed, s, best[s], changes)
+            for s in SOURCES
+        ]
         tracked.append((seed, *offs))
         console.print(tracked[-1])
     gains = ", ".join(f"{best[s]:g} by the {s}" for s in SOURCES)

@@ -14,7 +14,6 @@ import pytest
 from tests.live_graph import Graph, own_domain, running_graph, wait_for
 
 from geometry_msgs.msg import PoseStamped, WrenchStamped  # isort: skip
-from lifecycle_msgs.msg import Transition  # isort: skip
 from pneu_hw_bridge.nodes.hand_lab import HandLab  # isort: skip
 from pneu_hw_bridge.nodes.phantom_bridge import PhantomBridge  # isort: skip
 from pneu_sim.nodes.hand_simulator import HandSimulator  # isort: skip
@@ -125,7 +124,6 @@ def test_a_bridge_without_a_device_says_so(graph: Graph, tmp_path: Path) -> None
         wait_s=0.0,
     )
     assert bridge.trigger_configure().name == "FAILURE"
-    assert Transition.TRANSITION_CONFIGURE  # it may be configured again
     bridge.end()
 
 

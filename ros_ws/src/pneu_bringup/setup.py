@@ -17,6 +17,7 @@ setup(
         # A link to a rig file is followed, so that the file itself is installed.
         *((f"share/{package_name}/{d}", glob(f"{d}/*")) for d in ("launch", "config", "layouts")),
         (f"share/{package_name}/rigs", glob("rigs/*.yaml")),
+        (f"share/{package_name}/scenes/phantom", glob("scenes/phantom/*")),
     ],
     install_requires=["setuptools"],
     zip_safe=True,

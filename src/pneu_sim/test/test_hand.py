@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from pneu_common.errors import InputError
-from pneu_sim.hand.drive import JointCommand, VelocityFilter, torque_of
+from pneu_sim.hand.drive import JointCommand, Motors, torque_of
 from pneu_sim.hand.exercise import exercise
 from pneu_sim.hand.loading import Hand
-from pneu_sim.hand.paths import Kinematics, along
+from pneu_sim.hand.paths import Kinematics, through, way
 from pneu_sim.hand.settings import JointSettings
 from pneu_sim.hand.truth import Change, Lie, Truth
 from pneu_sim.hand.world import World
@@ -116,7 +116,6 @@ def test_what_is_hidden_is_in_the_plant_and_in_its_sensors(hand: Hand) -> None:
     for one in (world, plain):
         one.data.joint("phantom_waist").qpos = 0.3
         one.data.joint("object").qvel[:3] = [0.5, 0.0, 0.0]
-        one.hand  # noqa: B018
     told: dict[int, dict[float, float]] = {}
     for one in (world, plain):
         for _ in range(40):
@@ -169,7 +168,7 @@ def test_angles_bring_the_tip_where_it_should_be(hand: Hand) -> None:
 def test_a_path_begins_and_ends_at_rest_and_goes_straight(hand: Hand) -> None:
     kinematics = Kinematics(hand, "phantom", "phantom_tip")
     begin, end = np.array([0.215, 0.0, 0.13]), np.array([0.235, 0.02, 0.15])
-    path = along(kinematics, [begin, end], [0.5])
+    path = through(kinematics, np.vstack([begin, way(begin, end, 0.5)]))
     tips = np.array([kinematics.tip(a) for a in path.angles_rad])
     off = (tips - begin) - np.outer((tips - begin) @ (end - begin), end - begin) / 0.0012
     assert np.max(np.abs(off)) < 1e-4
@@ -185,25 +184,16 @@ def test_an_exercise_touches_and_slides_and_lets_go(hand: Hand) -> None:
     )
     assert np.max(np.abs(np.diff(path.angles_rad, axis=0))) < 0.02  # without jumps
     world = World(hand, touch=True)
-    joints = list(hand.settings.arms["phantom"].joints.values())
-    velocity, touches, raw, true = VelocityFilter(3), [], [], []
-    wrist = Wrist(hand, "phantom")
+    motors = Motors(list(hand.settings.arms["phantom"].joints.values()))
+    wrist, touches, raw = Wrist(hand, "phantom"), [], []
     for _ in range(round(6.0 / world.step_s)):
-        counts = zip(world.counts("phantom"), joints, strict=True)
-        angles = [count / joint.counts_per_rad for count, joint in counts]
-        velocity.take(angles, world.time_s)
-        wanted, speeds = path.at(world.time_s)
-        torques = [
-            torque_of(j, JointCommand(w, s), a, v)
-            for j, w, s, a, v in zip(
-                joints, wanted, speeds, angles, velocity.velocity_rad_s, strict=True
-            )
-        ]
+        wanted = [JointCommand(*both) for both in zip(*path.at(world.time_s), strict=True)]
+        torques = motors.drive(world.counts("phantom"), world.time_s, wanted)
         for reading in world.advance({"phantom": torques}):
             if reading.kind == "touch":
                 touches.append(reading.values[:3])
             elif reading.kind == "wrench":
-                raw.append(wrist.push(np.array(angles), reading.values[:3]))
+                raw.append(wrist.push(np.array(motors.position_rad), reading.values[:3]))
     true = np.array(touches)
     size = np.linalg.norm(true, axis=1)
     assert 0.2 < np.mean(size > 0.01) < 0.9

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneu_sim.hand.drive import JointCommand, VelocityFilter, torque_of
+from pneu_sim.hand.drive import JointCommand, Motors
 from pneu_sim.hand.exercise import exercise
 from pneu_sim.hand.loading import Hand
 from pneu_sim.hand.paths import Kinematics
@@ -27,8 +27,9 @@ def moved() -> tuple[list[tuple[float, str, Any]], np.ndarray]:
     path = exercise(
         hand, Kinematics(hand, "phantom", "phantom_tip"), "phantom_tip", "object", 4.0, 1
     )
-    world, velocity = World(hand, seed=1, touch=True), VelocityFilter(3)
+    world = World(hand, seed=1, touch=True)
     joints = list(hand.settings.arms["phantom"].joints.values())
+    motors = Motors(joints)
     pairs = {
         "wrench": ("phantom_force", "phantom_torque"),
         "imu": ("gyro", "accelerometer"),
@@ -37,16 +38,9 @@ def moved() -> tuple[list[tuple[float, str, Any]], np.ndarray]:
     events: list[tuple[float, str, Any]] = []
     true = []
     for number in range(round(SECONDS / world.step_s)):
-        counts = zip(world.counts("phantom"), joints, strict=True)
-        angles = [count / joint.counts_per_rad for count, joint in counts]
-        velocity.take(angles, world.time_s)
-        wanted, speeds = path.at(world.time_s)
-        torques = [
-            torque_of(j, JointCommand(w, s), a, v)
-            for j, w, s, a, v in zip(
-                joints, wanted, speeds, angles, velocity.velocity_rad_s, strict=True
-            )
-        ]
+        wanted = [JointCommand(*both) for both in zip(*path.at(world.time_s), strict=True)]
+        torques = motors.drive(world.counts("phantom"), world.time_s, wanted)
+        angles = motors.position_rad
         if number % 2 == 0:
             for joint, angle, torque in zip(joints, angles, torques, strict=True):
                 events.append((world.time_s, joint.encoder, np.array([angle])))

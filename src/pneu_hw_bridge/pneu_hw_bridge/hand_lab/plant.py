@@ -7,21 +7,15 @@ is.
 """
 
 import math
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from pneu_hw_bridge.hand_lab.amplifier import Amplifier
 from pneu_hw_bridge.hand_lab.box import Box
-from pneu_hw_bridge.phantom.emulated import punctual
+from pneu_hw_bridge.priority import punctual
+from pneu_sim.hand.pace import Pace
 from pneu_sim.hand.world import Reading, World
-
-BEHIND_S = 0.02
-"""A plant that is behind the machine's clock by more stands still meanwhile."""
-
-Pull = Callable[[World], None]
-"""What an operator's hand does to the plant: sets ``data.xfrc_applied`` before each step."""
 
 
 class HandPlant:
@@ -32,7 +26,7 @@ class HandPlant:
         amplifiers: By the names of arms.
         boxes: Force sensors, by the names of arms.
         origin_ns: The time of day at which plant time began.
-        skipped_s: For how long it stood still.
+        stood_s: For how long it stood still.
         failure: Why it ended; empty where it was told to.
     """
 
@@ -42,7 +36,6 @@ class HandPlant:
         folder: str | Path,
         ports: dict[str, tuple[int, int]] | None = None,
         hear: Callable[[Reading, int], None] | None = None,
-        pull: Pull | None = None,
         look: Callable[[float], bool] | None = None,
     ) -> None:
         """Opens the devices; nothing moves yet.
@@ -52,22 +45,19 @@ class HandPlant:
             folder: Of the sockets.
             ports: UDP and web port of each arm's force sensor; free ones unless given.
             hear: Called with what inertial units and motion capture read, and its time, ns.
-            pull: What an operator does.
             look: Called before each step with the steady time; whether to go on.
 
         Raises:
             InputError: A socket or a port cannot be had.
         """
         self.world = world
-        self.skipped_s = 0.0
+        self.stood_s = 0.0
         self.failure = ""
         self.origin_ns = 0
         self._hear = hear
-        self._pull, self._look = pull, look
+        self._look = look
         self.amplifiers: dict[str, Amplifier] = {}
         self.boxes: dict[str, Box] = {}
-        self._end = threading.Event()
-        self._thread: threading.Thread | None = None
         try:
             for arm, its in world.hand.settings.arms.items():
                 self.amplifiers[arm] = Amplifier(Path(folder) / f"{arm}.sock")
@@ -78,24 +68,12 @@ class HandPlant:
             self._close()
             raise
 
-    def start(self) -> None:
-        """Lets it move."""
-        self._thread = threading.Thread(target=self._run, name="plant", daemon=True)
-        self._thread.start()
-
     def run(self) -> None:
-        """Lets it move in this thread, until it is told to end."""
+        """Lets it move, until it is told to end."""
         try:
             self._run()
         finally:
             self._close()
-
-    def stop(self) -> None:
-        """Ends it."""
-        self._end.set()
-        if self._thread is not None:
-            self._thread.join()
-        self._close()
 
     def _close(self) -> None:
         for amplifier in self.amplifiers.values():
@@ -117,24 +95,16 @@ class HandPlant:
     def _move(self) -> None:
         world = self.world
         self.origin_ns = time.time_ns() - round(1e9 * world.time_s)
-        begun_s = time.monotonic() - world.time_s
-        while not self._end.is_set():
-            now_s = time.monotonic()
-            behind_s = now_s - begun_s - world.time_s
-            if behind_s > BEHIND_S:
-                self.skipped_s += behind_s
-                begun_s += behind_s
-            elif behind_s < 0.0:
-                time.sleep(-behind_s)
-                continue
+        pace = Pace(world.time_s)
+        while True:
+            now_s = pace.wait(world.time_s)
+            self.stood_s = pace.stood_s
             torques = {
                 arm: amplifier.take(now_s)[: len(world.arms[arm])]
                 for arm, amplifier in self.amplifiers.items()
             }
             if self._look is not None and not self._look(now_s):
                 return
-            if self._pull is not None:
-                self._pull(world)
             read_ns = self.origin_ns + round(1e9 * world.time_s)
             readings = world.advance(torques)
             for arm, amplifier in self.amplifiers.items():

@@ -133,7 +133,7 @@ def _looking(link: socket.socket) -> Callable[[HandPlant, float], bool]:
         if now_s > told_s + REPORT_S:
             told_s = now_s
             report = {
-                "stood_s": plant.skipped_s,
+                "stood_s": plant.stood_s,
                 "plant_s": plant.world.time_s,
                 "failure": plant.failure,
                 "let_go": {arm: a.let_go for arm, a in plant.amplifiers.items()},

@@ -9,44 +9,34 @@ torques at zero; activate lets commands through; all else ends them.
 """
 
 import math
-import sys
 import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.executors import ExternalShutdownException
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.parameter import Parameter
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes.common import (
     COMMAND_QOS,
-    EXIT_BAD_INPUT,
     FAST_QOS,
-    Diagnostics,
     pause,
-    say_ready,
     status,
     steady_clock,
     to_stamp,
 )
-from pneu_graph.nodes.lifetime import initialised
 from pneu_hw_bridge.device_clock import DeviceClock
-from pneu_hw_bridge.nodes.emergency import Emergency
+from pneu_hw_bridge.nodes.bridge import Bridge, run_bridge
 from pneu_hw_bridge.nodes.phantom_settings import PhantomParameters
 from pneu_hw_bridge.nodes.writers import competing
 from pneu_hw_bridge.phantom.governor import STATES, State
 from pneu_hw_bridge.phantom.net_ft import Calibration, read_calibration
 from pneu_hw_bridge.phantom.process import ServoProcess
 from pneu_hw_bridge.phantom.wire import JointSample, WrenchSample
-from pneu_hw_bridge.priority import precedence
 from pneu_hw_bridge.safety.lateness import Lateness
 from pneu_sim.hand.drive import JointCommand
 from pneu_sim.hand.settings import ArmSettings, read_hand
@@ -64,7 +54,7 @@ WAITING = 4096
 """Samples that may wait for the executor."""
 
 
-class PhantomBridge(LifecycleNode):
+class PhantomBridge(Bridge):
     """The node; what it decides is in the governor, in the process of the loop."""
 
     def __init__(self, **options: Any) -> None:
@@ -76,16 +66,13 @@ class PhantomBridge(LifecycleNode):
         Raises:
             InputError: The node was told to use simulated time.
         """
+        self._servo: ServoProcess | None = None
+        self._topic = ""
         super().__init__("phantom_bridge", **options)
         self._params = PhantomParameters.declare(self)
-        if self.get_parameter("use_sim_time").value:
-            raise InputError("use_sim_time: found true; a device keeps the machine's time")
-        self.add_on_set_parameters_callback(self._check_parameters)
-        self._servo: ServoProcess | None = None
         self._settings: dict[str, Any] = {}
         self._joint_names: tuple[str, ...] = ()
         self._calibration: Calibration | None = None
-        self._topic = ""
         self._active = False
         self._writers: list[bytes] = []
         self._state: tuple[int, str] = (-1, "")
@@ -94,21 +81,6 @@ class PhantomBridge(LifecycleNode):
         self._sensor_clock = DeviceClock()
         self._joints: deque[JointSample] = deque(maxlen=WAITING)
         self._wrenches: deque[WrenchSample] = deque(maxlen=WAITING)
-        self._entities: list[tuple[Any, Any]] = []
-        self._emergency = Emergency(self, self._stop, self._reset)
-        self._diagnostics = Diagnostics(self, self._report)
-
-    def start_if_asked(self) -> None:
-        """Configures and activates where the parameter ``autostart`` says so.
-
-        Raises:
-            InputError: The node cannot be configured.
-        """
-        if not self._params.autostart:
-            return
-        if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
-            raise InputError("autostart: the node could not be configured, see its log")
-        self.trigger_activate()
 
     # Life cycle
 
@@ -158,47 +130,7 @@ class PhantomBridge(LifecycleNode):
             self._servo.tell(enable=True)
         return super().on_activate(state)
 
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Ends torques.
-
-        Args:
-            state: The state before.
-        """
-        self.rest("deactivated")
-        return super().on_deactivate(state)
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Ends torques and closes the device.
-
-        Args:
-            state: The state before.
-        """
-        self.rest("cleaned up")
-        self._close()
-        return super().on_cleanup(state)
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Ends torques and closes the device.
-
-        Args:
-            state: The state before.
-        """
-        self.rest("shut down")
-        self._close()
-        return super().on_shutdown(state)
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Ends torques and closes the device; the node can be configured anew.
-
-        Args:
-            state: The state before.
-        """
-        del state
-        self.rest("error")
-        self._close()
-        return TransitionCallbackReturn.SUCCESS
-
-    def rest(self, why: str) -> None:
+    def make_safe(self, why: str) -> None:
         """Ends torques.
 
         Args:
@@ -215,14 +147,6 @@ class PhantomBridge(LifecycleNode):
                 self._close_servo()
         self._emergency.driving = False
         self._emergency.keep()
-
-    def end(self) -> None:
-        """Ends torques and closes the device, at the end of the process."""
-        try:
-            self.rest("end")
-        finally:
-            self._close()
-            self._emergency.close()
 
     def destroy_node(self) -> None:
         """Closes the device, then ends the node."""
@@ -300,9 +224,7 @@ class PhantomBridge(LifecycleNode):
     def _close(self) -> None:
         """Ends the process and destroys what configuring created."""
         self._close_servo()
-        for destroy, entity in self._entities:
-            destroy(entity)
-        self._entities = []
+        super()._close()
         self._topic = ""
 
     # Graph
@@ -442,16 +364,6 @@ class PhantomBridge(LifecycleNode):
         latches.e_stop = latches.trip = ""
         return ""
 
-    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            if parameter.name == "use_sim_time" and parameter.value:
-                reason = "use_sim_time: a device keeps the machine's time"
-                return SetParametersResult(successful=False, reason=reason)
-            if self._entities and parameter.name != "use_sim_time":
-                reason = f"{parameter.name}: can be set only before the node is configured"
-                return SetParametersResult(successful=False, reason=reason)
-        return SetParametersResult(successful=True)
-
     def _report(self) -> list[DiagnosticStatus]:
         name, stopped = self.get_name(), self._emergency.latches.e_stop
         servo = self._servo
@@ -499,24 +411,7 @@ def main(args: list[str] | None = None) -> None:
     Args:
         args: Command line; None is the process's own.
     """
-    node: PhantomBridge | None = None
-    try:
-        with precedence(), initialised(args):
-            try:
-                node = PhantomBridge()
-                node.start_if_asked()
-                say_ready(node)
-                rclpy.spin(node)
-            finally:
-                # The graph is already gone after a signal; the device is not.
-                if node is not None:
-                    node.end()
-                    node.destroy_node()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except InputError as error:
-        print(" ".join(str(error).split()), file=sys.stderr)
-        sys.exit(EXIT_BAD_INPUT)
+    run_bridge(PhantomBridge, args)
 
 
 if __name__ == "__main__":

@@ -11,41 +11,30 @@ vent, by writing to the bus and reading it back.
 
 import functools
 import math
-import signal
-import sys
 import time
 from collections.abc import Callable
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from pneu_msgs.msg import ValveCommand
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.executors import ExternalShutdownException
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.parameter import Parameter
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes.common import (
     COMMAND_QOS,
-    EXIT_BAD_INPUT,
     READINGS_QOS,
-    Diagnostics,
-    say_ready,
     status,
     steady_clock,
     to_stamp,
 )
-from pneu_graph.nodes.lifetime import initialised
 from pneu_hw_bridge.device_clock import DeviceClock
 from pneu_hw_bridge.link import Link, Sample
 from pneu_hw_bridge.modbus.bus import ModbusBus
-from pneu_hw_bridge.nodes.emergency import Emergency
+from pneu_hw_bridge.nodes.bridge import Bridge, run_bridge
 from pneu_hw_bridge.nodes.readings import ReadingsPublisher
 from pneu_hw_bridge.nodes.settings import BridgeParameters
 from pneu_hw_bridge.nodes.signals import told, topics_of
 from pneu_hw_bridge.nodes.writers import competing
-from pneu_hw_bridge.priority import precedence
 from pneu_hw_bridge.registers.load import load_register_map
 from pneu_hw_bridge.safety.bound import Bound, bound, check
 from pneu_hw_bridge.safety.lateness import Lateness
@@ -57,9 +46,6 @@ from pneu_sim.rig import load_rig
 
 LOOK_S = 0.05
 """How often publishers of the command topic are counted."""
-
-SWITCH_S = 5e-4
-"""So long a thread may keep another one waiting that wants to run Python."""
 
 BEHIND_S = 0.1
 """A device's clock that has fallen behind by more is told of."""
@@ -73,7 +59,7 @@ NO_WATCHDOG = (
 )
 
 
-class ValveBridge(LifecycleNode):
+class ValveBridge(Bridge):
     """The node; what it decides is in `pneu_hw_bridge.safety`, what it sends in `.modbus`."""
 
     def __init__(self, **options: Any) -> None:
@@ -85,18 +71,12 @@ class ValveBridge(LifecycleNode):
         Raises:
             InputError: The node was told to use simulated time.
         """
-        super().__init__("valve_bridge", **options)
-        self._params = BridgeParameters.declare(self)
-        if self.get_parameter("use_sim_time").value:
-            raise InputError(
-                "use_sim_time: found true; real valves and sensors keep the machine's time"
-            )
-        self.add_on_set_parameters_callback(self._check_parameters)
-        self._lateness = Lateness()
         self._bus: ModbusBus | None = None
         self._link: Link | None = None
+        super().__init__("valve_bridge", **options)
+        self._params = BridgeParameters.declare(self)
+        self._lateness = Lateness()
         self._readings: ReadingsPublisher | None = None
-        self._entities: list[tuple[Any, Any]] = []
         self._skipped = 0
         self._bound: Callable[[float, float], Bound] | None = None
         self._bound_told = False
@@ -105,20 +85,6 @@ class ValveBridge(LifecycleNode):
         self._writers: dict[str, list[bytes]] = {}
         self._commander = ""
         self._applied = self.create_publisher(ValveCommand, topics.APPLIED_TOPIC, READINGS_QOS)
-        self._emergency = Emergency(self, self._stop, self._reset)
-        self._diagnostics = Diagnostics(self, self._report)
-
-    def start_if_asked(self) -> None:
-        """Configures and activates where the parameter ``autostart`` says so.
-
-        Raises:
-            InputError: The node cannot be configured.
-        """
-        if not self._params.autostart:
-            return
-        if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
-            raise InputError("autostart: the node could not be configured, see its log")
-        self.trigger_activate()
 
     # Life cycle
 
@@ -214,57 +180,14 @@ class ValveBridge(LifecycleNode):
             self._link.enable(True)
         return super().on_activate(state)
 
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Vents.
-
-        Args:
-            state: The state before.
-        """
-        self.vent("deactivated")
-        return super().on_deactivate(state)
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Vents and closes the bus.
-
-        Args:
-            state: The state before.
-        """
-        self.vent("cleaned up")
-        self._close()
-        return super().on_cleanup(state)
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Vents and closes the bus.
-
-        Args:
-            state: The state before.
-        """
-        self.vent("shut down")
-        self._close()
-        return super().on_shutdown(state)
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Vents and closes the bus; the node can be configured anew.
-
-        Args:
-            state: The state before.
-        """
-        del state
-        self.vent("error")
-        self._close()
-        return TransitionCallbackReturn.SUCCESS
-
-    def vent(self, why: str) -> bool:
-        """Writes the safe voltages to the bus and reads them back; needs no working graph.
+    def make_safe(self, why: str) -> None:
+        """Vents: writes the safe voltages to the bus and reads them back.
 
         Args:
             why: For the log.
-
-        Returns:
-            Whether the device holds the safe voltages.
         """
         if self._link is None or self._bus is None:
-            return True
+            return
         self._link.enable(False)
         vented = self._bus.vent()
         self._emergency.driving = False
@@ -278,24 +201,13 @@ class ValveBridge(LifecycleNode):
                 f"{why}: venting is not confirmed ({vented.message}); the device's own watchdog"
                 " has to vent"
             )
-        return vented.verified
-
-    def end(self) -> None:
-        """Vents and closes the bus, at the end of the process."""
-        try:
-            self.vent("end")
-        finally:
-            self._close()
-            self._emergency.close()
 
     def _close(self) -> None:
         """Closes the bus and destroys what configuring created."""
         bus, self._bus = self._bus, None
         if bus is not None:
             bus.stop()
-        for destroy, entity in self._entities:
-            destroy(entity)
-        self._entities = []
+        super()._close()
         if self._readings is not None:
             self._readings.destroy()
         self._readings = None
@@ -436,16 +348,6 @@ class ValveBridge(LifecycleNode):
         self._emergency.latches.e_stop = ""
         return ""
 
-    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            if parameter.name == "use_sim_time" and parameter.value:
-                reason = "use_sim_time: real valves and sensors keep the machine's time"
-                return SetParametersResult(successful=False, reason=reason)
-            if self._bus is not None and parameter.name != "use_sim_time":
-                reason = f"{parameter.name}: can be set only before the node is configured"
-                return SetParametersResult(successful=False, reason=reason)
-        return SetParametersResult(successful=True)
-
     def _report(self) -> list[DiagnosticStatus]:
         name = self.get_name()
         link, bus = self._link, self._bus
@@ -515,42 +417,13 @@ class ValveBridge(LifecycleNode):
         return status(level, f"{self.get_name()}: device clock", text, values, "modbus")
 
 
-def _end_with_the_terminal() -> None:
-    """Has SIGHUP end the process as SIGTERM does: rclpy leaves it, and it would kill at once.
-
-    Whoever ignores it on purpose (nohup) goes on doing so.
-    """
-    if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
-        signal.signal(signal.SIGHUP, lambda *_: signal.raise_signal(signal.SIGTERM))
-
-
 def main(args: list[str] | None = None) -> None:
     """Runs the node.
 
     Args:
         args: Command line; None is the process's own.
     """
-    node: ValveBridge | None = None
-    try:
-        # The thread of the bus gets its turn soon, however busy that of the node is.
-        sys.setswitchinterval(SWITCH_S)
-        with precedence(), initialised(args):
-            _end_with_the_terminal()
-            try:
-                node = ValveBridge()
-                node.start_if_asked()
-                say_ready(node)
-                rclpy.spin(node)
-            finally:
-                # The graph is already gone after a signal; the bus is not.
-                if node is not None:
-                    node.end()
-                    node.destroy_node()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except InputError as error:
-        print(" ".join(str(error).split()), file=sys.stderr)
-        sys.exit(EXIT_BAD_INPUT)
+    run_bridge(ValveBridge, args)
 
 
 if __name__ == "__main__":

@@ -7,9 +7,6 @@ from typing import Protocol
 
 from pneu_common.errors import InputError
 
-JOINTS = 3
-"""Of a device."""
-
 
 class DeviceGoneError(Exception):
     """The device cannot be reached any more; says why."""

@@ -6,8 +6,6 @@ the emulated amplifier has heard nothing for so long that it lets go, as real on
 """
 
 import contextlib
-import ctypes
-import os
 import socket
 import struct
 import time
@@ -15,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pneu_hw_bridge.phantom.device import DeviceGoneError, DeviceMissingError, Frame, Tick
+from pneu_hw_bridge.priority import punctual
 
 FRAME = struct.Struct("<qiiiI")
 """Plant time, ns; counts; what is wrong, as a bit of `FAULTS`."""
@@ -27,16 +26,6 @@ OPENS_S = 0.3
 
 LONGEST_RUN = 4096
 """Frames that are taken at a tick, at most."""
-
-PR_SET_TIMERSLACK = 29
-
-
-def punctual() -> None:
-    """Has the system wake this thread as exactly as it can."""
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
-    with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
 
 
 class EmulatedDevice:

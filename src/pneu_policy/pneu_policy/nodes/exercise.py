@@ -7,24 +7,21 @@ gone all of it. Topics: reads ``<arm>/joint_states``, gives ``<arm>/command``.
 """
 
 import math
-import sys
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
-from pneu_graph.nodes.lifetime import initialised
 from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_sim.hand.exercise import exercise
 from pneu_sim.hand.loading import Hand
-from pneu_sim.hand.paths import Kinematics
+from pneu_sim.hand.paths import Kinematics, eased
 
 APPROACH_S = 1.0
 """From where the arm is to where its path begins."""
@@ -51,7 +48,7 @@ class ExerciseNode(Node):
     """The node.
 
     Attributes:
-        done: Whether all of the path was gone.
+        done: Set once all of the path was gone.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -64,7 +61,7 @@ class ExerciseNode(Node):
             InputError: A parameter or a file is wrong, or the thing cannot be reached.
         """
         super().__init__("exercise", **options)
-        self.done = False
+        self.done: Future = Future()
         try:
             params = ExerciseParameters.declare(self)
             if not params.hand:
@@ -111,11 +108,8 @@ class ExerciseNode(Node):
         since_s = now_s - self._begun_s
         begin = self._path.angles_rad[0]
         if since_s < APPROACH_S:
-            s = since_s / APPROACH_S
-            share = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-            speed = 30.0 * s**2 * (1.0 - s) ** 2 / APPROACH_S
-            angles = self._from + share * (begin - self._from)
-            velocity = speed * (begin - self._from)
+            share = eased(np.array(since_s / APPROACH_S))
+            angles, velocity = self._from + share * (begin - self._from), np.zeros(len(begin))
         else:
             angles, velocity = self._path.at(since_s - APPROACH_S - REST_S)
         command = JointState(
@@ -123,7 +117,8 @@ class ExerciseNode(Node):
         )
         command.header.stamp = message.header.stamp
         self._publisher.publish(command)
-        self.done = since_s > APPROACH_S + float(self._path.time_s[-1]) + 2.0 * REST_S
+        if since_s > APPROACH_S + float(self._path.time_s[-1]) + 2.0 * REST_S:
+            self.done.set_result(True)  # and the node ends
 
 
 def main(args: list[str] | None = None) -> None:
@@ -132,21 +127,7 @@ def main(args: list[str] | None = None) -> None:
     Args:
         args: Command line; None is the process's own.
     """
-    try:
-        with initialised(args):
-            node = ExerciseNode()
-            try:
-                common.say_ready(node)
-                while rclpy.ok() and not node.done:
-                    rclpy.spin_once(node, timeout_sec=0.5)
-                node.get_logger().info("done")
-            finally:
-                node.destroy_node()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except InputError as error:
-        print(" ".join(str(error).split()), file=sys.stderr)
-        sys.exit(common.EXIT_BAD_INPUT)
+    common.run_node(ExerciseNode, args)
 
 
 if __name__ == "__main__":

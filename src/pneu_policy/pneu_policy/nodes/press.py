@@ -8,24 +8,21 @@ the wrist says with the tip's weight taken out (``<arm>/wrench``). It gives ``<a
 """
 
 import math
-import sys
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import rclpy
 from geometry_msgs.msg import WrenchStamped
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
-from pneu_graph.nodes.lifetime import initialised
 from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_sim.hand.loading import Hand
-from pneu_sim.hand.paths import Kinematics
+from pneu_sim.hand.paths import Kinematics, eased
 from pneu_sim.hand.press import Press, PressSettings
 from pneu_sim.hand.wrist import Wrist
 
@@ -66,7 +63,7 @@ class PressNode(Node):
     """The node.
 
     Attributes:
-        done: Whether it has pressed for as long as it was told.
+        done: Set once it has pressed for as long as it was told.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -79,7 +76,7 @@ class PressNode(Node):
             InputError: A parameter or a file is wrong, or the line cannot be reached.
         """
         super().__init__("press", **options)
-        self.done = False
+        self.done: Future = Future()
         try:
             params = self._params = PressParameters.declare(self)
             if not params.hand:
@@ -145,8 +142,7 @@ class PressNode(Node):
         since_s = now_s - self._begun_s
         wanted = self._press.settings.wanted_n(since_s - SETTLE_S)
         if since_s < SETTLE_S:
-            s = since_s / SETTLE_S
-            share = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+            share = eased(np.array(since_s / SETTLE_S))
             angles = self._from + share * (self._begin - self._from)
             wanted = 0.0
         else:
@@ -160,7 +156,8 @@ class PressNode(Node):
             float(x) for x in wanted * self._along
         )
         self._wanted.publish(target)
-        self.done = since_s > SETTLE_S + self._params.seconds
+        if since_s > SETTLE_S + self._params.seconds:
+            self.done.set_result(True)  # and the node ends
 
 
 def main(args: list[str] | None = None) -> None:
@@ -169,21 +166,7 @@ def main(args: list[str] | None = None) -> None:
     Args:
         args: Command line; None is the process's own.
     """
-    try:
-        with initialised(args):
-            node = PressNode()
-            try:
-                common.say_ready(node)
-                while rclpy.ok() and not node.done:
-                    rclpy.spin_once(node, timeout_sec=0.5)
-                node.get_logger().info("done")
-            finally:
-                node.destroy_node()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except InputError as error:
-        print(" ".join(str(error).split()), file=sys.stderr)
-        sys.exit(common.EXIT_BAD_INPUT)
+    common.run_node(PressNode, args)
 
 
 if __name__ == "__main__":

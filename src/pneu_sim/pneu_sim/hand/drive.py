@@ -89,3 +89,47 @@ class VelocityFilter:
         """Begins anew, as after a gap."""
         self._at = None
         self.velocity_rad_s = [0.0] * len(self.velocity_rad_s)
+
+
+class Motors:
+    """Motors of an arm that follow commands within their limits, by what its encoders read.
+
+    Attributes:
+        position_rad: Of each joint, when they were driven last.
+        torque_n_m: What they were given.
+        velocity: How fast joints move.
+    """
+
+    def __init__(self, joints: Sequence[JointSettings]) -> None:
+        """Gives no torque yet.
+
+        Args:
+            joints: The arm's.
+        """
+        self.joints = list(joints)
+        self.velocity = VelocityFilter(len(self.joints))
+        self.position_rad = [0.0] * len(self.joints)
+        self.torque_n_m = [0.0] * len(self.joints)
+
+    def drive(
+        self, counts: Sequence[int], time_s: float, commands: Sequence[JointCommand] | None
+    ) -> list[float]:
+        """Torques that follow commands, N m.
+
+        Args:
+            counts: What encoders read.
+            time_s: When.
+            commands: What is asked of each joint; None gives no torque.
+        """
+        pairs = zip(counts, self.joints, strict=True)
+        self.position_rad = [count / joint.counts_per_rad for count, joint in pairs]
+        self.velocity.take(self.position_rad, time_s)
+        self.torque_n_m = [0.0] * len(self.joints)
+        for k, command in enumerate(commands or ()):
+            joint = self.joints[k]
+            at, speed = self.position_rad[k], self.velocity.velocity_rad_s[k]
+            asked = torque_of(joint, command, at, speed)
+            if math.isfinite(asked):
+                most = joint.torque_limit_n_m
+                self.torque_n_m[k] = min(max(asked, -most), most)
+        return self.torque_n_m

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim.hand.loading import Hand
-from pneu_sim.hand.paths import EVERY_S, Kinematics, Path, through
+from pneu_sim.hand.paths import EVERY_S, Kinematics, Path, through, way
 from pneu_sim.mechanism.loading import mujoco_module
 
 Floats = NDArray[np.float64]
@@ -67,10 +67,7 @@ def exercise(
     points = [kinematics.tip(np.zeros(len(kinematics.lower_rad)))[None]]
 
     def move(end: Floats, duration: float) -> None:
-        begin = points[-1][-1]
-        count = max(2, round(duration / EVERY_S))
-        s = np.arange(1, count + 1)[:, None] / count
-        points.append(begin + s**3 * (10.0 - 15.0 * s + 6.0 * s**2) * (end - begin))
+        points.append(way(points[-1][-1], end, duration))
 
     while EVERY_S * sum(len(p) for p in points) < seconds:
         side, height = rng.uniform(-0.010, 0.010), rng.uniform(-0.025, 0.025)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Paths of an arm's tip, and the joint angles that follow them, by the kinematics of its MJCF."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -163,25 +162,26 @@ EVERY_S = 0.004
 """Between points of a path."""
 
 
-def along(kinematics: Kinematics, places_m: Sequence[Floats], durations_s: Sequence[float]) -> Path:
-    """A path through places, each stretch begun and ended at rest (least jerk).
+def eased(share: Floats) -> Floats:
+    """How far along a way is that begins and ends at rest with least jerk, by its share of time.
 
     Args:
-        kinematics: The arm's.
-        places_m: (3,) each, the first where it begins.
-        durations_s: Of each stretch.
-
-    Raises:
-        InputError: A place on the way cannot be reached.
+        share: (...,) of the time, 0 to 1.
     """
-    points, begin = [np.asarray(places_m[0], dtype=float)], places_m[0]
-    for end, duration in zip(places_m[1:], durations_s, strict=True):
-        count = max(2, round(duration / EVERY_S))
-        s = np.arange(1, count + 1)[:, None] / count
-        share = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-        points.extend(begin + share * (np.asarray(end) - begin))
-        begin = end
-    return through(kinematics, np.array(points))
+    return np.asarray(share**3 * (10.0 - 15.0 * share + 6.0 * share**2))
+
+
+def way(begin: Floats, end: Floats, seconds: float) -> Floats:
+    """(n, k) places on a straight way from rest to rest, `EVERY_S` apart, the first left out.
+
+    Args:
+        begin: (k,) where it begins.
+        end: (k,) where it ends.
+        seconds: How long it takes.
+    """
+    count = max(2, round(seconds / EVERY_S))
+    share = eased(np.arange(1, count + 1)[:, None] / count)
+    return np.asarray(begin + share * (end - begin))
 
 
 def through(kinematics: Kinematics, points_m: Floats) -> Path:

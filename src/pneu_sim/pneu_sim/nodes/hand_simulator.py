@@ -23,16 +23,15 @@ from sensor_msgs.msg import Imu, JointState
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
 from pneu_graph.nodes.parameters import Parameters, parameter
-from pneu_sim.hand.drive import JointCommand, VelocityFilter, torque_of
+from pneu_sim.hand.drive import JointCommand, Motors
 from pneu_sim.hand.loading import Hand
+from pneu_sim.hand.pace import Pace
 from pneu_sim.hand.settings import ArmSettings
 from pneu_sim.hand.world import World
 from pneu_sim.nodes.hand_messages import command_of, imu_message, pose_message, wrench_message
 
 Floats = NDArray[np.float64]
 
-BEHIND_S = 0.02
-"""A plant that is behind the clock by more stands still meanwhile."""
 WAITING = 8192
 """Readings that may wait for the executor."""
 
@@ -56,29 +55,13 @@ class _Arm:
 
     def __init__(self, settings: ArmSettings) -> None:
         self.names = list(settings.joints)
-        self.joints = list(settings.joints.values())
-        self.velocity = VelocityFilter(len(self.joints))
+        self.motors = Motors(list(settings.joints.values()))
         self.command: list[JointCommand] | None = None
         self.command_s = -math.inf
-        self.position_rad = [0.0] * len(self.joints)
-        self.torque_n_m = [0.0] * len(self.joints)
 
     def drive(self, counts: list[int], time_s: float, timeout_s: float) -> list[float]:
-        """Torques, at most those of the limits."""
-        pairs = zip(counts, self.joints, strict=True)
-        self.position_rad = [count / joint.counts_per_rad for count, joint in pairs]
-        self.velocity.take(self.position_rad, time_s)
         fresh = timeout_s == 0.0 or time.monotonic() - self.command_s < timeout_s
-        command = self.command if fresh else None
-        self.torque_n_m = [0.0] * len(self.joints)
-        for k, joint in enumerate(self.joints if command is not None else ()):
-            assert command is not None
-            asked = torque_of(
-                joint, command[k], self.position_rad[k], self.velocity.velocity_rad_s[k]
-            )
-            most = joint.torque_limit_n_m
-            self.torque_n_m[k] = min(max(asked, -most), most) if math.isfinite(asked) else 0.0
-        return self.torque_n_m
+        return self.motors.drive(counts, time_s, self.command if fresh else None)
 
 
 class HandSimulator(Node):
@@ -170,16 +153,11 @@ class HandSimulator(Node):
     def _move(self) -> None:
         world = self._world
         origin_ns = self.get_clock().now().nanoseconds
-        begun_s = time.monotonic()
+        pace = Pace(world.time_s)
         steps = 0
         while not self._end.is_set():
-            behind_s = time.monotonic() - begun_s - world.time_s
-            if behind_s > BEHIND_S:
-                self._stood_s += behind_s
-                begun_s += behind_s
-            elif behind_s < 0.0:
-                time.sleep(-behind_s)
-                continue
+            pace.wait(world.time_s)
+            self._stood_s = pace.stood_s
             now_s = world.time_s
             torques = {
                 name: arm.drive(world.counts(name), now_s, self._params.command_timeout_s)
@@ -191,9 +169,9 @@ class HandSimulator(Node):
                 for name, arm in self._arms.items():
                     message = JointState(
                         name=arm.names,
-                        position=arm.position_rad,
-                        velocity=arm.velocity.velocity_rad_s,
-                        effort=arm.torque_n_m,
+                        position=arm.motors.position_rad,
+                        velocity=arm.motors.velocity.velocity_rad_s,
+                        effort=arm.motors.torque_n_m,
                     )
                     message.header.stamp = stamp
                     self._waiting.append((("joints", name), message))

@@ -7,7 +7,6 @@ of the tree of ``body`` on what it touches, in the world's frame, each stamped b
 of: a few milliseconds ago. /diagnostics tells the lag and how long a cycle takes.
 """
 
-import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -26,6 +25,7 @@ from pneu_common.errors import InputError
 from pneu_graph.nodes import common
 from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_hw_bridge.priority import precedence
+from pneu_hw_bridge.safety.lateness import Lateness
 from pneu_sysid.contacts.read_bag import OF_JOINTS, OF_SENSORS, PARTS
 from pneu_sysid.contacts.scene import Loaded, load_scene
 from pneu_sysid.contacts.window import Estimate, Window
@@ -45,8 +45,6 @@ QUEUE = QoSProfile(
 
 PILED_S = 0.02
 """Readings that come later than the quickest by more wait in a queue, which is worked off first."""
-DRIFT = 1e-3
-"""By so much the quickest way may grow in a second: clocks drift, and a plant may stand still."""
 
 Take = Callable[[Any, float], None]
 
@@ -205,7 +203,7 @@ class HandState(Node):
             for j in free
         ]
         self._next_s = 0.0
-        self._quickest_s, self._looked_s = math.inf, 0.0
+        self._lateness = Lateness()
         self._passed_over = 0
         wanted = takes_of(loaded, self._window)
         leading = next(
@@ -236,10 +234,7 @@ class HandState(Node):
 
     def _advance(self, at: float) -> None:
         """Makes an estimate, unless readings have piled up, which come first."""
-        late_s = time.monotonic() - at
-        self._quickest_s = min(late_s, self._quickest_s + DRIFT * max(at - self._looked_s, 0.0))
-        self._looked_s = at
-        if late_s > self._quickest_s + PILED_S:
+        if self._lateness.of(at, time.monotonic()) > PILED_S:
             self._passed_over += 1
             return
         self._next_s = at + 1.0 / self._params.rate_hz - 1e-6
