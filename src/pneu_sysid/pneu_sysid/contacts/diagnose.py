@@ -511,9 +511,12 @@ def _verdict(found: list[Finalist]) -> tuple[Verdict, str]:
             f" would{best}.",
         )
     best_one = good[0]
+    of, share = "", best_one.gain
+    if share < WORTH:  # it shows in one kind of motion
+        of, share = " of flights or of contacts", best_one.worth
     sentence = (
-        f"Missing: {best_one.words}; with it what is kept aside is explained by"
-        f" {100 * best_one.worth:.0f} % better"
+        f"Missing: {best_one.words}; with it what is kept aside{of} is explained by"
+        f" {100 * share:.0f} % better"
     )
     if best_one.alike:
         return "ambiguous", f"{sentence}; not to be told from {', '.join(best_one.alike)}."
