@@ -9,6 +9,7 @@ import ast
 import importlib
 import inspect
 import json
+import os
 import re
 import tomllib
 import xml.etree.ElementTree as ElementTree
@@ -234,10 +235,12 @@ def test_a_wheel_carries_what_the_workspace_installs():
         for path in ROOT.glob(pattern)
     }
     for package, manifest in (("pneu_bringup", BRINGUP), ("pneu_msgs", ROOT / "msgs")):
+        # a folder may be a link, which Path.rglob passes over
         wanted = {
-            f"{package}/{path.relative_to(manifest)}"
-            for path in manifest.rglob("*")
-            if path.is_file() and "resource" not in path.parts
+            f"{package}/{(Path(folder) / name).relative_to(manifest)}"
+            for folder, _, names in os.walk(manifest, followlinks=True)
+            for name in names
+            if "resource" not in Path(folder).parts
         }
         wanted -= {f"{package}/{name}" for name in ("setup.py", "setup.cfg", "CMakeLists.txt")}
         assert wanted == {name for name in carried if name.startswith(f"{package}/")}
