@@ -8,7 +8,8 @@ import numpy as np
 from benchmarks.report import ROOT, Table
 from benchmarks.timing import best_s
 from pneu_policy.control.observations import Recipe
-from pneu_policy.task.tracking import EnvSettings, make_env
+from pneu_policy.task.make import make_env
+from pneu_policy.task.tracking import EnvSettings
 
 RIGS = ROOT / "rigs"
 CASES = (

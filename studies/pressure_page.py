@@ -218,8 +218,8 @@ def _training(folder: Path, docs: Path) -> tuple[list[dict[str, Any]], list[str]
         if not history.rows:
             continue
         variant, seed = path.parent.parent.name, path.parent.name.removeprefix("seed-")
-        first = history.time_to(0.1)
-        judged = [row for row in history.rows if row["eval_rmse_atm"] is not None]
+        first = history.learned()
+        judged = [row for row in history.rows if row["eval_rmse"] is not None]
         found.append(
             {
                 "variant": variant,
@@ -228,7 +228,7 @@ def _training(folder: Path, docs: Path) -> tuple[list[dict[str, Any]], list[str]
                 "seconds_to_0.1_atm": None if first is None else first["wall_s"],
                 "samples": history.rows[-1]["samples"],
                 "seconds": history.rows[-1]["wall_s"],
-                "rmse_atm": judged[-1]["eval_rmse_atm"] if judged else None,
+                "rmse_atm": judged[-1]["eval_rmse"] if judged else None,
             }
         )
         groups.setdefault(variant, []).append(history)

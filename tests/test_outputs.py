@@ -172,7 +172,7 @@ def write_history(path):
 def history():
     from pneu_policy.learn.history import History
 
-    row = {"iteration": 1, "samples": 1, "eval_score": 1.0, "eval_rmse_atm": 0.1}
+    row = {"iteration": 1, "samples": 1, "eval_score": 1.0, "eval_rmse": 0.1}
     return History("npg", {}, [{**row, "samples": k} for k in range(20)], True)
 
 

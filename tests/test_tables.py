@@ -269,10 +269,10 @@ def test_evaluate_and_train():
         "iteration": 1000,
         "samples": 123456789,
         "eval_score": -123.45,
-        "eval_rmse_atm": 0.1234,
+        "eval_rmse": 0.1234,
         "wall_s": 12345.0,
     }
-    history = SimpleNamespace(rows=[row], time_to=lambda atm: row)
+    history = SimpleNamespace(rows=[row], learned=lambda: row, unit="atm", mark=0.1)
     check(drawn(runs_table([SimpleNamespace(run=run, history=history)])), [run.name])
 
 

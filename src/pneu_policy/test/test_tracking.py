@@ -9,9 +9,10 @@ gymnasium = pytest.importorskip("gymnasium")
 from pneu_common.errors import InputError  # noqa: E402
 from pneu_policy.control.observations import Observer, Recipe  # noqa: E402
 from pneu_policy.task.ensembles import draw_rigs  # noqa: E402
+from pneu_policy.task.make import make_env  # noqa: E402
 from pneu_policy.task.plants import ControlPlant  # noqa: E402
 from pneu_policy.task.targets import Target  # noqa: E402
-from pneu_policy.task.tracking import EnvSettings, PressureTracking, Reward, make_env  # noqa: E402
+from pneu_policy.task.tracking import EnvSettings, PressureTracking, Reward  # noqa: E402
 from pneu_sim.rig.load import load_rig  # noqa: E402
 from pneu_sim.rig.parameters import get_parameter, with_parameters  # noqa: E402
 from pneu_sim.rig.schema import Ripple  # noqa: E402
@@ -201,8 +202,8 @@ def test_episodes_follow_from_their_seed_alone():
     assert np.array_equal(first, again)
     assert not np.allclose(first, other)
     assert env.observation_space.contains(first[0])
-    assert np.allclose(info["error_pa"], info["target_pa"] - info["pressure_pa"])
-    assert np.allclose(reward, Reward().of(info["error_pa"] / RECIPE.span_pa))
+    assert np.allclose(info["error"], info["target_pa"] - info["pressure_pa"])
+    assert np.allclose(reward, Reward().of(info["error"] / RECIPE.span_pa))
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(action[0])
 

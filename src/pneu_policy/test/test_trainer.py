@@ -26,7 +26,7 @@ from pneu_policy.learn.networks import mean_action  # noqa: E402
 from pneu_policy.learn.rollout import roll_out  # noqa: E402
 from pneu_policy.learn.settings import TrainSettings, load_settings  # noqa: E402
 from pneu_policy.learn.trainer import Trainer  # noqa: E402
-from pneu_policy.task.tracking import make_env  # noqa: E402
+from pneu_policy.task.make import make_env  # noqa: E402
 
 ROOT = Path(__file__).parents[3]
 
@@ -104,7 +104,7 @@ def test_rows_tell_what_the_episodes_were(env):
     row = trainer.iterate()
     assert row["samples"] == 4 * 30 and row["simulated_s"] == pytest.approx(1.2)
     after = trainer.evaluate()
-    assert row["eval_score"] == after.score and row["eval_rmse_atm"] == after.rmse_atm
+    assert row["eval_score"] == after.score and row["eval_rmse"] == after.rmse
     assert after.score != episodes.score
     # from the environment itself, without the code of the roll-outs
     seen, _ = env.reset(seed=trainer.settings.evaluation_seed)
@@ -112,9 +112,9 @@ def test_rows_tell_what_the_episodes_were(env):
     for _ in range(30):
         action = trainer.policy(torch.from_numpy(seen)).detach().numpy()
         seen, reward, _, _, info = env.step(action)
-        errors.append(info["error_pa"].copy())
+        errors.append(info["error"].copy())
         rewards.append(reward.copy())
-    assert after.rmse_atm == pytest.approx(np.sqrt(np.mean(np.square(errors))) / 101325, rel=1e-4)
+    assert after.rmse == pytest.approx(np.sqrt(np.mean(np.square(errors))) / 101325, rel=1e-4)
     assert after.score == pytest.approx(np.sum(rewards) / 4, rel=1e-4)
 
 
@@ -124,10 +124,10 @@ def test_training_improves_the_tracking():
     learning = {"iterations": 12, "npg": {"value_steps": 50}, "evaluate_every": 12}
     longer = {**PLAIN["env"], "num_envs": 20, "horizon": 50, "kinds": ["smooth"]}
     trainer = Trainer(settings(**learning, env=longer))
-    closed = roll_out(trainer.env, lambda seen: np.zeros((len(seen), 1)), 20_000).rmse_atm
+    closed = roll_out(trainer.env, lambda seen: np.zeros((len(seen), 1)), 20_000).rmse
     for _ in range(12):
         trainer.iterate()
-    assert trainer.rows[-1]["eval_rmse_atm"] < 0.5 * closed
+    assert trainer.rows[-1]["eval_rmse"] < 0.5 * closed
 
 
 def test_a_run_leaves_a_policy_that_acts_as_the_network_does(tmp_path):
@@ -307,7 +307,7 @@ def test_the_command_trains_refuses_and_resumes(tmp_path):
 def test_learning_curves_are_drawn(tmp_path):
     def history(level):
         rows = [
-            {"samples": 100 * n, "eval_score": -level / n, "eval_rmse_atm": level / n}
+            {"samples": 100 * n, "eval_score": -level / n, "eval_rmse": level / n}
             for n in range(1, 6)
         ]
         return History("npg", {}, rows, True)
@@ -329,7 +329,7 @@ def test_ppo_writes_the_same_history(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     history = train_ppo(settings(iterations=2), n_epochs=1, batch_size=60)
     assert [row["samples"] for row in history.rows] == [120, 240]
-    assert history.algorithm == "ppo" and history.rows[-1]["eval_rmse_atm"] > 0.0
+    assert history.algorithm == "ppo" and history.rows[-1]["eval_rmse"] > 0.0
     reference = Trainer(settings()).iterate()
     assert set(history.rows[0]) <= set(reference)
     assert not list(tmp_path.glob("SB3*"))

@@ -1,18 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A learned controller as one small file: weights, recipe of its features, rig and training.
-
-An .npz archive without pickles: per layer ``weight_<n>`` (outputs, inputs) and ``bias_<n>``, the
-logarithm ``log_std`` of the deviation it was trained with, and ``about``, the rest as JSON. The
-same policy has the same bytes. It is run with numpy alone: tanh between the layers, the last is
-linear.
-"""
+"""A learned controller of a pressure as one small file: weights, recipe, rig and training."""
 
 import hashlib
-import io
 import json
-import struct
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,15 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
-from pneu_common.files import whole
 from pneu_policy.control.observations import Recipe
+from pneu_policy.control.weights import Network, Single, read_weights, write_weights
 from pneu_sim.rig.schema import Rig
 
 VERSION = 1
-LARGEST_BYTES = 64 * 2**20
-"""No array of a policy is larger; a file that says otherwise is refused before it is unpacked."""
-
-Single = NDArray[np.float32]
 Floats = NDArray[np.float64]
 
 
@@ -81,25 +67,11 @@ class PolicyFile:
     training: dict[str, Any]
     log_std: float = 0.0
     path: Path | None = None
-    _layers: list[tuple[Floats, Floats, Floats]] = field(init=False, repr=False)
+    _network: Network = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Raises InputError where the parts do not fit together."""
-        width = self.recipe.size
-        layers = []
-        for n, (weight, bias) in enumerate(self.weights):
-            if weight.ndim != 2 or weight.shape[1] != width or bias.shape != weight.shape[:1]:
-                raise InputError(
-                    f"layer {n}: found weights of shape {weight.shape} and biases of"
-                    f" {bias.shape}, needed are {width} inputs and one bias per output"
-                )
-            if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
-                raise InputError(f"layer {n}: found a weight that is not finite")
-            width = weight.shape[0]
-            # Double precision costs nothing at this size; the sums differ less between machines.
-            layers.append((weight.astype(np.float64), bias.astype(np.float64), np.empty(width)))
-        if not layers or width != 1:
-            raise InputError(f"weights: found {width} outputs of the last layer, needed is 1")
+        network = Network(self.weights, self.recipe.size, 1)
         if not np.isfinite(self.log_std):
             raise InputError(f"log_std: found {self.log_std}, it must be finite")
         try:
@@ -112,7 +84,7 @@ class PolicyFile:
         for tap in self.recipe.taps:
             if tap not in taps:
                 raise InputError(f"taps: found {tap!r}, rig {name!r} has {', '.join(taps)}")
-        object.__setattr__(self, "_layers", layers)
+        object.__setattr__(self, "_network", network)
 
     def act(self, features: Floats) -> float:
         """Action for some features, without exploration.
@@ -120,15 +92,7 @@ class PolicyFile:
         Args:
             features: (size,) features, as an `Observer` of the recipe makes them.
         """
-        value = features
-        last = len(self._layers) - 1
-        for n, (weight, bias, out) in enumerate(self._layers):
-            np.dot(weight, value, out=out)
-            np.add(out, bias, out=out)
-            if n < last:
-                np.tanh(out, out=out)
-            value = out
-        return float(value[0])
+        return float(self._network.act(features)[0])
 
     def check_rig(self, rig: Rig) -> None:
         """Refuses a rig that the policy was not trained for.
@@ -162,24 +126,7 @@ class PolicyFile:
             "rig": self.rig,
             "training": self.training,
         }
-        try:
-            text = json.dumps(about, sort_keys=True, allow_nan=False).encode()
-        except (TypeError, ValueError) as error:
-            raise InputError(f"training: cannot be written as JSON ({error})") from None
-        arrays: dict[str, NDArray[Any]] = {"about": np.frombuffer(text, dtype=np.uint8)}
-        for n, (weight, bias) in enumerate(self.weights):
-            arrays[f"weight_{n}"] = np.ascontiguousarray(weight, dtype="<f4")
-            arrays[f"bias_{n}"] = np.ascontiguousarray(bias, dtype="<f4")
-        arrays["log_std"] = np.array(self.log_std, dtype="<f8")
-        path = Path(path)
-        with whole(path) as aside, zipfile.ZipFile(aside, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name, array in arrays.items():
-                held = io.BytesIO()
-                np.lib.format.write_array(held, array, version=(1, 0), allow_pickle=False)
-                # A fixed date, so that the same policy has the same bytes.
-                entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
-                entry.compress_type = zipfile.ZIP_DEFLATED
-                archive.writestr(entry, held.getvalue())
+        write_weights(path, self.weights, self.log_std, about)
 
     @classmethod
     def load(cls, path: str | Path) -> "PolicyFile":
@@ -192,61 +139,14 @@ class PolicyFile:
             InputError: It is missing, damaged, or no policy.
         """
         path = Path(path)
-        arrays = _arrays(path)
-        try:
-            about = json.loads(arrays["about"].tobytes())
-            if about["pneu_policy"] != VERSION:
-                raise InputError(
-                    f"pneu_policy: found {about['pneu_policy']!r}, this version reads {VERSION}"
-                )
-            layers = sum(name.startswith("weight_") for name in arrays)
-            weights = [
-                (
-                    arrays[f"weight_{n}"].astype(np.float32),
-                    arrays[f"bias_{n}"].astype(np.float32),
-                )
-                for n in range(layers)
-            ]
-            recipe, rig, training = about["recipe"], about["rig"], about["training"]
-            log_std = float(arrays["log_std"])
-        except InputError as error:  # first, because it is a ValueError
-            raise InputError(f"{path}: {error}") from None
-        except (KeyError, TypeError, ValueError) as error:
-            what = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else error
-            raise InputError(f"{path}: is no policy file ({what})") from None
+        weights, log_std, about = read_weights(path, "pneu_policy", VERSION)
+        recipe, rig, training = about.get("recipe"), about.get("rig"), about.get("training")
         if not (isinstance(recipe, dict) and isinstance(rig, dict) and isinstance(training, dict)):
             raise InputError(f"{path}: is no policy file (recipe, rig and training are mappings)")
         try:
             return cls(weights, Recipe(**recipe), rig, training, log_std, path)
         except (InputError, OverflowError) as error:  # a recipe with an infinite whole number
             raise InputError(f"{path}: {error}") from None
-
-
-def _arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """All arrays of an archive; reading an entry checks its sum."""
-    found = {}
-    try:
-        with zipfile.ZipFile(path) as archive:
-            for entry in archive.infolist():
-                if entry.file_size > LARGEST_BYTES:
-                    raise InputError(f"{path}: {entry.filename} is too large for a policy")
-                content = io.BytesIO(archive.read(entry))
-                array = np.lib.format.read_array(content, allow_pickle=False)
-                found[entry.filename.removesuffix(".npy")] = array
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such policy file") from None
-    except (
-        OSError,
-        EOFError,
-        MemoryError,
-        ValueError,
-        RuntimeError,  # also what is not implemented: a flag that was flipped
-        struct.error,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        raise InputError(f"{path}: is no policy file, or a damaged one ({error})") from None
-    return found
 
 
 def _difference(trained: Mapping[str, Any], found: Mapping[str, Any]) -> str:

@@ -119,10 +119,11 @@ def _train_one(run: Any) -> list[Any]:
     history = run.history()
     if history is None:
         with progress(run.name) as tell:
+            unit = run.settings.env.unit[0]
 
             def report(row: dict[str, Any]) -> None:
-                judged = row["eval_rmse_atm"]
-                said = f"score {row['score']:.2f}  error {row['rmse_atm']:.3f} atm"
+                judged = row["eval_rmse"]
+                said = f"score {row['score']:.2f}  error {row['rmse']:.3f} {unit}"
                 if judged is not None:
                     said += f"  (without exploration {judged:.3f})"
                 tell(run.name, row["iteration"] / run.settings.iterations, said)
@@ -160,13 +161,15 @@ def _draw(outcomes: list[Any], out: Path) -> None:
 
 
 def _table(outcomes: list[Any]) -> NamedTable:
-    numbers = {"iterations": 1, "samples": 2, "score": 0, "error, atm": 0}
+    told = next((o.history for o in outcomes if o.history is not None), None)
+    unit, mark = (told.unit, told.mark) if told else ("-", 0.0)
+    numbers = {"iterations": 1, "samples": 2, "score": 0, f"error, {unit}": 0}
     table = NamedTable(
         "",
         [
             Column("run"),
             *(Column(head, "number", drop) for head, drop in numbers.items()),
-            Column("0.1 atm after"),
+            Column(f"{mark:g} {unit} after"),
             Column("time", "number"),
         ],
     )
@@ -174,7 +177,7 @@ def _table(outcomes: list[Any]) -> NamedTable:
         if outcome.history is None:
             table.add_row(outcome.run.name, "failed", "", "", "", "", "")
             continue
-        last, first = outcome.history.rows[-1], outcome.history.time_to(0.1)
+        last, first = outcome.history.rows[-1], outcome.history.learned()
         reached = "-" if first is None else f"{first['wall_s']:.0f} s, {first['samples']} samples"
         # A run that is asked for fewer iterations than it has done may end between evaluations.
         judged = last["eval_score"] is not None
@@ -183,7 +186,7 @@ def _table(outcomes: list[Any]) -> NamedTable:
             str(last["iteration"]),
             str(last["samples"]),
             f"{last['eval_score']:.2f}" if judged else "-",
-            f"{last['eval_rmse_atm']:.4f}" if judged else "-",
+            f"{last['eval_rmse']:.4f}" if judged else "-",
             reached,
             f"{last['wall_s']:.0f} s",
         )

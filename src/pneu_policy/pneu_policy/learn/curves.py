@@ -25,7 +25,7 @@ _POINTS = 200
 
 PANELS = (
     ("eval_score", "score (sum of rewards)", "linear"),
-    ("eval_rmse_atm", "tracking error, RMS (atm)", "log"),
+    ("eval_rmse", "tracking error, RMS", "log"),
 )
 
 
@@ -33,7 +33,6 @@ def learning_curves(
     groups: Mapping[str, Sequence[History]],
     path: str | Path,
     title: str = "",
-    mark_atm: float | None = 0.1,
 ) -> None:
     """Draws the evaluations of runs: each run as a light line, the mean of a group in bold.
 
@@ -44,7 +43,6 @@ def learning_curves(
         groups: Histories by the name that the legend shows.
         path: Picture; its ending decides the format.
         title: What stands above.
-        mark_atm: An error to draw a line at, atm.
 
     Raises:
         InputError: There is nothing to draw, or the picture cannot be written.
@@ -63,8 +61,9 @@ def learning_curves(
         axes.ticklabel_format(axis="x", style="sci", scilimits=(0, 5), useMathText=True)
         axes.grid(True, which="both" if scale == "log" else "major", alpha=0.25, linewidth=0.5)
         axes.spines[["top", "right"]].set_visible(False)
-    if mark_atm is not None:
-        panels[1].axhline(mark_atm, color="black", linewidth=0.8, linestyle=":")
+    one = next(iter(groups.values()))[0]  # groups of one picture are of one task
+    panels[1].axhline(one.mark, color="black", linewidth=0.8, linestyle=":")
+    panels[1].set_ylabel(f"{PANELS[1][1]} ({one.unit})")
     panels[1].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     panels[1].yaxis.set_major_formatter("{x:g}")
     panels[1].yaxis.set_minor_formatter(NullFormatter())

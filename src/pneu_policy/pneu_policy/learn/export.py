@@ -7,14 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_policy.control.policy_file import PolicyFile, rig_identity
-from pneu_policy.learn.history import ATM_PA, Row
+from pneu_policy.control.push_policy import PushPolicy
+from pneu_policy.learn.history import Row
 from pneu_policy.learn.settings import TrainSettings
+from pneu_policy.task.base import TaskEnv
+from pneu_policy.task.pushing import Pushing
 from pneu_policy.task.tracking import PressureTracking
 
 _VERSIONS_OF = ("pneu", "torch", "numpy", "gymnasium")
@@ -29,21 +31,21 @@ class Trained:
         settings: What it was set to.
         last: Its last row.
         done: Iterations.
-        rig_sha256: Digest of the rig file.
+        file_sha256: Digest of the rig or hand file.
         weights: Layers of the last iterate, or of the average that the settings declare.
         log_std: Logarithm of the exploration that is left.
     """
 
-    env: gymnasium.vector.VectorEnv
+    env: TaskEnv
     settings: TrainSettings
     last: Row
     done: int
-    rig_sha256: str
+    file_sha256: str
     weights: list[tuple[NDArray[np.float32], NDArray[np.float32]]]
     log_std: float
 
 
-def export_policy(trained: Trained, path: str | Path) -> PolicyFile:
+def export_policy(trained: Trained, path: str | Path) -> PolicyFile | PushPolicy:
     """Writes what was trained.
 
     Args:
@@ -54,38 +56,64 @@ def export_policy(trained: Trained, path: str | Path) -> PolicyFile:
         What was written.
 
     Raises:
-        InputError: The file cannot be written, or the environment is not one of a rig.
+        InputError: The file cannot be written, or policies of the environment have none.
     """
-    if not isinstance(trained.env, PressureTracking):
-        raise InputError(f"{path}: a policy file is of a rig, found {type(trained.env).__name__}")
+    env = trained.env
+    if isinstance(env, PressureTracking):
+        file: PolicyFile | PushPolicy = _of_a_rig(trained, env)
+    elif isinstance(env, Pushing):
+        file = PushPolicy(
+            weights=trained.weights,
+            recipe=env.settings.recipe,
+            arms=list(env.hand.settings.arms),
+            training=_training(trained, {"hand": _source(trained)}),
+            log_std=trained.log_std,
+        )
+    else:
+        raise InputError(f"{path}: a policy file is of a rig or a hand, found {type(env).__name__}")
+    file.save(path)
+    return file
+
+
+def _of_a_rig(trained: Trained, env: PressureTracking) -> PolicyFile:
+    training = _training(trained, {"model": env.rig.model, "rig": _source(trained)})
+    error = trained.last["eval_rmse"]
+    training["rmse_pa"] = None if error is None else error * env.unit[1]
+    return PolicyFile(
+        weights=trained.weights,
+        recipe=env.settings.recipe,
+        rig=rig_identity(env.rig),
+        training=training,
+        log_std=trained.log_std,
+    )
+
+
+def _source(trained: Trained) -> dict[str, str]:
+    return {"file": Path(trained.settings.env.file).name, "sha256": trained.file_sha256}
+
+
+def _training(trained: Trained, of: dict[str, Any]) -> dict[str, Any]:
+    """How it was trained.
+
+    Args:
+        trained: What the training has left.
+        of: What it was trained for.
+    """
     last = trained.last
-    rig = trained.env.rig
-    training = {
+    return {
         "algorithm": "npg",
         "seed": trained.settings.seed,
         "iterations": trained.done,
         "samples": last["samples"],
         "simulated_s": last["simulated_s"],
         "wall_s": round(last["wall_s"], 1),
-        "model": rig.model,
-        "rig": {
-            "file": Path(trained.settings.env.rig).name,
-            "sha256": trained.rig_sha256,
-        },
+        **of,
         "score": last["eval_score"],
-        "rmse_pa": None if last["eval_rmse_atm"] is None else last["eval_rmse_atm"] * ATM_PA,
+        "rmse": last["eval_rmse"],
+        "unit": trained.env.unit[0],
         "versions": _versions(),
         "settings": trained.settings.plain(),
     }
-    file = PolicyFile(
-        weights=trained.weights,
-        recipe=trained.settings.env.recipe,
-        rig=rig_identity(rig),
-        training=training,
-        log_std=trained.log_std,
-    )
-    file.save(path)
-    return file
 
 
 def _versions() -> dict[str, Any]:

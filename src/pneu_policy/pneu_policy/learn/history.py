@@ -2,9 +2,10 @@
 """The history of a training: one row per iteration, as JSON beside the policy it led to.
 
 Rows hold ``iteration`` (1 is the first), ``samples`` (control periods of all rigs so far),
-``simulated_s``, ``wall_s``, ``score`` (mean sum of rewards of an episode) and ``rmse_atm`` of the
-episodes with exploration, ``eval_score`` and ``eval_rmse_atm`` of those without it where one was
-made (else null), ``std`` of the exploration, and what the algorithm adds.
+``simulated_s``, ``wall_s``, ``score`` (mean sum of rewards of an episode) and ``rmse`` of the
+episodes with exploration, ``eval_score`` and ``eval_rmse`` of those without it where one was made
+(else null), ``std`` of the exploration, and what the algorithm adds. Errors are in the unit that
+the task is told in.
 """
 
 import json
@@ -18,8 +19,7 @@ from pneu_common.documents import read_json
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
 
-VERSION = 1
-ATM_PA = 101_325.0
+VERSION = 2
 
 Row = dict[str, Any]
 
@@ -33,21 +33,21 @@ class History:
         settings: What it was set to, as plain values.
         rows: One per iteration.
         finished: Whether all iterations were done.
+        unit: What errors are told in.
+        mark: Error at which the task is called learned, in that unit.
     """
 
     algorithm: str
     settings: Mapping[str, Any]
     rows: Sequence[Row]
     finished: bool
+    unit: str = "atm"
+    mark: float = 0.1
 
-    def time_to(self, error_atm: float) -> Row | None:
-        """The first row whose evaluation is at an error or below, or None.
-
-        Args:
-            error_atm: RMS tracking error without exploration, atm.
-        """
+    def learned(self) -> Row | None:
+        """The first row whose evaluation is at the mark or below, or None."""
         for row in self.rows:
-            if row["eval_rmse_atm"] is not None and row["eval_rmse_atm"] <= error_atm:
+            if row["eval_rmse"] is not None and row["eval_rmse"] <= self.mark:
                 return row
         return None
 
@@ -65,7 +65,9 @@ class History:
             "pneu_history": VERSION,
             "algorithm": self.algorithm,
             "finished": self.finished,
-            "time_to_0.1_atm": self.time_to(0.1),
+            "unit": self.unit,
+            "mark": self.mark,
+            "learned": self.learned(),
             "settings": self.settings,
             "rows": [{key: _json(value) for key, value in row.items()} for row in self.rows],
         }
@@ -91,6 +93,8 @@ class History:
                 settings=document["settings"],
                 rows=document["rows"],
                 finished=document["finished"],
+                unit=document["unit"],
+                mark=document["mark"],
             )
         except KeyError as error:
             raise InputError(f"{path}: {error.args[0]} is missing from the history") from None

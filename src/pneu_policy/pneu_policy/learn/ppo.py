@@ -8,16 +8,16 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
-from pneu_policy.learn.history import ATM_PA, History, Row
+from pneu_policy.learn.history import History, Row
 from pneu_policy.learn.rollout import roll_out
 from pneu_policy.learn.settings import TrainSettings
-from pneu_policy.task.tracking import make_env
+from pneu_policy.task.base import TaskEnv
+from pneu_policy.task.make import make_env
 
 try:
     from stable_baselines3 import PPO
@@ -36,10 +36,10 @@ class Adapter(VecEnv):
 
     Attributes:
         env: The environment; its episodes end together.
-        error_pa: Tracking errors of the steps since they were last taken away.
+        errors: Tracking errors of the steps since they were last taken away.
     """
 
-    def __init__(self, env: gymnasium.vector.VectorEnv, seed: int) -> None:
+    def __init__(self, env: TaskEnv, seed: int) -> None:
         """Wraps an environment.
 
         Args:
@@ -47,7 +47,7 @@ class Adapter(VecEnv):
             seed: Decides the episodes, one after the other.
         """
         self.env = env
-        self.error_pa: list[NDArray[np.float64]] = []
+        self.errors: list[NDArray[np.float64]] = []
         self._episodes = np.random.default_rng([seed, 1])
         self._actions: NDArray[Any] = np.zeros(0)
         self.render_mode = None
@@ -73,7 +73,7 @@ class Adapter(VecEnv):
             Observations, rewards, ends, and a dict per rig.
         """
         observation, reward, terminated, truncated, info = self.env.step(self._actions)
-        self.error_pa.append(np.array(info["error_pa"]))
+        self.errors.append(np.array(info["error"]))
         done = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         observation = np.array(observation)
@@ -139,7 +139,7 @@ class _Watch(BaseCallback):
         self,
         settings: TrainSettings,
         adapter: Adapter,
-        judge: gymnasium.vector.VectorEnv,
+        judge: TaskEnv,
         report: Callable[[Row], None] | None,
     ) -> None:
         super().__init__()
@@ -156,15 +156,15 @@ class _Watch(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         # Only now is the update on the collection before done; the last row is added at the end.
-        if self._adapter.error_pa:
+        if self._adapter.errors:
             self.add_row()
 
     def add_row(self) -> None:
         """Adds the row of the latest collection, judged after its update."""
         s, k = self._settings, len(self.rows)
-        errors = np.concatenate(self._adapter.error_pa)
+        errors = np.concatenate(self._adapter.errors)
         score = self._rewards
-        self._adapter.error_pa.clear()
+        self._adapter.errors.clear()
         self._rewards = 0.0
         due = (k + 1) % s.evaluate_every == 0 or k + 1 == s.iterations or k == 0
         judged = None
@@ -179,12 +179,12 @@ class _Watch(BaseCallback):
         row = {
             "iteration": k + 1,
             "samples": samples,
-            "simulated_s": samples * s.env.recipe.period_s,
+            "simulated_s": samples * self._adapter.env.period_s,
             "wall_s": time.perf_counter() - self._started,
             "score": score,
-            "rmse_atm": float(np.sqrt(np.mean(errors**2)) / ATM_PA),
+            "rmse": float(np.sqrt(np.mean(errors**2)) / self._adapter.env.unit[1]),
             "eval_score": judged.score if judged else None,
-            "eval_rmse_atm": judged.rmse_atm if judged else None,
+            "eval_rmse": judged.rmse if judged else None,
             "std": float(self.model.policy.log_std.detach().exp().mean()),  # type: ignore[operator]
         }
         self.rows.append(row)
@@ -194,8 +194,8 @@ class _Watch(BaseCallback):
 
 def train_ppo(
     settings: TrainSettings,
-    env: gymnasium.vector.VectorEnv | None = None,
-    judge: gymnasium.vector.VectorEnv | None = None,
+    env: TaskEnv | None = None,
+    judge: TaskEnv | None = None,
     report: Callable[[Row], None] | None = None,
     **hyperparameters: Any,
 ) -> History:
@@ -235,4 +235,4 @@ def train_ppo(
     model.learn(settings.iterations * adapter.num_envs * settings.env.horizon, callback=watch)
     watch.add_row()
     shown = {**settings.plain(), "ppo": {k: repr(v) for k, v in hyperparameters.items()}}
-    return History("ppo", shown, watch.rows, finished=True)
+    return History("ppo", shown, watch.rows, True, judge.unit[0], judge.mark)

@@ -4,11 +4,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_policy.learn.history import ATM_PA
+from pneu_policy.task.base import TaskEnv
 
 Array = NDArray[np.float32]
 
@@ -24,13 +23,15 @@ class Episodes:
         observations: Before each action and after the last one: (steps + 1, episodes, size).
         actions: (steps, episodes, size).
         rewards: (steps, episodes).
-        error_pa: Tracking error after each step, (steps, episodes), Pa.
+        error: Tracking error after each step, (steps, episodes), SI.
+        unit: How much one is of what errors are told in.
     """
 
     observations: Array
     actions: Array
     rewards: Array
-    error_pa: NDArray[np.float64]
+    error: NDArray[np.float64]
+    unit: float
 
     @property
     def score(self) -> float:
@@ -38,9 +39,9 @@ class Episodes:
         return float(self.rewards.sum(axis=0, dtype=np.float64).mean())
 
     @property
-    def rmse_atm(self) -> float:
-        """RMS tracking error over all episodes, atm."""
-        return float(np.sqrt(np.mean(self.error_pa**2)) / ATM_PA)
+    def rmse(self) -> float:
+        """RMS tracking error over all episodes, in the task's unit."""
+        return float(np.sqrt(np.mean(self.error**2)) / self.unit)
 
     @property
     def samples(self) -> int:
@@ -48,7 +49,7 @@ class Episodes:
         return int(self.rewards.size)
 
 
-def roll_out(env: gymnasium.vector.VectorEnv, act: Callable[[Array], Array], seed: int) -> Episodes:
+def roll_out(env: TaskEnv, act: Callable[[Array], Array], seed: int) -> Episodes:
     """Runs one episode of every rig of an environment.
 
     Args:
@@ -74,7 +75,7 @@ def roll_out(env: gymnasium.vector.VectorEnv, act: Callable[[Array], Array], see
         observations.append(np.array(observation, np.float32))
         actions.append(action)
         rewards.append(np.array(reward, np.float32))
-        errors.append(np.array(info["error_pa"], np.float64))
+        errors.append(np.array(info["error"], np.float64))
         done = terminated | truncated
         if done.all():
             break
@@ -82,4 +83,10 @@ def roll_out(env: gymnasium.vector.VectorEnv, act: Callable[[Array], Array], see
             raise ValueError(f"only {done.sum()} of {len(done)} episodes ended after step {step}")
     else:
         raise ValueError(f"episodes did not end within {LONGEST} steps")
-    return Episodes(np.stack(observations), np.stack(actions), np.stack(rewards), np.stack(errors))
+    return Episodes(
+        np.stack(observations),
+        np.stack(actions),
+        np.stack(rewards),
+        np.stack(errors),
+        env.unit[1],
+    )

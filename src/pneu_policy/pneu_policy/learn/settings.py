@@ -13,8 +13,8 @@ from pydantic import Field, model_validator
 from pneu_common.documents import read_yaml
 from pneu_common.errors import InputError
 from pneu_common.validation import Listed, Settings
+from pneu_policy.task.make import TaskSettings
 from pneu_policy.task.ranges import Seed
-from pneu_policy.task.tracking import EnvSettings
 
 Layers = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Listed]
 """Units of the hidden layers of a network."""
@@ -89,7 +89,7 @@ class TrainSettings(Settings):
             average is what is evaluated and exported. 0 takes the latest iterate itself.
     """
 
-    env: EnvSettings
+    env: TaskSettings
     npg: NpgSettings = NpgSettings()
     iterations: Annotated[int, Field(ge=1)] = 200
     seed: Seed = 0

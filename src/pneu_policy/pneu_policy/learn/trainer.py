@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -28,7 +27,8 @@ from pneu_policy.learn.history import History, Row
 from pneu_policy.learn.networks import GaussianPolicy, ValueNetwork, mean_action
 from pneu_policy.learn.rollout import Episodes, roll_out
 from pneu_policy.learn.settings import TrainSettings
-from pneu_policy.task.tracking import make_env
+from pneu_policy.task.base import TaskEnv
+from pneu_policy.task.make import make_env
 
 Array = NDArray[np.float32]
 
@@ -60,12 +60,10 @@ class Trainer:
         values: The value function.
         average: Average of the iterates as one vector, where the settings ask for one.
         rows: History so far, one row per iteration done.
-        rig_sha256: Digest of the rig file.
+        file_sha256: Digest of the rig or hand file.
     """
 
-    def __init__(
-        self, settings: TrainSettings, env: gymnasium.vector.VectorEnv | None = None
-    ) -> None:
+    def __init__(self, settings: TrainSettings, env: TaskEnv | None = None) -> None:
         """Makes networks at random and the environment.
 
         Args:
@@ -82,8 +80,8 @@ class Trainer:
         self.settings = settings
         self.env = make_env(settings.env) if env is None else env
         # Of the file as it is now: it may be changed while the training goes on.
-        rig = Path(settings.env.rig)
-        self.rig_sha256 = hashlib.sha256(rig.read_bytes()).hexdigest() if rig.exists() else ""
+        rig = Path(settings.env.file)
+        self.file_sha256 = hashlib.sha256(rig.read_bytes()).hexdigest() if rig.exists() else ""
         n = settings.npg
         inputs = int(self.env.single_observation_space.shape[0])  # type: ignore[index]
         actions = int(self.env.single_action_space.shape[0])  # type: ignore[index]
@@ -145,12 +143,12 @@ class Trainer:
         row = {
             "iteration": k + 1,
             "samples": samples,
-            "simulated_s": samples * s.env.recipe.period_s,
+            "simulated_s": samples * self.env.period_s,
             "wall_s": time.perf_counter() - started + (before["wall_s"] if before else 0.0),
             "score": episodes.score,
-            "rmse_atm": episodes.rmse_atm,
+            "rmse": episodes.rmse,
             "eval_score": judged.score if judged else None,
-            "eval_rmse_atm": judged.rmse_atm if judged else None,
+            "eval_rmse": judged.rmse if judged else None,
             "std": float(std.mean()),
             "kl": update.kl,
             "step": update.step,
@@ -181,7 +179,14 @@ class Trainer:
 
     def history(self) -> History:
         """How the training went so far."""
-        return History("npg", self.settings.plain(), list(self.rows), self.finished)
+        return History(
+            "npg",
+            self.settings.plain(),
+            list(self.rows),
+            self.finished,
+            self.env.unit[0],
+            self.env.mark,
+        )
 
     def save(self, path: str | Path) -> None:
         """Writes a checkpoint.
@@ -194,7 +199,7 @@ class Trainer:
         """
         state = {
             "settings": self.settings.plain(),
-            "rig_sha256": self.rig_sha256,
+            "file_sha256": self.file_sha256,
             "policy": self.policy.state_dict(),
             "values": self.values.state_dict(),
             "optimiser": self._optimiser.state_dict(),
@@ -217,9 +222,9 @@ class Trainer:
             other = first_difference(state["settings"], self.settings.plain(), ("iterations",))
             if other:
                 raise InputError(f"{path}: the checkpoint is of other settings: {other}")
-            if state["rig_sha256"] != self.rig_sha256:
+            if state["file_sha256"] != self.file_sha256:
                 raise InputError(
-                    f"{path}: the checkpoint is of the rig file {self.settings.env.rig} as it was"
+                    f"{path}: the checkpoint is of {self.settings.env.file} as it was"
                     " before it was changed; start anew"
                 )
             self.policy.load_state_dict(state["policy"])
@@ -261,7 +266,7 @@ class Trainer:
             self.settings,
             self.rows[-1],
             self.done,
-            self.rig_sha256,
+            self.file_sha256,
             self.weights(),
             float(self.policy.log_std.detach().cpu()[0]),
         )

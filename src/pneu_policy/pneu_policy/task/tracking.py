@@ -6,7 +6,7 @@ logarithm floored (thesis 9.2.1): -alpha |e| - beta log(max(|e|, floor)) + offse
 """
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
@@ -18,6 +18,7 @@ from pydantic import Field
 from pneu_common.errors import InputError
 from pneu_common.validation import Settings
 from pneu_policy.control.observations import Observer, Recipe
+from pneu_policy.task.base import TaskEnv
 from pneu_policy.task.ensembles import draw_rigs
 from pneu_policy.task.plants import ControlPlant
 from pneu_policy.task.ranges import DelayRange, Kinds, Range, Seed
@@ -61,6 +62,7 @@ class EnvSettings(Settings):
     """What is trained on.
 
     Attributes:
+        task: Which task this is.
         rig: Rig file; its ``model`` decides between the full and a lumped one.
         recipe: What the policy sees.
         num_envs: Rigs side by side.
@@ -79,8 +81,14 @@ class EnvSettings(Settings):
         start_error_pa: An episode starts within this of its target, Pa.
         reward: The reward.
         seed: Seed of the drawn rigs.
+        unit: What errors are told in, and how much one of it is.
+        mark: Error at which the task is called learned, in that unit.
     """
 
+    unit: ClassVar[tuple[str, float]] = ("atm", 101_325.0)
+    mark: ClassVar[float] = 0.1
+
+    task: Literal["pressure"] = "pressure"
     rig: str
     recipe: Recipe
     num_envs: Annotated[int, Field(ge=1, le=100_000)] = 64
@@ -99,12 +107,17 @@ class EnvSettings(Settings):
     reward: Reward = Reward()
     seed: Seed = 0
 
+    @property
+    def file(self) -> str:
+        """File of the plant."""
+        return self.rig
 
-class PressureTracking(gymnasium.vector.VectorEnv):
+
+class PressureTracking(TaskEnv):
     """Rigs side by side, each after a target of its own; all episodes end together.
 
     Observations are those of the recipe as (num_envs, size) float32, actions lie within -1 and 1.
-    The ``info`` of a step holds ``error_pa``, ``pressure_pa``, ``target_pa`` and ``volts``, each
+    The ``info`` of a step holds ``error``, Pa, ``pressure_pa``, ``target_pa`` and ``volts``, each
     (num_envs,), at the end of the period.
 
     Attributes:
@@ -112,6 +125,9 @@ class PressureTracking(gymnasium.vector.VectorEnv):
         rig: The rig as its file has it.
         plant: The plant.
     """
+
+    unit = EnvSettings.unit
+    mark = EnvSettings.mark
 
     def __init__(self, settings: EnvSettings, rig: Rig | None = None) -> None:
         """Builds the rigs.
@@ -153,6 +169,11 @@ class PressureTracking(gymnasium.vector.VectorEnv):
         self._targets = np.zeros((s.horizon + 1, s.num_envs, len(r.preview_s)))
         self._rng = np.random.default_rng(s.seed)
         self._started = False
+
+    @property
+    def period_s(self) -> float:
+        """Control period, s."""
+        return self.settings.recipe.period_s
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -217,7 +238,7 @@ class PressureTracking(gymnasium.vector.VectorEnv):
         error = target - pressure
         done = np.full(self.num_envs, self._step == self.settings.horizon)
         info = {
-            "error_pa": error,
+            "error": error,
             "pressure_pa": pressure,
             "target_pa": target.copy(),
             "volts": volts,
@@ -252,15 +273,3 @@ def _check_step(settings: EnvSettings, plant: ControlPlant) -> None:
             f"physics_step_s: found {asked:g}, stable is up to {longest:.3g} s with these cells"
         )
     plant.set_step(asked)
-
-
-def make_env(settings: EnvSettings) -> PressureTracking:
-    """Builds the environment.
-
-    Args:
-        settings: What is trained on.
-
-    Raises:
-        InputError: The rig does not fit the recipe, or the control period the physics step.
-    """
-    return PressureTracking(settings)

@@ -28,6 +28,8 @@ class Kinematics:
         arm: Name of the arm.
         lower_rad: Ranges of its joints.
         upper_rad: Likewise.
+        joints: (j,) MuJoCo's numbers of the joints that its motors move.
+        by: (j, j) angles that encoders read, by these joints' coordinates.
     """
 
     def __init__(self, hand: Hand, arm: str, tip: str) -> None:
@@ -54,23 +56,23 @@ class Kinematics:
         self.lower_rad = np.array([j.lower_rad for j in joints.values()])
         self.upper_rad = np.array([j.upper_rad for j in joints.values()])
         # an encoder's angle is the sum of coordinates times what its transmission says
-        self._by = np.zeros((len(joints), model.nv))
+        by = np.zeros((len(joints), model.nv))
         for row, joint in enumerate(joints.values()):
             motor = model.actuator(joint.motor).id
             kind, target = int(model.actuator_trntype[motor]), int(model.actuator_trnid[motor, 0])
             if kind == self._mujoco.mjtTrn.mjTRN_JOINT:
-                self._by[row, int(model.jnt_dofadr[target])] = 1.0
+                by[row, int(model.jnt_dofadr[target])] = 1.0
             elif kind == self._mujoco.mjtTrn.mjTRN_TENDON:
                 first, count = int(model.tendon_adr[target]), int(model.tendon_num[target])
                 for at in range(first, first + count):
                     dof = int(model.jnt_dofadr[int(model.wrap_objid[at])])
-                    self._by[row, dof] = float(model.wrap_prm[at])
+                    by[row, dof] = float(model.wrap_prm[at])
             else:
                 raise InputError(f"{hand.mjcf}: motor {joint.motor!r} drives no joint or tendon")
-        self._moves = np.flatnonzero(self._by.any(axis=0))
-        self._by = self._by[:, self._moves]
-        joint_of = model.dof_jntid[self._moves]
-        self._qpos = model.jnt_qposadr[joint_of]
+        self._moves = np.flatnonzero(by.any(axis=0))
+        self.by = by[:, self._moves]
+        self.joints = np.array(model.dof_jntid[self._moves])
+        self._qpos = model.jnt_qposadr[self.joints]
 
     def tip(self, angles_rad: Floats) -> Floats:
         """(3,) where the tip is, m.
@@ -78,7 +80,7 @@ class Kinematics:
         Args:
             angles_rad: (j,) what encoders read.
         """
-        self._data.qpos[self._qpos] = np.linalg.solve(self._by, angles_rad)
+        self._data.qpos[self._qpos] = np.linalg.solve(self.by, angles_rad)
         self._mujoco.mj_kinematics(self._model, self._data)
         self._mujoco.mj_comPos(self._model, self._data)
         at = (
@@ -106,7 +108,7 @@ class Kinematics:
         by = np.zeros((3, self._model.nv))
         jacobian = self._mujoco.mj_jacGeom if self._geom >= 0 else self._mujoco.mj_jacSite
         jacobian(self._model, self._data, by, None, max(self._geom, self._site))
-        return np.asarray(by[:, self._moves] @ np.linalg.inv(self._by))
+        return np.asarray(by[:, self._moves] @ np.linalg.inv(self.by))
 
     def angles(self, place_m: Floats, near_rad: Floats) -> Floats:
         """(j,) angles that bring the tip somewhere.
