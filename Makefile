@@ -13,7 +13,7 @@ BENCH_VENV := .venv-bench
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-robot test test-long bench lint format bags tosses hand-force folder-is-named exact calibration thinned \
+.PHONY: help demo demo-robot test test-long bench lint format bags tosses hand-force hand-tables pushing folder-is-named exact calibration thinned \
 	confusion thresholds moved faults fuzz study-pressure clean clean-kernels
 
 help:  ## list the targets
@@ -49,6 +49,12 @@ bags: folder-is-named $(VENV)/.ready-run  ## slow: fit and diagnose every bag of
 
 hand-force: $(VENV)/.ready-dev  ## slow: contact force estimated while an emulated arm moves; PAGE=file
 	@$(RUN) -m studies.hand_force $(if $(TRUTH),--truth $(TRUTH)) $(if $(PAGE),--page $(PAGE))
+
+hand-tables: $(VENV)/.ready-dev  ## slow: tables of thesis 2.7 and hidden effects of an emulated arm; STAGES=names
+	@$(RUN) -m studies.hand_tables $(STAGES)
+
+pushing: $(VENV)/.ready-dev  ## slow: policies that push a cylinder, trained and judged; STAGES=names
+	@$(RUN) -m studies.pushing $(STAGES)
 
 tosses: $(BENCH_VENV)/.ready-bench  ## slow: objects really tossed, fitted, foretold, diagnosed; TOSSES=folder; PAGE=file
 	@test -n "$(TOSSES)" || { echo "which folder holds the tosses? make tosses TOSSES=folder" >&2; exit 2; }

@@ -10,12 +10,15 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.live_graph import Graph, own_domain, running_graph, wait_for
 
 from geometry_msgs.msg import PoseStamped, WrenchStamped  # isort: skip
+from pneu_common.errors import InputError  # isort: skip
 from pneu_hw_bridge.nodes.hand_lab import HandLab  # isort: skip
 from pneu_hw_bridge.nodes.phantom_bridge import PhantomBridge  # isort: skip
+from pneu_policy.nodes.push import PushNode  # isort: skip
 from pneu_sim.nodes.hand_simulator import HandSimulator  # isort: skip
 from sensor_msgs.msg import Imu, JointState  # isort: skip
 from std_srvs.srv import Trigger  # isort: skip
@@ -24,6 +27,8 @@ pytestmark = pytest.mark.realtime
 
 ROOT = Path(__file__).parents[1]
 HAND = ROOT / "scenes/phantom/hand.yaml"
+PUSHING = ROOT / "scenes/phantom/pushing.yaml"
+POLICY = ROOT / "policies/push_ensemble_0.npz"
 NAMES = ["waist", "shoulder", "linkage"]
 
 
@@ -125,6 +130,74 @@ def test_a_bridge_without_a_device_says_so(graph: Graph, tmp_path: Path) -> None
     )
     assert bridge.trigger_configure().name == "FAILURE"
     bridge.end()
+
+
+def test_a_policy_pushes_what_is_simulated_along_its_path(graph: Graph) -> None:
+    """As off its path as in simulated time, though other work takes the processor."""
+    poses = graph.listen(PoseStamped, "object/pose")
+    targets = graph.listen(PoseStamped, "object/target")
+    node = graph.add(PushNode, hand=str(PUSHING), policy=str(POLICY), seconds=2.5, seed=1)
+    graph.add(HandSimulator, hand=str(PUSHING), rate=0.5, command_timeout_s=1.0)
+    wait_for(node.done.done, 30.0)
+
+    def table(messages: list[PoseStamped]) -> np.ndarray:
+        stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in messages]
+        places = [(m.pose.position.x, m.pose.position.y) for m in messages]
+        return np.column_stack([stamps, places])
+
+    where, wanted = table(poses), table(targets)
+    assert len(wanted) > 100 and np.ptp(wanted[:, 1:], axis=0).min() > 0.02
+    there = np.column_stack([np.interp(wanted[:, 0], where[:, 0], where[:, k]) for k in (1, 2)])
+    assert np.sqrt(np.mean(np.sum((there - wanted[:, 1:]) ** 2, axis=1))) < 0.006
+
+
+def test_arms_are_not_commanded_where_nobody_sees_what_is_pushed(graph: Graph) -> None:
+    told = graph.listen(JointState, "two/command")
+    graph.add(PushNode, hand=str(PUSHING), policy=str(POLICY))
+    arms = {
+        name: graph.probe.create_publisher(JointState, f"{name}/joint_states", 1)
+        for name in ("one", "two", "three")
+    }
+    sight = graph.probe.create_publisher(PoseStamped, "object/pose", 1)
+    at_ns, seen = [0], [False]
+
+    def say() -> None:
+        at_ns[0] += 5_000_000
+        for publisher in arms.values():
+            message = JointState(name=NAMES, position=[0.0] * 3, velocity=[0.0] * 3)
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(at_ns[0], 10**9)
+            publisher.publish(message)
+        if seen[0]:
+            pose = PoseStamped()
+            pose.header.stamp.sec, pose.header.stamp.nanosec = divmod(at_ns[0], 10**9)
+            sight.publish(pose)
+
+    graph.probe.create_timer(0.005, say)
+    time.sleep(1.0)
+    assert not told
+    seen[0] = True
+    wait_for(lambda: any(len(m.effort) for m in told), 20.0)  # it has begun to push
+    assert any(len(m.position) for m in told)
+    seen[0] = False
+    time.sleep(0.5)
+    count = len(told)
+    time.sleep(0.5)
+    assert len(told) == count
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"policy": ""}, "parameter policy: found nothing"),
+        ({"policy": "none.npz"}, "none.npz: no such policy file"),
+        ({"policy": str(ROOT / "policies/short_pde_0.npz")}, "pneu_push_policy"),
+        ({"hand": str(HAND)}, "trained with arms one, two, three, .* has phantom"),
+        ({"thing": "cup"}, "parameter thing: found 'cup'"),
+    ],
+)
+def test_a_node_that_cannot_push_says_why(graph: Graph, change: dict[str, str], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        graph.add(PushNode, **({"hand": str(PUSHING), "policy": str(POLICY)} | change))
 
 
 @pytest.mark.long

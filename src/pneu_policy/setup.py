@@ -28,6 +28,7 @@ setup(
             "pid = pneu_policy.nodes.pid:main",
             "policy = pneu_policy.nodes.policy:main",
             "exercise = pneu_policy.nodes.exercise:main",
+            "push = pneu_policy.nodes.push:main",
             "excite = pneu_policy.nodes.excite:main",
             "press = pneu_policy.nodes.press:main",
             "joint = pneu_policy.nodes.joint:main",

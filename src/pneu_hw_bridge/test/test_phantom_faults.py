@@ -69,6 +69,7 @@ class Bench:
             "ports": {"phantom": (self.port, self.web)},
             "seed": 0,
             "touch": False,
+            "rate": 1.0,
         }
         names = {"imu": ["object"], "pose": ["object"], "touch": ["phantom"]}
         self.plant = PlantProcess(told, names, lambda *_: None, lambda: None)

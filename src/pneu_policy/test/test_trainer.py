@@ -118,6 +118,27 @@ def test_rows_tell_what_the_episodes_were(env):
     assert after.score == pytest.approx(np.sum(rewards) / 4, rel=1e-4)
 
 
+def test_arms_that_push_are_trained_and_kept_too(tmp_path):
+    from pneu_policy.control.push_policy import PushPolicy
+
+    push = {
+        "task": "push",
+        "hand": str(ROOT / "scenes/phantom/pushing.yaml"),
+        "num_envs": 2,
+        "horizon": 5,
+        "threads": 1,
+    }
+    history = Trainer(settings(env=push, iterations=2, evaluate_every=1)).run(tmp_path)
+    assert history.unit == "mm" and history.mark == 5.0
+    assert 0.0 < history.rows[-1]["eval_rmse"] < 10.0  # it lies where the path begins
+    kept = PushPolicy.load(tmp_path / "policy.npz")
+    assert kept.arms == ["one", "two", "three"] and kept.training["unit"] == "mm"
+    assert kept.training["simulated_s"] == pytest.approx(2 * 2 * 5 * 0.02)
+    assert History.load(tmp_path / "history.json").rows == history.rows
+    with pytest.raises(InputError, match="task: found 'fly', allowed are 'pressure', 'push'"):
+        settings(env={"task": "fly"})
+
+
 @pytest.mark.long
 def test_training_improves_the_tracking():
     """A few iterations on a short horizon halve the error of a valve that stays closed."""

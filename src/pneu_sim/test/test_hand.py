@@ -12,7 +12,9 @@ from pneu_common.errors import InputError
 from pneu_sim.hand.drive import JointCommand, Motors, torque_of
 from pneu_sim.hand.exercise import exercise
 from pneu_sim.hand.loading import Hand
+from pneu_sim.hand.pace import Pace
 from pneu_sim.hand.paths import Kinematics, through, way
+from pneu_sim.hand.reach import Reach
 from pneu_sim.hand.settings import JointSettings
 from pneu_sim.hand.truth import Change, Lie, Truth
 from pneu_sim.hand.world import World
@@ -163,6 +165,51 @@ def test_angles_bring_the_tip_where_it_should_be(hand: Hand) -> None:
         assert slope[:, k] == pytest.approx(change / 2e-6, abs=1e-6)
     with pytest.raises(InputError, match=r"its tip cannot reach \(0.900, 0.000, 0.100\) m"):
         kinematics.angles(np.array([0.9, 0.0, 0.1]), np.zeros(3))
+
+
+def test_tips_of_many_arms_are_where_each_arms_kinematics_say() -> None:
+    three = Hand(SCENES / "pushing.yaml")
+    reach = Reach(three)
+    rng = np.random.default_rng(3)
+    angles, speed = rng.uniform(-0.4, 0.4, (2, 3, 3)), rng.normal(size=(2, 3, 3))
+    model = three.spec().compile()
+    plants = []
+    for k in range(2):
+        data = mujoco.MjData(model)
+        # a tip that is bent is not known of
+        data.joint("two_tip_x").qpos[0] = 0.2
+        reach.put(data, angles[k], speed[k])
+        mujoco.mj_kinematics(model, data)
+        plants.append(data)
+    place, velocity, slope = reach.tips(plants)
+    for number, arm in enumerate(reach.arms):
+        alone = Kinematics(three, arm, f"{arm}_tip")
+        for k in range(2):
+            at = angles[k, number]
+            np.testing.assert_allclose(place[k, number], alone.tip(at), atol=1e-12)
+            np.testing.assert_allclose(slope[k, number], alone.slope(at), atol=1e-9)
+            ahead = alone.tip(at + 1e-6 * speed[k, number]) - alone.tip(
+                at - 1e-6 * speed[k, number]
+            )
+            np.testing.assert_allclose(velocity[k, number], ahead / 2e-6, atol=1e-6)
+    rest = reach.home_m - [0.0, 0.0, reach.home_m[0, 2]]
+    np.testing.assert_allclose(np.linalg.norm(rest, axis=1), 0.06, atol=1e-9)
+
+
+def test_a_plant_may_go_slower_than_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [100.0]
+    monkeypatch.setattr("pneu_sim.hand.pace.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr(
+        "pneu_sim.hand.pace.time.sleep", lambda s: clock.__setitem__(0, clock[0] + s)
+    )
+    pace = Pace(2.0, rate=0.25)
+    for step in range(1, 101):
+        pace.wait(2.0 + 0.0005 * step)
+    assert clock[0] == pytest.approx(100.0 + 0.05 / 0.25)
+    clock[0] += 1.0  # held up: it stands still rather than leaps
+    pace.wait(2.05)
+    pace.wait(2.06)
+    assert pace.stood_s == pytest.approx(1.0) and clock[0] == pytest.approx(101.2 + 0.01 / 0.25)
 
 
 def test_a_path_begins_and_ends_at_rest_and_goes_straight(hand: Hand) -> None:

@@ -37,6 +37,7 @@ class HandPlant:
         ports: dict[str, tuple[int, int]] | None = None,
         hear: Callable[[Reading, int], None] | None = None,
         look: Callable[[float], bool] | None = None,
+        rate: float = 1.0,
     ) -> None:
         """Opens the devices; nothing moves yet.
 
@@ -46,6 +47,7 @@ class HandPlant:
             ports: UDP and web port of each arm's force sensor; free ones unless given.
             hear: Called with what inertial units and motion capture read, and its time, ns.
             look: Called before each step with the steady time; whether to go on.
+            rate: Seconds of the plant in one of the machine's.
 
         Raises:
             InputError: A socket or a port cannot be had.
@@ -56,6 +58,7 @@ class HandPlant:
         self.origin_ns = 0
         self._hear = hear
         self._look = look
+        self._rate = rate
         self.amplifiers: dict[str, Amplifier] = {}
         self.boxes: dict[str, Box] = {}
         try:
@@ -95,7 +98,7 @@ class HandPlant:
     def _move(self) -> None:
         world = self.world
         self.origin_ns = time.time_ns() - round(1e9 * world.time_s)
-        pace = Pace(world.time_s)
+        pace = Pace(world.time_s, self._rate)
         while True:
             now_s = pace.wait(world.time_s)
             self.stood_s = pace.stood_s

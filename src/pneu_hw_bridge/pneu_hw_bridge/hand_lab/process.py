@@ -109,7 +109,12 @@ def run(link: socket.socket) -> None:
         ports = {arm: tuple(pair) for arm, pair in told["ports"].items()}
         looking = _looking(link)
         plant = HandPlant(
-            world, Path(told["devices"]), ports, hear, look=lambda now_s: looking(plant, now_s)
+            world,
+            Path(told["devices"]),
+            ports,
+            hear,
+            look=lambda now_s: looking(plant, now_s),
+            rate=told["rate"],
         )
     except InputError as error:
         link.send(packed({"failed": str(error)}))

@@ -75,6 +75,12 @@ class HandLabParameters(Parameters):
         " does",
         read_only=True,
     )
+    rate: float = parameter(
+        1.0,
+        "seconds of the plant in one of the machine's: less where the machine is too slow or too"
+        " busy for all that looks on",
+        within=(0.02, 1.0), read_only=True,
+    )  # fmt: skip
     seed: int = parameter(0, "seed of the noise", within=(0, 2**31 - 1), read_only=True)
     arm_fault: str = parameter("none", "fault of all arms", choices=amplifier.FAULTS)
     sensor_fault: str = parameter("none", "fault of all force sensors", choices=box.FAULTS)
@@ -138,6 +144,7 @@ class HandLab(Node):
                 for k, arm in enumerate(with_sensor)
             },
             "seed": params.seed,
+            "rate": params.rate,
             "touch": params.tell_touch,
         }
         names = {

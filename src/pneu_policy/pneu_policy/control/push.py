@@ -41,7 +41,7 @@ class PushRecipe(Settings):
     period_s: Positive = 0.02
     preview_s: Annotated[tuple[float, ...], Listed] = (0.0, 0.1, 0.2, 0.4)
     memory_s: Positive = 0.5
-    force_n: Positive = 1.2
+    force_n: Positive = 1.6
     height_m: Positive = 0.04
     lift_n_m: Positive = 40.0
     roam_m: Positive = 0.08

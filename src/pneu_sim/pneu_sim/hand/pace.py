@@ -14,14 +14,16 @@ class Pace:
         stood_s: For how long it stood still.
     """
 
-    def __init__(self, time_s: float) -> None:
+    def __init__(self, time_s: float, rate: float = 1.0) -> None:
         """Begins now.
 
         Args:
             time_s: The plant's time.
+            rate: Seconds of the plant in one of the machine's.
         """
         self.stood_s = 0.0
-        self._begun_s = time.monotonic() - time_s
+        self._rate = rate
+        self._begun_s = time.monotonic() - time_s / rate
 
     def wait(self, time_s: float) -> float:
         """Waits until a plant may go on.
@@ -34,7 +36,7 @@ class Pace:
         """
         while True:
             now_s = time.monotonic()
-            behind_s = now_s - self._begun_s - time_s
+            behind_s = now_s - self._begun_s - time_s / self._rate
             if behind_s >= 0.0:
                 break
             time.sleep(-behind_s)

@@ -47,6 +47,9 @@ class HandSimulatorParameters(Parameters):
     command_timeout_s: float = parameter(
         0.05, "Age at which a command gives way to no torque, s; 0: never.", within=(0.0, 10.0)
     )
+    rate: float = parameter(
+        1.0, "Seconds of the plant in one of the machine's.", within=(0.02, 1.0), read_only=True
+    )
     seed: int = parameter(0, "Seed of the sensor noise.", within=(0, 2**31 - 1), read_only=True)
 
 
@@ -153,7 +156,7 @@ class HandSimulator(Node):
     def _move(self) -> None:
         world = self._world
         origin_ns = self.get_clock().now().nanoseconds
-        pace = Pace(world.time_s)
+        pace = Pace(world.time_s, self._params.rate)
         steps = 0
         while not self._end.is_set():
             pace.wait(world.time_s)
