@@ -130,7 +130,7 @@ def loop() -> Table:
         ports = (49252, 8149)
         told = {
             "hand": str(HAND), "truth": "", "devices": folder, "ports": {"phantom": ports},
-            "seed": 0, "touch": False, "rate": 1.0,
+            "seed": 0, "touch": False, "rate": 1.0, "operator": None,
         }  # fmt: skip
         plant = PlantProcess(told, names, lambda *_: None, lambda: None)
         try:

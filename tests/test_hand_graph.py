@@ -19,6 +19,7 @@ from pneu_common.errors import InputError  # isort: skip
 from pneu_hw_bridge.nodes.hand_lab import HandLab  # isort: skip
 from pneu_hw_bridge.nodes.phantom_bridge import PhantomBridge  # isort: skip
 from pneu_policy.nodes.push import PushNode  # isort: skip
+from pneu_policy.nodes.teleoperate import TeleoperateNode  # isort: skip
 from pneu_sim.nodes.hand_simulator import HandSimulator  # isort: skip
 from sensor_msgs.msg import Imu, JointState  # isort: skip
 from std_srvs.srv import Trigger  # isort: skip
@@ -28,6 +29,7 @@ pytestmark = pytest.mark.realtime
 ROOT = Path(__file__).parents[1]
 HAND = ROOT / "scenes/phantom/hand.yaml"
 PUSHING = ROOT / "scenes/phantom/pushing.yaml"
+TELEOPERATION = ROOT / "scenes/phantom/teleoperation.yaml"
 POLICY = ROOT / "policies/push_ensemble_0.npz"
 NAMES = ["waist", "shoulder", "linkage"]
 
@@ -198,6 +200,71 @@ def test_arms_are_not_commanded_where_nobody_sees_what_is_pushed(graph: Graph) -
 def test_a_node_that_cannot_push_says_why(graph: Graph, change: dict[str, str], says: str) -> None:
     with pytest.raises(InputError, match=says):
         graph.add(PushNode, **({"hand": str(PUSHING), "policy": str(POLICY)} | change))
+
+
+def test_the_follower_goes_where_the_leader_is_and_is_felt(graph: Graph) -> None:
+    follow = graph.listen(JointState, "phantom/command")
+    feel = graph.listen(JointState, "leader/command")
+    graph.add(TeleoperateNode, hand=str(TELEOPERATION), feedback=0.5)
+    at = {"leader": [0.1, 0.0, -0.1], "phantom": [0.05, 0.0, -0.1]}
+    told = {
+        name: graph.probe.create_publisher(JointState, f"{name}/joint_states", 1) for name in at
+    }
+    at_ns = [0]
+
+    def say() -> None:
+        at_ns[0] += 5_000_000
+        for name, publisher in list(told.items()):
+            message = JointState(name=NAMES, position=at[name], velocity=[0.0] * 3)
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(at_ns[0], 10**9)
+            publisher.publish(message)
+
+    graph.probe.create_timer(0.005, say)
+    wait_for(lambda: follow and abs(follow[-1].position[0] - 0.1) < 1e-5)
+    assert follow[0].position[0] == pytest.approx(0.05, abs=1e-3)  # it engages from where it is
+    assert list(follow[-1].position) == pytest.approx([0.1, 0.0, -0.1], abs=1e-5)
+    wait_for(lambda: feel[-1].effort[0] < -0.0999)
+    assert list(feel[-1].effort) == pytest.approx([-0.5 * 4.0 * 0.05, 0.0, 0.0], abs=1e-3)
+    del told["phantom"]  # its bridge has ended
+    time.sleep(0.5)
+    count = len(follow)
+    time.sleep(0.5)
+    assert len(follow) == count
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"leader": "mine"}, "parameter leader: found 'mine'"),
+        ({"leader": "phantom"}, "two arms alike are needed"),
+        ({"hand": ""}, "parameter hand: found nothing"),
+    ],
+)
+def test_a_node_that_cannot_couple_says_why(
+    graph: Graph, change: dict[str, str], says: str
+) -> None:
+    with pytest.raises(InputError, match=says):
+        graph.add(TeleoperateNode, **({"hand": str(TELEOPERATION)} | change))
+
+
+@pytest.mark.long
+def test_a_recording_by_teleoperation_is_read_by_the_scene(tmp_path: Path) -> None:
+    from pneu_sysid.contacts.read import read_tracks
+    from pneu_sysid.contacts.scene import load_scene
+
+    bag = tmp_path / "bag"
+    words = [
+        sys.executable, "-m", "pneu_common.cli", "launch", "pneu_bringup",
+        "teleoperate.launch.yaml", f"hand:={TELEOPERATION}", f"record:={bag}", "seconds:=3.0",
+        "rate:=0.25", "patience:=10.0", f"devices:={tmp_path}/dev",
+    ]  # fmt: skip
+    environment = os.environ | {"PNEU_STATE_DIR": str(tmp_path / "state"), "ROS_DOMAIN_ID": "76"}
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        subprocess.run(words, env=environment, timeout=120, check=False)
+    (track,) = read_tracks([bag], load_scene(ROOT / "scenes/phantom/hanging.yaml"))
+    assert track.span_s[1] - track.span_s[0] > 3.0
+    force = track.sensors["phantom_force"].values
+    assert np.ptp(np.linalg.norm(force, axis=1)) > 0.2  # it has touched
 
 
 @pytest.mark.long

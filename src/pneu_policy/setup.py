@@ -29,6 +29,7 @@ setup(
             "policy = pneu_policy.nodes.policy:main",
             "exercise = pneu_policy.nodes.exercise:main",
             "push = pneu_policy.nodes.push:main",
+            "teleoperate = pneu_policy.nodes.teleoperate:main",
             "excite = pneu_policy.nodes.excite:main",
             "press = pneu_policy.nodes.press:main",
             "joint = pneu_policy.nodes.joint:main",

@@ -70,6 +70,7 @@ class Bench:
             "seed": 0,
             "touch": False,
             "rate": 1.0,
+            "operator": None,
         }
         names = {"imu": ["object"], "pose": ["object"], "touch": ["phantom"]}
         self.plant = PlantProcess(told, names, lambda *_: None, lambda: None)

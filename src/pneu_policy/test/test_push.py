@@ -63,7 +63,7 @@ def test_forces_push_lift_and_fence():
     home = np.array([[0.06, 0.0, 0.04], [-0.03, 0.05, 0.04]])
     tips = np.array([[[0.06, 0.0, 0.03], [-0.03, 0.05 + 0.10, 0.04]]])
     force = RECIPE.forces(np.array([[0.5, -2.0, 0.0, 0.0]]), tips, home)
-    assert np.allclose(force[0, 0], [0.6, -1.2, 40.0 * 0.01])  # cut off at one
+    assert np.allclose(force[0, 0], [0.8, -1.6, 40.0 * 0.01])  # cut off at one
     assert np.allclose(force[0, 1], [0.0, -60.0 * (0.10 - RECIPE.roam_m), 0.0])
 
 

@@ -12,6 +12,7 @@ from pneu_common.errors import InputError
 from pneu_sim.hand.drive import JointCommand, Motors, torque_of
 from pneu_sim.hand.exercise import exercise
 from pneu_sim.hand.loading import Hand
+from pneu_sim.hand.operator import STRONGEST_N, Operator
 from pneu_sim.hand.pace import Pace
 from pneu_sim.hand.paths import Kinematics, through, way
 from pneu_sim.hand.reach import Reach
@@ -200,16 +201,17 @@ def test_a_plant_may_go_slower_than_the_machine(monkeypatch: pytest.MonkeyPatch)
     clock = [100.0]
     monkeypatch.setattr("pneu_sim.hand.pace.time.monotonic", lambda: clock[0])
     monkeypatch.setattr(
-        "pneu_sim.hand.pace.time.sleep", lambda s: clock.__setitem__(0, clock[0] + s)
+        "pneu_sim.hand.pace.time.sleep", lambda s: clock.__setitem__(0, clock[0] + s + 1e-9)
     )
     pace = Pace(2.0, rate=0.25)
     for step in range(1, 101):
         pace.wait(2.0 + 0.0005 * step)
-    assert clock[0] == pytest.approx(100.0 + 0.05 / 0.25)
+    assert clock[0] == pytest.approx(100.0 + 0.05 / 0.25, abs=1e-5)
     clock[0] += 1.0  # held up: it stands still rather than leaps
     pace.wait(2.05)
     pace.wait(2.06)
-    assert pace.stood_s == pytest.approx(1.0) and clock[0] == pytest.approx(101.2 + 0.01 / 0.25)
+    assert pace.stood_s == pytest.approx(1.0, abs=1e-5)
+    assert clock[0] == pytest.approx(101.2 + 0.01 / 0.25, abs=1e-5)
 
 
 def test_a_path_begins_and_ends_at_rest_and_goes_straight(hand: Hand) -> None:
@@ -263,3 +265,58 @@ def test_a_spring_and_a_damper_pull_as_they_are_told() -> None:
         1.0 + 0.1 - 0.1
     )
     assert torque_of(joint, JointCommand(velocity_rad_s=3.0), 0.3, 2.0) == pytest.approx(0.1)
+
+
+def test_an_operator_leads_one_arm_and_the_other_touches() -> None:
+    """Coupled position to position, what the follower presses on is felt by who leads."""
+    two = Hand(SCENES / "teleoperation.yaml")
+    operator = Operator(two, "leader", "phantom", "object", 4.0, seed=1)
+    assert operator.ends_s == pytest.approx(6.5, abs=0.01)
+    world = World(two, seed=1, operator=operator, touch=True)
+    arms = {a: Motors(list(its.joints.values())) for a, its in two.settings.arms.items()}
+    leader, follower = arms["leader"], arms["phantom"]
+    commands: dict[str, list[JointCommand]] = {}
+    touch, rows = 0.0, []
+    while world.time_s < operator.ends_s:
+        now_s = world.time_s
+        torques = {a: m.drive(world.counts(a), now_s, commands.get(a)) for a, m in arms.items()}
+        for reading in world.advance(torques):
+            if reading.kind == "touch" and reading.name == "phantom":
+                touch = float(np.linalg.norm(reading.values[:3]))
+        pairs = zip(
+            follower.joints,
+            leader.position_rad,
+            leader.velocity.velocity_rad_s,
+            follower.position_rad,
+            follower.velocity.velocity_rad_s,
+            strict=True,
+        )
+        follow, feel = [], []
+        for joint, lq, lv, fq, fv in pairs:
+            follow.append(JointCommand(lq, lv))
+            feel.append(JointCommand(effort_n_m=torque_of(joint, JointCommand(fq, fv), lq, lv)))
+        commands = {"phantom": follow, "leader": feel}
+        off = np.subtract(leader.position_rad, follower.position_rad)
+        hand = np.linalg.norm(operator.wanted(now_s) - world.data.site("leader_wrench").xpos)
+        rows.append((now_s, touch, np.abs(off).max(), np.abs(leader.torque_n_m).max(), hand))
+    time_s, touches, off, felt, hand = np.array(rows).T
+    assert touches[time_s < 2.5].max() == 0.0 < 0.3 < touches.max()
+    assert off.max() < 0.1 and np.median(off) < 0.01
+    pressed, free = touches > 0.3, (touches == 0.0) & (off < 0.02)
+    assert np.median(felt[pressed]) > 3.0 * np.median(felt[free])
+    assert np.median(hand) < 0.004 and np.abs(world.data.qfrc_applied).max() < STRONGEST_N
+
+
+@pytest.mark.parametrize(
+    ("leader", "follower", "thing", "says"),
+    [
+        ("mine", "phantom", "object", "leader: found 'mine'.*has phantom, leader"),
+        ("leader", "yours", "object", "follower: found 'yours'"),
+        ("leader", "phantom", "cup", "no geom 'cup'"),
+    ],
+)
+def test_an_operator_needs_arms_and_a_thing(
+    leader: str, follower: str, thing: str, says: str
+) -> None:
+    with pytest.raises(InputError, match=says):
+        Operator(Hand(SCENES / "teleoperation.yaml"), leader, follower, thing, 2.0, 0)

@@ -21,6 +21,7 @@ from pneu_hw_bridge.hand_lab.hidden import open_truth
 from pneu_hw_bridge.hand_lab.plant import HandPlant
 from pneu_hw_bridge.priority import precedence
 from pneu_sim.hand.loading import Hand
+from pneu_sim.hand.operator import Operator
 from pneu_sim.hand.truth import Truth
 from pneu_sim.hand.world import Reading, World
 
@@ -87,7 +88,9 @@ def run(link: socket.socket) -> None:
     try:
         hand = Hand(told["hand"])
         truth = open_truth(told["truth"]) if told["truth"] else Truth()
-        world = World(hand, truth, told["seed"], touch=told["touch"])
+        held = told["operator"]
+        operator = Operator(hand, **held) if held else None
+        world = World(hand, truth, told["seed"], touch=told["touch"], operator=operator)
         names = {
             "imu": list(hand.settings.imus),
             "pose": list(hand.settings.poses),

@@ -81,6 +81,17 @@ class HandLabParameters(Parameters):
         " busy for all that looks on",
         within=(0.02, 1.0), read_only=True,
     )  # fmt: skip
+    operator: str = parameter(
+        "",
+        "arm that an operator's hand leads, so that another one that follows it taps and presses;"
+        " empty: nobody",
+        read_only=True,
+    )
+    follower: str = parameter("phantom", "operator: the arm that follows", read_only=True)
+    thing: str = parameter("object", "operator: what it is to touch", read_only=True)
+    operator_seconds: float = parameter(
+        10.0, "operator: how long, s", within=(1.0, 600.0), read_only=True
+    )
     seed: int = parameter(0, "seed of the noise", within=(0, 2**31 - 1), read_only=True)
     arm_fault: str = parameter("none", "fault of all arms", choices=amplifier.FAULTS)
     sensor_fault: str = parameter("none", "fault of all force sensors", choices=box.FAULTS)
@@ -145,6 +156,15 @@ class HandLab(Node):
             },
             "seed": params.seed,
             "rate": params.rate,
+            "operator": {
+                "leader": params.operator,
+                "follower": params.follower,
+                "thing": params.thing,
+                "seconds": params.operator_seconds,
+                "seed": params.seed,
+            }
+            if params.operator
+            else None,
             "touch": params.tell_touch,
         }
         names = {

@@ -22,7 +22,7 @@ from pneu_common.errors import InputError
 from pneu_common.validation import Listed, Settings
 from pneu_policy.control.push import PushObserver, PushRecipe
 from pneu_policy.task.base import TaskEnv
-from pneu_policy.task.push_paths import PushPath
+from pneu_policy.task.push_paths import PATH_KINDS, PathKind, PushPath
 from pneu_policy.task.ranges import DelayRange, Range, Seed
 from pneu_sim.hand.loading import Hand
 from pneu_sim.hand.reach import Reach
@@ -32,6 +32,7 @@ from pneu_sim.mechanism.loading import mujoco_module
 Floats = NDArray[np.float64]
 
 Positive = Annotated[float, Field(gt=0.0)]
+PathKinds = Annotated[tuple[PathKind, ...], Listed, Field(min_length=1)]
 
 
 class Drawn(Settings):
@@ -86,8 +87,9 @@ class PushSettings(Settings):
         recipe: What the policy sees and does.
         num_envs: Plants side by side.
         horizon: Control periods of an episode.
+        kinds: Kinds of path; each episode draws one.
         reach_m: Furthest that paths go.
-        path_period_s: Least and most of their quickest sine.
+        path_period_s: Least and most time of a round, or of the quickest sine of what wanders.
         model: Values of the MJCF that are others in all plants, such as identified ones.
         drawn: Values that plants differ in; none for a single model.
         physics_step_s: Step of MuJoCo, which divides the control period.
@@ -109,6 +111,7 @@ class PushSettings(Settings):
     recipe: PushRecipe = PushRecipe()
     num_envs: Annotated[int, Field(ge=1, le=100_000)] = 64
     horizon: Annotated[int, Field(ge=1, le=1_000_000)] = 250
+    kinds: PathKinds = PATH_KINDS
     reach_m: Positive = 0.035
     path_period_s: Range = (3.0, 6.0)
     model: Annotated[tuple[Change, ...], Listed] = ()
@@ -248,10 +251,11 @@ class Pushing(TaskEnv):
             self._rng = np.random.default_rng([s.seed, int(seed)])
         rng, n = self._rng, s.num_envs
         times = np.arange(s.horizon + 1)[:, None] * self.period_s + np.array(s.recipe.preview_s)
-        for k, (number, period_s) in enumerate(
-            zip(rng.integers(2**31, size=n), rng.uniform(*s.path_period_s, n), strict=True)
-        ):
-            path = PushPath("wander", s.reach_m, float(period_s), int(number))
+        kinds = rng.integers(len(s.kinds), size=n)
+        numbers, periods = rng.integers(2**31, size=n), rng.uniform(*s.path_period_s, n)
+        for k in range(n):
+            kind = s.kinds[int(kinds[k])]
+            path = PushPath(kind, s.reach_m, float(periods[k]), int(numbers[k]))
             self._path_m[k] = path.at(times)
         self._late = np.round(rng.uniform(*s.delay_s, n) / s.physics_step_s).astype(int)
         self._late = np.minimum(self._late, self._steps)

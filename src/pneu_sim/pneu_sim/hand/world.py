@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim.hand.loading import Hand
+from pneu_sim.hand.operator import Operator
 from pneu_sim.hand.touch import driven_by, geoms_with, touch_of
 from pneu_sim.hand.truth import Lie, Truth
 from pneu_sim.mechanism.loading import mujoco_module
@@ -78,6 +79,7 @@ class World:
         seed: int = 0,
         step_s: float | None = None,
         touch: bool = False,
+        operator: Operator | None = None,
     ) -> None:
         """Builds it at rest.
 
@@ -87,6 +89,7 @@ class World:
             seed: Of the noise of sensors.
             step_s: Step of the plant; the MJCF's own unless given.
             touch: Whether true forces of the arms on what they touch are among the readings.
+            operator: Whose hand is on an arm.
 
         Raises:
             InputError: What is hidden cannot be put in.
@@ -133,6 +136,7 @@ class World:
             self._sensors.append(_Sensor("pose", name, parts, pose.rate_hz))
         lags = [lie.lag_s for lie in truth.sensors.values()]
         self._touch = touch
+        self._operator = operator
         self._touches = 0
         self._geoms = {
             arm: geoms_with(
@@ -164,6 +168,8 @@ class World:
         for arm, torques in torque_n_m.items():
             for motor, torque in zip(self.arms[arm], torques, strict=True):
                 control[motor] = torque
+        if self._operator is not None:
+            self._operator.pull(self.model, self.data, self.time_s)
         self._mujoco.mj_step(self.model, self.data)
         self._past.append(self.data.sensordata.copy())
         now = self.time_s
