@@ -15,8 +15,8 @@ from pneu_policy.control.policy_file import PolicyFile, rig_identity
 from pneu_policy.control.push_policy import PushPolicy
 from pneu_policy.learn.history import Row
 from pneu_policy.learn.settings import TrainSettings
-from pneu_policy.task.base import TaskEnv
 from pneu_policy.task.pushing import Pushing
+from pneu_policy.task.task_env import TaskEnv
 from pneu_policy.task.tracking import PressureTracking
 
 _VERSIONS_OF = ("pneu", "torch", "numpy", "gymnasium")

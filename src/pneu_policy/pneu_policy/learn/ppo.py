@@ -16,8 +16,8 @@ from pneu_common.errors import InputError
 from pneu_policy.learn.history import History, Row
 from pneu_policy.learn.rollout import roll_out
 from pneu_policy.learn.settings import TrainSettings
-from pneu_policy.task.base import TaskEnv
 from pneu_policy.task.make import make_env
+from pneu_policy.task.task_env import TaskEnv
 
 try:
     from stable_baselines3 import PPO

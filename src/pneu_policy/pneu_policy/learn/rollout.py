@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_policy.task.base import TaskEnv
+from pneu_policy.task.task_env import TaskEnv
 
 Array = NDArray[np.float32]
 

@@ -27,8 +27,8 @@ from pneu_policy.learn.history import History, Row
 from pneu_policy.learn.networks import GaussianPolicy, ValueNetwork, mean_action
 from pneu_policy.learn.rollout import Episodes, roll_out
 from pneu_policy.learn.settings import TrainSettings
-from pneu_policy.task.base import TaskEnv
 from pneu_policy.task.make import make_env
+from pneu_policy.task.task_env import TaskEnv
 
 Array = NDArray[np.float32]
 

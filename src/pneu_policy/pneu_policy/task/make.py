@@ -5,8 +5,8 @@ from typing import Annotated, Any
 
 from pydantic import Discriminator, Tag
 
-from pneu_policy.task.base import TaskEnv
 from pneu_policy.task.pushing import Pushing, PushSettings
+from pneu_policy.task.task_env import TaskEnv
 from pneu_policy.task.tracking import EnvSettings, PressureTracking
 
 

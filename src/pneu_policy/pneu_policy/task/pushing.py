@@ -21,9 +21,9 @@ from pydantic import Field, model_validator
 from pneu_common.errors import InputError
 from pneu_common.validation import Listed, Settings
 from pneu_policy.control.push import PushObserver, PushRecipe
-from pneu_policy.task.base import TaskEnv
 from pneu_policy.task.push_paths import PATH_KINDS, PathKind, PushPath
 from pneu_policy.task.ranges import DelayRange, Range, Seed
+from pneu_policy.task.task_env import TaskEnv
 from pneu_sim.hand.loading import Hand
 from pneu_sim.hand.reach import Reach
 from pneu_sim.hand.truth import Change, Truth

@@ -18,11 +18,11 @@ from pydantic import Field
 from pneu_common.errors import InputError
 from pneu_common.validation import Settings
 from pneu_policy.control.observations import Observer, Recipe
-from pneu_policy.task.base import TaskEnv
 from pneu_policy.task.ensembles import draw_rigs
 from pneu_policy.task.plants import ControlPlant
 from pneu_policy.task.ranges import DelayRange, Kinds, Range, Seed
 from pneu_policy.task.targets import Target
+from pneu_policy.task.task_env import TaskEnv
 from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import Rig
 
