@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the governor of an arm lets through, and why it does not."""
 
+import contextlib
 import math
+import socket
 
 import pytest
 
+from pneu_hw_bridge.phantom.device import Frame
 from pneu_hw_bridge.phantom.governor import Governor, Limits, State
+from pneu_hw_bridge.phantom.servo import Servo
+from pneu_hw_bridge.phantom.wire import SAMPLES, samples_of
 from pneu_sim.hand.drive import JointCommand
 from pneu_sim.hand.settings import JointSettings
 
@@ -186,3 +191,23 @@ def test_two_publishers_are_not_followed() -> None:
 
 def test_an_arm_without_a_sensor_waits_for_none() -> None:
     assert any(Arm(sensor=False).run(0.05)[-1])
+
+
+@pytest.mark.parametrize("late", [0, 1, 2, 3])
+def test_samples_are_told_whichever_ticks_frames_come_at(late: int) -> None:
+    """A device that is slower than the loop: a quarter as many frames as ticks, at any of four."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        ours.setblocking(False)
+        theirs.setblocking(False)
+        limits = Limits(("a", "b"), (JOINT, JOINT), 0.05, 0.1, 0.1, False, 0.0)
+        servo = Servo(theirs, object(), limits, every=2)  # type: ignore[arg-type]
+        stamps = []
+        for tick in range(80):
+            frame = Frame((tick, 0, 0), 1_000_000 * tick, "") if tick % 4 == late else None
+            servo.tick(frame)
+            with contextlib.suppress(BlockingIOError):
+                while message := ours.recv(65536):
+                    if message[:1] == SAMPLES:
+                        stamps += [joint.device_ns for joint in samples_of(message, 2)[0]]
+        assert stamps == [1_000_000 * tick for tick in range(late, 80, 4)]

@@ -94,6 +94,7 @@ class Servo:
         self._link = link
         self._every = every
         self._ticks = 0
+        self._told_at = -every
         self._dropped = 0
         self._ended = ""
         self._report_s = 0.0
@@ -134,7 +135,10 @@ class Servo:
         if self._ended:
             return None
         self._ticks += 1
-        if frame is not None and self._ticks % self._every == 0:
+        # Counted from the last one told: a device that is slower than the loop may have its frames
+        # at every second tick, and never at those of an even number.
+        if frame is not None and self._ticks >= self._told_at + self._every:
+            self._told_at = self._ticks
             self._joints.append(
                 JointSample(
                     -1 if frame.device_ns is None else frame.device_ns,
