@@ -78,12 +78,12 @@ class Course:
 
 
 COURSES = (
-    Course("circle", 0.03, 4.0, 1),
-    Course("circle", 0.03, 4.0, 2),
-    Course("eight", 0.035, 6.0, 3),
-    Course("wander", 0.035, 3.0, 901),
-    Course("wander", 0.035, 4.5, 902),
-    Course("wander", 0.035, 6.0, 903),
+    Course("circle", 0.03, 5.0, 1),
+    Course("circle", 0.03, 7.0, 2),
+    Course("eight", 0.03, 7.0, 3),
+    Course("wander", 0.03, 4.0, 901),
+    Course("wander", 0.03, 6.0, 902),
+    Course("wander", 0.03, 8.0, 903),
 )
 LIVE = COURSES[0]
 

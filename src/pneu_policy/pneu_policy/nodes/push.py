@@ -48,10 +48,10 @@ class PushParameters(Parameters):
         0.03, "furthest that the path goes from the middle", within=(0.001, 0.2), read_only=True
     )
     path_period_s: float = parameter(
-        4.0, "of a round, or of the quickest sine of a wandering path", within=(0.5, 600.0),
+        5.0, "of a round, or of the quickest sine of a wandering path", within=(0.5, 600.0),
         read_only=True,
     )  # fmt: skip
-    seconds: float = parameter(8.0, "how long it pushes", within=(1.0, 600.0), read_only=True)
+    seconds: float = parameter(10.0, "how long it pushes", within=(1.0, 600.0), read_only=True)
     seed: int = parameter(0, "seed of the path", within=(0, 2**31 - 1), read_only=True)
     rate_hz: float = parameter(
         500.0, "commands per second of the arms' time", within=(50.0, 2000.0), read_only=True

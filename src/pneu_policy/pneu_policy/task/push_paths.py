@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 PathKind = Literal["wander", "circle", "eight"]
 PATH_KINDS: tuple[PathKind, ...] = get_args(PathKind)
 
-BEGIN_S = 1.5
+BEGIN_S = 2.5
 """From rest in the middle to full swing."""
 WAVES = 3
 """Sines that a wandering path is made of, along each axis."""

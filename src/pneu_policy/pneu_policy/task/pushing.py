@@ -112,8 +112,8 @@ class PushSettings(Settings):
     num_envs: Annotated[int, Field(ge=1, le=100_000)] = 64
     horizon: Annotated[int, Field(ge=1, le=1_000_000)] = 250
     kinds: PathKinds = PATH_KINDS
-    reach_m: Positive = 0.035
-    path_period_s: Range = (3.0, 6.0)
+    reach_m: Positive = 0.03
+    path_period_s: Range = (4.0, 8.0)
     model: Annotated[tuple[Change, ...], Listed] = ()
     drawn: Annotated[tuple[Drawn, ...], Listed] = ()
     physics_step_s: Positive = 0.002
