@@ -31,7 +31,7 @@ STEP_S = 5e-4
 class Arm:
     """A governor that is told, tick by tick, what an arm and a controller would."""
 
-    def __init__(self, sensor: bool = True) -> None:
+    def __init__(self, sensor: bool = True, rate: float = 1.0) -> None:
         limits = Limits(
             names=("a", "b"),
             joints=(JOINT, JOINT),
@@ -45,6 +45,7 @@ class Arm:
         self.governor.publishers(1)
         self.governor.enable(True)
         self.now_s = 100.0
+        self.rate = rate  # seconds of the device in one of the machine's
         self.counts = [0, 0]
         self.command: list[JointCommand] | None = [JointCommand(effort_n_m=0.2)] * 2
         self.device, self.sensor = True, sensor
@@ -55,7 +56,7 @@ class Arm:
         for _ in range(max(1, round(seconds / STEP_S))):
             self.now_s += STEP_S
             if self.device:
-                self.governor.frame(self.counts, "", self.now_s, self.now_s)
+                self.governor.frame(self.counts, "", self.rate * self.now_s, self.now_s)
             if self.sensor:
                 self.governor.sensor("", self.now_s)
             if self.command is not None:
@@ -121,12 +122,14 @@ def test_a_spring_that_asks_for_more_is_clamped() -> None:
     assert arm.governor.counters.clamped > 0
 
 
-def test_a_motor_that_gets_warm_is_held_to_what_it_stands() -> None:
-    arm = Arm()
+@pytest.mark.parametrize("rate", [1.0, 0.25])
+def test_a_motor_that_gets_warm_is_held_to_what_it_stands(rate: float) -> None:
+    """By the device's time: an emulated one may go slower than the machine."""
+    arm = Arm(rate=rate)
     arm.command = [JointCommand(effort_n_m=0.5), JointCommand(effort_n_m=0.09)]
-    given = arm.run(4.0)
+    given = arm.run(4.0 / rate)
     # 0.1^2 = 0.5^2 (1 - exp(-t / 30 s))
-    lasts = STEP_S * sum(t[0] == 0.5 for t in given)
+    lasts = rate * STEP_S * sum(t[0] == 0.5 for t in given)
     assert lasts == pytest.approx(-30.0 * math.log(1.0 - 0.04), rel=0.05)
     assert given[-1] == pytest.approx([0.1, 0.09])
 

@@ -129,7 +129,7 @@ class Governor:
         self._free_from_s = -math.inf
         self._why = ""
         self._heat = [0.0] * count
-        self._heat_s: float | None = None
+        self._heat_s = -math.inf
 
     # What others tell
 
@@ -297,7 +297,7 @@ class Governor:
         """
         joints = self.limits.joints
         zero = [0.0] * len(joints)
-        self._cool(now_s)
+        self._cool()
         if self.e_stopped or self.tripped or not self.enabled:
             self._followed = False
             self._why = self.e_stopped or self.tripped or "not active"
@@ -343,9 +343,12 @@ class Governor:
             return State.DISABLED, "not active"
         return (State.FOLLOWING, "") if self._followed else (State.HOLDING, self._why)
 
-    def _cool(self, now_s: float) -> None:
-        step_s = 0.0 if self._heat_s is None else min(max(now_s - self._heat_s, 0.0), HOT_S)
-        self._heat_s = now_s
+    def _cool(self) -> None:
+        """By the time that frames are of: an emulated plant may go slower than the machine."""
+        at_s = self._last_at_s
+        known = math.isfinite(self._heat_s)  # there was a frame before
+        step_s = min(max(at_s - self._heat_s, 0.0), HOT_S) if known else 0.0
+        self._heat_s = at_s
         self._share = step_s / HOT_S
         self._heat = [h * (1.0 - self._share) for h in self._heat]
 
