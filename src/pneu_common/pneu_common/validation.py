@@ -41,7 +41,8 @@ def _untagged(context: Mapping[str, Any]) -> str:
     Args:
         context: What pydantic tells of it.
     """
-    key = str(context["discriminator"]).strip("'")
+    # of a key that may be left out it tells the function that looks at it, which is named so
+    key = str(context["discriminator"]).strip("'").removesuffix("()")
     if "tag" not in context:
         return f"{key} is needed, which says what kind it is"
     return f"{key}: found {context['tag']!r}, allowed are {context['expected_tags']}"

@@ -135,7 +135,7 @@ def test_arms_that_push_are_trained_and_kept_too(tmp_path):
     assert kept.arms == ["one", "two", "three"] and kept.training["unit"] == "mm"
     assert kept.training["simulated_s"] == pytest.approx(2 * 2 * 5 * 0.02)
     assert History.load(tmp_path / "history.json").rows == history.rows
-    with pytest.raises(InputError, match="task: found 'fly', allowed are 'pressure', 'push'"):
+    with pytest.raises(InputError, match="env: task: found 'fly', allowed are 'pressure', 'push'"):
         settings(env={"task": "fly"})
 
 

@@ -10,13 +10,18 @@ from pneu_policy.task.task_env import TaskEnv
 from pneu_policy.task.tracking import EnvSettings, PressureTracking
 
 
-def _task(value: Any) -> Any:
+def task(value: Any) -> Any:
+    """Which task settings are of.
+
+    Args:
+        value: They, as plain values or made.
+    """
     return value.get("task", "pressure") if isinstance(value, dict) else value.task
 
 
 TaskSettings = Annotated[
     Annotated[EnvSettings, Tag("pressure")] | Annotated[PushSettings, Tag("push")],
-    Discriminator(_task),
+    Discriminator(task),
 ]
 """Settings of a task; ``task`` tells which, a pressure's unless given."""
 
