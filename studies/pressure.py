@@ -36,7 +36,7 @@ from pneu_policy.judge.evaluate import evaluate_simulated
 from pneu_policy.judge.limit import evaluate_limit
 from pneu_policy.judge.results import Evaluation, error_rows, load, rich_table
 from pneu_policy.judge.tasks import Conditions, Tasks
-from pneu_policy.learn.settings import TrainSettings, load_document
+from pneu_policy.learn.settings import load_document
 from pneu_policy.learn.sweep import Run, expand
 from pneu_policy.learn.trainer import HISTORY, POLICY
 from pneu_policy.live.evaluate import evaluate_live
@@ -132,13 +132,7 @@ def is_of(path: Path, run: Run) -> bool:
     """
     if not path.exists():
         return False
-    found = PolicyFile.load(path).training
-    rig = hashlib.sha256((ROOT / run.settings.env.file).read_bytes()).hexdigest()
-    try:  # what came to the settings since is as it was, where a policy does not say otherwise
-        trained = TrainSettings(**found["settings"]).plain()
-    except InputError:
-        return False
-    return bool(trained == run.settings.plain() and found["rig"]["sha256"] == rig)
+    return run.made(PolicyFile.load(path).training)
 
 
 def ppo(console: Console, workers: int) -> None:

@@ -35,10 +35,11 @@ from pneu_common.files import whole, write_whole
 from pneu_common.progress import progress
 from pneu_hw_bridge.hand_lab.hidden import open_truth
 from pneu_policy.control.push_policy import PushPolicy
-from pneu_policy.judge.pushed import Pushed, push_plant, pushed_in
-from pneu_policy.learn.settings import TrainSettings, load_document
+from pneu_policy.judge.pushed import Pushed, push_plant
+from pneu_policy.learn.settings import load_document
 from pneu_policy.learn.sweep import Run, expand
 from pneu_policy.learn.trainer import POLICY
+from pneu_policy.live.pushed_bag import pushed_in
 from pneu_policy.task.push_paths import PathKind, PushPath
 from pneu_sim.hand.loading import Hand
 from pneu_sim.hand.truth import Change, Truth
@@ -130,13 +131,7 @@ def trained(path: Path, run: Run) -> bool:
         path: Its file.
         run: The run.
     """
-    if not path.exists():
-        return False
-    try:
-        before = TrainSettings(**PushPolicy.load(path).training["settings"])
-    except (InputError, KeyError):
-        return False
-    return before == run.settings
+    return path.exists() and run.made(PushPolicy.load(path).training)
 
 
 def train(console: Console, workers: int) -> None:
@@ -399,7 +394,7 @@ def main() -> int:
             write_whole(file, json.dumps(rows))
         if file.exists():
             found[stage] = json.loads(file.read_text(encoding="utf-8"))
-            for mass in MASSES:
+            for mass in sorted({row["mass"] for row in found[stage]}):
                 told = ", ".join(f"{k} {_mean(found[stage], k, mass):.2f} mm" for k in KINDS)
                 console.print(f"{stage}, mass x {mass:g}: {told}")
     if "page" in stages:

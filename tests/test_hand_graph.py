@@ -2,6 +2,7 @@
 """An arm on the graph: simulated and emulated behind the same topics, stopped, reset, recorded."""
 
 import contextlib
+import math
 import os
 import socket
 import subprocess
@@ -161,7 +162,7 @@ def test_arms_are_not_commanded_where_nobody_sees_what_is_pushed(graph: Graph) -
         for name in ("one", "two", "three")
     }
     sight = graph.probe.create_publisher(PoseStamped, "object/pose", 1)
-    at_ns, seen = [0], [False]
+    at_ns, seen, where_m = [0], [False], [0.0]
 
     def say() -> None:
         at_ns[0] += 5_000_000
@@ -171,6 +172,7 @@ def test_arms_are_not_commanded_where_nobody_sees_what_is_pushed(graph: Graph) -
             publisher.publish(message)
         if seen[0]:
             pose = PoseStamped()
+            pose.pose.position.x = where_m[0]
             pose.header.stamp.sec, pose.header.stamp.nanosec = divmod(at_ns[0], 10**9)
             sight.publish(pose)
 
@@ -180,11 +182,20 @@ def test_arms_are_not_commanded_where_nobody_sees_what_is_pushed(graph: Graph) -
     seen[0] = True
     wait_for(lambda: any(len(m.effort) for m in told), 20.0)  # it has begun to push
     assert any(len(m.position) for m in told)
+
+    def commanded() -> bool:
+        time.sleep(0.5)
+        count = len(told)
+        time.sleep(0.5)
+        return len(told) > count
+
+    assert commanded()
+    where_m[0] = math.nan
+    assert not commanded()
+    where_m[0] = 0.0
+    assert commanded()
     seen[0] = False
-    time.sleep(0.5)
-    count = len(told)
-    time.sleep(0.5)
-    assert len(told) == count
+    assert not commanded()
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far off its path a pushed thing was: on a plant in its own time, or in a recording.
+"""How far off its path a thing is pushed on a plant in its own time.
 
 The plant is that of `pneu_sim.hand.world`, encoders, motors' springs and motion capture included,
 and what a policy does takes effect late, as over the graph.
@@ -7,17 +7,13 @@ and what a policy does takes effect late, as over the graph.
 
 from collections import deque
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_common.errors import InputError
-from pneu_graph.bag.reader import BagReader
 from pneu_policy.control.push_policy import PushPolicy
 from pneu_policy.control.pusher import Pusher
 from pneu_policy.task.push_paths import PushPath
-from pneu_runtime import hook
 from pneu_sim.hand.drive import JointCommand, Motors
 from pneu_sim.hand.loading import Hand
 from pneu_sim.hand.truth import Truth
@@ -105,33 +101,3 @@ def push_plant(
         rows.append((now_s, *world.data.xpos[body, :2], *path.at(np.array(now_s))))
     table = np.array(rows)
     return Pushed(table[:, 0], table[:, 1:3], table[:, 3:])
-
-
-def pushed_in(bag: Path, thing: str = "object", namespace: str = "lab") -> Pushed:
-    """What a recording shows of a thing and of its path.
-
-    Args:
-        bag: The recording.
-        thing: What was pushed.
-        namespace: Of the graph.
-
-    Raises:
-        InputError: It cannot be read, or lacks one of them.
-    """
-    hook.install()
-    from geometry_msgs.msg import PoseStamped
-    from rclpy.serialization import deserialize_message
-
-    topics = [f"/{namespace}/{thing}/{what}" for what in ("pose", "target")]
-    found: dict[str, dict[float, tuple[float, float]]] = {topic: {} for topic in topics}
-    for message in BagReader(bag).messages(set(topics)):
-        told = deserialize_message(message.data, PoseStamped)
-        stamp_s = told.header.stamp.sec + 1e-9 * told.header.stamp.nanosec
-        found[message.topic][stamp_s] = (told.pose.position.x, told.pose.position.y)
-    for topic, messages in found.items():
-        if len(messages) < 2:
-            raise InputError(f"{bag}: {len(messages)} messages of {topic}, needed are 2 or more")
-    poses, targets = (np.array([(t, *xy) for t, xy in sorted(found[k].items())]) for k in topics)
-    at_s = targets[:, 0]
-    thing_m = np.stack([np.interp(at_s, poses[:, 0], poses[:, k]) for k in (1, 2)], axis=1)
-    return Pushed(at_s - at_s[0], thing_m, targets[:, 1:])

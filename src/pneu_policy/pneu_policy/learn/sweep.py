@@ -7,6 +7,7 @@ cluster must see the rigs and the output folder under the same paths.
 """
 
 import contextlib
+import hashlib
 import itertools
 import re
 import traceback
@@ -84,6 +85,22 @@ class Run:
     def name(self) -> str:
         """Name of its folder."""
         return self.folder.name
+
+    def made(self, training: Mapping[str, Any]) -> bool:
+        """Whether a policy was trained as this run asks, on the file of the plant as it is.
+
+        What came to the settings since is as it was, where a policy does not say otherwise.
+
+        Args:
+            training: What the policy's file says of its training.
+        """
+        try:
+            settings = TrainSettings(**training["settings"])
+        except (InputError, KeyError, TypeError):
+            return False
+        source = training.get("rig") or training.get("hand") or {}
+        now = hashlib.sha256(Path(self.settings.env.file).read_bytes()).hexdigest()
+        return bool(settings == self.settings and source.get("sha256") == now)
 
     def history(self) -> History | None:
         """The history of a run that is finished, or None.

@@ -12,13 +12,12 @@ from typing import Any
 
 import numpy as np
 from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
 from rclpy.task import Future
-from sensor_msgs.msg import JointState
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
 from pneu_graph.nodes.parameters import Parameters, parameter
+from pneu_policy.nodes.arms import Arm, Every
 from pneu_sim.hand.exercise import exercise
 from pneu_sim.hand.loading import Hand
 from pneu_sim.hand.paths import Kinematics, eased
@@ -72,39 +71,22 @@ class ExerciseNode(Node):
             if arm not in arms:
                 raise InputError(f"arm: found {arm!r}, {params.hand} has {', '.join(arms)}")
             tip = params.tip or f"{arm}_tip"
-            self.joint_names = list(arms[arm].joints)
             self._path = exercise(
                 hand, Kinematics(hand, arm, tip), tip, params.thing, params.seconds, params.seed
             )
         except InputError:
             self.destroy_node()
             raise
-        self._every_s = 1.0 / params.rate_hz
         self._begun_s = math.nan
-        self._last_s = -math.inf
-        self._from = np.zeros(len(self.joint_names))
-        self._publisher = self.create_publisher(JointState, f"{arm}/command", common.COMMAND_QOS)
-        self.create_subscription(
-            JointState, f"{arm}/joint_states", self._on_joints, qos_profile_sensor_data
-        )
+        self._from = self._path.angles_rad[0]
+        self._every = Every(params.rate_hz)
+        self._arm = Arm(self, arm, list(arms[arm].joints), self._on_readings)
 
-    def _on_joints(self, message: JointState) -> None:
-        now_s = 1e-9 * common.from_stamp(message.header.stamp)
-        if now_s - self._last_s < self._every_s - 1e-6:
+    def _on_readings(self, now_s: float, stamp: Any) -> None:
+        if not self._every.due(now_s):
             return
-        self._last_s = now_s
         if math.isnan(self._begun_s):
-            told = list(message.name)
-            try:
-                self._from = np.array([message.position[told.index(n)] for n in self.joint_names])
-            except (ValueError, IndexError):
-                self.get_logger().warning(
-                    f"joint_states tells {', '.join(told)}, wanted are"
-                    f" {', '.join(self.joint_names)}",
-                    throttle_duration_sec=5.0,
-                )
-                return
-            self._begun_s = now_s
+            self._begun_s, self._from = now_s, self._arm.angles_rad
         since_s = now_s - self._begun_s
         begin = self._path.angles_rad[0]
         if since_s < APPROACH_S:
@@ -112,11 +94,7 @@ class ExerciseNode(Node):
             angles, velocity = self._from + share * (begin - self._from), np.zeros(len(begin))
         else:
             angles, velocity = self._path.at(since_s - APPROACH_S - REST_S)
-        command = JointState(
-            name=self.joint_names, position=angles.tolist(), velocity=velocity.tolist()
-        )
-        command.header.stamp = message.header.stamp
-        self._publisher.publish(command)
+        self._arm.command(stamp, position=angles.tolist(), velocity=velocity.tolist())
         if since_s > APPROACH_S + float(self._path.time_s[-1]) + 2.0 * REST_S:
             self.done.set_result(True)  # and the node ends
 

@@ -16,11 +16,11 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.task import Future
-from sensor_msgs.msg import JointState
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
 from pneu_graph.nodes.parameters import Parameters, parameter
+from pneu_policy.nodes.arms import Arm, Every
 from pneu_sim.hand.loading import Hand
 from pneu_sim.hand.paths import Kinematics, eased
 from pneu_sim.hand.press import Press, PressSettings
@@ -90,25 +90,20 @@ class PressNode(Node):
         except InputError:
             self.destroy_node()
             raise
-        self.joint_names = list(hand.settings.arms[params.arm].joints)
-        self._begin = np.zeros(len(self.joint_names))
+        joints = list(hand.settings.arms[params.arm].joints)
+        self._begin = np.zeros(len(joints))
         self._along = np.array([1.0, 0.0, 0.0])
         settings = PressSettings(
             params.mean_n, params.swing_n, params.swing_hz, params.gain_m_s_n, params.lead_m_n
         )
         self._press = Press(settings, self._kinematics, self._along)
-        self._angles = self._begin
-        self._from: Any = None
+        self._from = self._begin
         self._begun_s = self._last_s = math.nan
         self._force_n = 0.0
-        self._publisher = self.create_publisher(
-            JointState, f"{params.arm}/command", common.COMMAND_QOS
-        )
+        self._every = Every(params.rate_hz)
+        self._arm = Arm(self, params.arm, joints, self._on_readings)
         self._wanted = self.create_publisher(
             WrenchStamped, f"{params.arm}/force_target", common.READINGS_QOS
-        )
-        self.create_subscription(
-            JointState, f"{params.arm}/joint_states", self._on_joints, qos_profile_sensor_data
         )
         if self._wrist is None:
             self.create_subscription(
@@ -125,20 +120,18 @@ class PressNode(Node):
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         assert self._wrist is not None
+        if not math.isfinite(self._arm.heard_s):
+            return  # how the sensor is turned is not known yet
         force = message.wrench.force
-        push = self._wrist.push(self._angles, np.array([force.x, force.y, force.z]))
+        push = self._wrist.push(self._arm.angles_rad, np.array([force.x, force.y, force.z]))
         self._force_n = float(self._along @ push)
 
-    def _on_joints(self, message: JointState) -> None:
-        now_s = 1e-9 * common.from_stamp(message.header.stamp)
-        told = list(message.name)
-        self._angles = np.array([message.position[told.index(n)] for n in self.joint_names])
-        if math.isnan(self._begun_s):
-            self._begun_s, self._last_s, self._from = now_s, now_s, self._angles
-        step_s = now_s - self._last_s
-        if step_s < 1.0 / self._params.rate_hz - 1e-6 and now_s > self._begun_s:
+    def _on_readings(self, now_s: float, stamp: Any) -> None:
+        if not self._every.due(now_s):
             return
-        self._last_s = now_s
+        if math.isnan(self._begun_s):
+            self._begun_s, self._last_s, self._from = now_s, now_s, self._arm.angles_rad
+        step_s, self._last_s = now_s - self._last_s, now_s
         since_s = now_s - self._begun_s
         wanted = self._press.settings.wanted_n(since_s - SETTLE_S)
         if since_s < SETTLE_S:
@@ -147,11 +140,9 @@ class PressNode(Node):
             wanted = 0.0
         else:
             angles = self._press.angles(since_s - SETTLE_S, step_s, self._force_n)
-        command = JointState(name=self.joint_names, position=angles.tolist())
-        command.header.stamp = message.header.stamp
-        self._publisher.publish(command)
+        self._arm.command(stamp, position=angles.tolist())
         target = WrenchStamped()
-        target.header.stamp, target.header.frame_id = message.header.stamp, "world"
+        target.header.stamp, target.header.frame_id = stamp, "world"
         target.wrench.force.x, target.wrench.force.y, target.wrench.force.z = (
             float(x) for x in wanted * self._along
         )

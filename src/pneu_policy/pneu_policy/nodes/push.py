@@ -9,7 +9,7 @@ stamped with: an emulated plant that stands still on a busy machine is waited fo
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.task import Future
-from sensor_msgs.msg import JointState
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
 from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_policy.control.push_policy import PushPolicy
 from pneu_policy.control.pusher import Pusher
-from pneu_policy.task.push_paths import PATH_KINDS, PushPath
+from pneu_policy.nodes.arms import Arm, Every, all_heard
+from pneu_policy.task.push_paths import PATH_KINDS, PathKind, PushPath
 from pneu_sim.hand.loading import Hand
 from pneu_sim.hand.paths import eased
 
@@ -32,8 +32,6 @@ Floats = NDArray[np.float64]
 
 APPROACH_S = 1.0
 """From where the arms are to their places at rest."""
-STALE_S = 0.05
-"""Readings that are older by so much than the newest stop the arms."""
 
 
 @dataclass
@@ -93,109 +91,85 @@ class PushNode(Node):
             raise InputError(
                 f"parameter thing: found {params.thing!r}, poses of {params.hand} are {known}"
             )
-        kind = next(one for one in PATH_KINDS if one == params.path)
-        path = PushPath(kind, params.reach_m, params.path_period_s, params.seed)
+        path = PushPath(
+            cast(PathKind, params.path), params.reach_m, params.path_period_s, params.seed
+        )
         self._pusher = Pusher(PushPolicy.load(params.policy), hand, path)
-        arms = hand.settings.arms
-        self._joint_names = {arm: list(its.joints) for arm, its in arms.items()}
-        shape = (len(arms), self._pusher.joints)
-        self._at, self._speed = np.full(shape, math.nan), np.zeros(shape)
         self._thing_m: Floats = np.full(2, math.nan)
-        self._heard_s = {name: -math.inf for name in (*arms, "thing")}
+        self._seen_s = -math.inf
         self._begun_s = self._step_s = math.nan
-        self._sent_s = -math.inf
-        self._from = self._at
-        self._torque: Floats = np.zeros(shape)
+        self._torque: Floats | None = None
         self._squares, self._steps = 0.0, 0
-        self._to = {
-            arm: self.create_publisher(JointState, f"{arm}/command", common.COMMAND_QOS)
-            for arm in arms
-        }
+        self._every = Every(params.rate_hz)
+        self._arms = [
+            Arm(self, name, list(its.joints), self._on_readings)
+            for name, its in hand.settings.arms.items()
+        ]
+        self._from = self._angles()
         self._target = self.create_publisher(
             PoseStamped, f"{params.thing}/target", common.READINGS_QOS
         )
-        for number, arm in enumerate(arms):
-            self.create_subscription(
-                JointState,
-                f"{arm}/joint_states",
-                lambda message, number=number, arm=arm: self._on_joints(number, arm, message),
-                qos_profile_sensor_data,
-            )
         self.create_subscription(
             PoseStamped, f"{params.thing}/pose", self._on_pose, qos_profile_sensor_data
         )
 
     def _on_pose(self, message: PoseStamped) -> None:
         self._thing_m = np.array([message.pose.position.x, message.pose.position.y])
-        self._heard_s["thing"] = 1e-9 * common.from_stamp(message.header.stamp)
+        self._seen_s = 1e-9 * common.from_stamp(message.header.stamp)
 
-    def _on_joints(self, number: int, arm: str, message: JointState) -> None:
-        told = list(message.name)
-        try:
-            order = [told.index(name) for name in self._joint_names[arm]]
-            self._at[number] = [message.position[k] for k in order]
-            self._speed[number] = [message.velocity[k] for k in order]
-        except (ValueError, IndexError):
-            self.get_logger().warning(
-                f"{arm}/joint_states tells {', '.join(told)} with {len(message.velocity)}"
-                f" velocities, wanted are {', '.join(self._joint_names[arm])} with theirs",
-                throttle_duration_sec=5.0,
-            )
+    def _angles(self) -> Floats:
+        return np.array([arm.angles_rad for arm in self._arms])
+
+    def _on_readings(self, now_s: float, stamp: Any) -> None:
+        heard_s = {arm.name: arm.heard_s for arm in self._arms}
+        heard_s[self._params.thing] = self._seen_s
+        if not self._every.due(now_s) or not all_heard(self, heard_s, now_s):
             return
-        now_s = 1e-9 * common.from_stamp(message.header.stamp)
-        self._heard_s[arm] = now_s
-        if now_s - self._sent_s < 1.0 / self._params.rate_hz - 1e-6:
-            return
-        oldest = min(self._heard_s, key=lambda name: self._heard_s[name])
-        if now_s - self._heard_s[oldest] > STALE_S:
-            if math.isfinite(self._heard_s[oldest]):  # not only not there yet
-                self.get_logger().warning(
-                    f"nothing of {oldest} for {now_s - self._heard_s[oldest]:.2f} s: the arms are"
-                    " not commanded meanwhile",
-                    throttle_duration_sec=1.0,
-                )
-            return
-        self._sent_s = now_s
         if math.isnan(self._begun_s):
-            self._begun_s, self._from = now_s, self._at.copy()
-        self._go(now_s - self._begun_s - APPROACH_S, message.header.stamp)
+            self._begun_s, self._from = now_s, self._angles()
+        self._go(now_s - self._begun_s - APPROACH_S, stamp)
 
     def _go(self, since_s: float, stamp: Any) -> None:
         """Commands all arms, so long after the path began."""
         if since_s < 0.0:
             share = float(eased(np.array(1.0 + since_s / APPROACH_S)))
-            for number, arm in enumerate(self._joint_names):
-                self._send(arm, stamp, position=((1.0 - share) * self._from[number]).tolist())
+            for arm, begin in zip(self._arms, self._from, strict=True):
+                self._send(arm, stamp, position=((1.0 - share) * begin).tolist())
             return
         if math.isnan(self._step_s):
             self._step_s = since_s
         if since_s >= self._step_s - 1e-6:
             period_s = self._pusher.policy.recipe.period_s
             self._step_s = max(self._step_s + period_s, since_s)
-            try:
-                self._torque = self._pusher.step(since_s, self._at, self._speed, self._thing_m)
-            except ValueError as error:
-                self.get_logger().warning(
-                    f"a reading is no number ({error}): the arms are not commanded meanwhile",
-                    throttle_duration_sec=1.0,
-                )
-                return
-            self._squares += float(self._pusher.error_m @ self._pusher.error_m)
-            self._steps += 1
-            self._tell_target(since_s, stamp)
-        for number, arm in enumerate(self._joint_names):
-            self._send(arm, stamp, effort=self._torque[number].tolist())
+            self._torque = self._step(since_s, stamp)
+        if self._torque is None:
+            return
+        for arm, torque in zip(self._arms, self._torque, strict=True):
+            self._send(arm, stamp, effort=torque.tolist())
         if since_s > self._params.seconds and not self.done.done():
-            rms = math.sqrt(self._squares / self._steps)
+            rms = math.sqrt(self._squares / max(self._steps, 1))
             self.get_logger().info(f"pushed: {1e3 * rms:.2f} mm off the path, root mean square")
             self.done.set_result(True)  # and the node ends
 
-    def _send(self, arm: str, stamp: Any, **what: list[float]) -> None:
-        names = self._joint_names[arm]
+    def _step(self, since_s: float, stamp: Any) -> Floats | None:
+        """Torques for the period that begins; None where a reading is no number."""
+        speeds = np.array([arm.speed_rad_s for arm in self._arms])
+        try:
+            torque = self._pusher.step(since_s, self._angles(), speeds, self._thing_m)
+        except ValueError as error:
+            self.get_logger().warning(
+                f"a reading is no number ({error}): no arm is commanded meanwhile",
+                throttle_duration_sec=1.0,
+            )
+            return None
+        self._squares += float(self._pusher.error_m @ self._pusher.error_m)
+        self._steps += 1
+        self._tell_target(since_s, stamp)
+        return torque
+
+    def _send(self, arm: Arm, stamp: Any, **what: list[float]) -> None:
         # where there is a velocity, the loop of the motors damps to it
-        command = JointState(name=names, velocity=[0.0] * len(names), **what)
-        command.header.stamp = stamp
-        self._to[arm].publish(command)
+        arm.command(stamp, velocity=[0.0] * len(arm.joints), **what)
 
     def _tell_target(self, since_s: float, stamp: Any) -> None:
         target = PoseStamped()

@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
 from rclpy.task import Future
-from sensor_msgs.msg import JointState
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
 from pneu_graph.nodes.parameters import Parameters, parameter
+from pneu_policy.nodes.arms import Arm, Every, all_heard
 from pneu_sim.hand.drive import JointCommand, torque_of
 from pneu_sim.hand.paths import eased
 from pneu_sim.hand.settings import read_hand
@@ -29,8 +28,6 @@ Floats = NDArray[np.float64]
 
 ENGAGE_S = 1.0
 """From where the follower is to where the leader is."""
-STALE_S = 0.05
-"""Readings of one arm that are older by so much than the other's stop both."""
 
 
 @dataclass
@@ -49,16 +46,6 @@ class TeleoperateParameters(Parameters):
     rate_hz: float = parameter(
         500.0, "commands per second of the arms' time", within=(50.0, 2000.0), read_only=True
     )
-
-
-class _Arm:
-    """What is known of an arm, and how it is told."""
-
-    def __init__(self, name: str, names: list[str]) -> None:
-        self.name, self.names = name, names
-        self.at, self.speed = np.zeros(len(names)), np.zeros(len(names))
-        self.heard_s = -math.inf
-        self.publisher: Any = None
 
 
 class TeleoperateNode(Node):
@@ -104,80 +91,42 @@ class TeleoperateNode(Node):
             )
         self._springs = list(arms[params.follower].joints.values())
         self._limits = [joint.torque_limit_n_m for joint in arms[params.leader].joints.values()]
-        self._leader = _Arm(params.leader, names[0])
-        self._follower = _Arm(params.follower, names[1])
         self._begun_s = math.nan
-        self._sent_s = -math.inf
+        self._every = Every(params.rate_hz)
         self._from: Floats = np.zeros(len(names[0]))
-        for arm in (self._leader, self._follower):
-            arm.publisher = self.create_publisher(
-                JointState, f"{arm.name}/command", common.COMMAND_QOS
-            )
-            self.create_subscription(
-                JointState,
-                f"{arm.name}/joint_states",
-                lambda message, arm=arm: self._on_joints(arm, message),
-                qos_profile_sensor_data,
-            )
+        self._leader = Arm(self, params.leader, names[0], self._on_readings)
+        self._follower = Arm(self, params.follower, names[1], self._on_readings)
 
-    def _on_joints(self, arm: _Arm, message: JointState) -> None:
-        told = list(message.name)
-        try:
-            order = [told.index(name) for name in arm.names]
-            arm.at = np.array([message.position[k] for k in order])
-            arm.speed = np.array([message.velocity[k] for k in order])
-        except (ValueError, IndexError):
-            self.get_logger().warning(
-                f"{arm.name}/joint_states tells {', '.join(told)} with {len(message.velocity)}"
-                f" velocities, wanted are {', '.join(arm.names)} with theirs",
-                throttle_duration_sec=5.0,
-            )
-            return
-        arm.heard_s = now_s = 1e-9 * common.from_stamp(message.header.stamp)
-        other = self._leader if arm is self._follower else self._follower
-        if now_s - other.heard_s > STALE_S:
-            if math.isfinite(other.heard_s):
-                self.get_logger().warning(
-                    f"nothing of {other.name} for {now_s - other.heard_s:.2f} s: no arm is"
-                    " commanded meanwhile",
-                    throttle_duration_sec=1.0,
-                )
+    def _on_readings(self, now_s: float, stamp: Any) -> None:
+        heard_s = {arm.name: arm.heard_s for arm in (self._leader, self._follower)}
+        if not all_heard(self, heard_s, now_s):
             self._begun_s = math.nan  # it engages anew
             return
-        if now_s - self._sent_s < 1.0 / self._params.rate_hz - 1e-6:
+        if not self._every.due(now_s):
             return
-        self._sent_s = now_s
         if math.isnan(self._begun_s):
-            self._begun_s, self._from = now_s, self._follower.at.copy()
-        self._couple(now_s - self._begun_s, message.header.stamp)
+            self._begun_s, self._from = now_s, self._follower.angles_rad
+        self._couple(now_s - self._begun_s, stamp)
 
     def _couple(self, since_s: float, stamp: Any) -> None:
         leader, follower = self._leader, self._follower
         share = float(eased(np.array(min(since_s / ENGAGE_S, 1.0))))
-        wanted = self._from + share * (leader.at - self._from)
-        follow = JointState(
-            name=follower.names, position=wanted.tolist(), velocity=(share * leader.speed).tolist()
-        )
+        wanted = self._from + share * (leader.angles_rad - self._from)
+        speed = share * leader.speed_rad_s
+        follower.command(stamp, position=wanted.tolist(), velocity=speed.tolist())
         gain = share * self._params.feedback
         torques = [
             gain
             * torque_of(
                 joint,
-                JointCommand(float(follower.at[k]), float(follower.speed[k])),
-                float(leader.at[k]),
-                float(leader.speed[k]),
+                JointCommand(float(follower.angles_rad[k]), float(follower.speed_rad_s[k])),
+                float(leader.angles_rad[k]),
+                float(leader.speed_rad_s[k]),
             )
             for k, joint in enumerate(self._springs)
         ]
-        feel = JointState(
-            name=leader.names,
-            effort=[
-                min(max(t, -most), most) for t, most in zip(torques, self._limits, strict=True)
-            ],
-        )
-        for arm, command in ((follower, follow), (leader, feel)):
-            command.header.stamp = stamp
-            arm.publisher.publish(command)
+        pairs = zip(torques, self._limits, strict=True)
+        leader.command(stamp, effort=[min(max(torque, -most), most) for torque, most in pairs])
         seconds = self._params.seconds
         if seconds and since_s > seconds and not self.done.done():
             self.done.set_result(True)  # and the node ends
