@@ -62,19 +62,8 @@ class Bench:
 
     def __init__(self, folder: Path, device: str = "", library: str = "") -> None:
         self.port, self.web = free_ports()
-        told: dict[str, Any] = {
-            "hand": str(HAND),
-            "truth": "",
-            "devices": str(folder),
-            "ports": {"phantom": (self.port, self.web)},
-            "seed": 0,
-            "touch": False,
-            "rate": 1.0,
-            "operator": None,
-        }
-        names = {"imu": ["object"], "pose": ["object"], "touch": ["phantom"]}
-        self.plant = PlantProcess(told, names, lambda *_: None, lambda: None)
         self.folder = folder
+        self.plant = self._plant()
         self.joints: list[Any] = []
         self.wrenches: list[Any] = []
         self._told = self.settings(device or f"emulated:{folder}/phantom.sock", library)
@@ -84,6 +73,28 @@ class Bench:
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._command, daemon=True)
         self._thread.start()
+
+    def _plant(self) -> PlantProcess:
+        """The hand, its arm where the scene has it."""
+        told: dict[str, Any] = {
+            "hand": str(HAND),
+            "truth": "",
+            "devices": str(self.folder),
+            "ports": {"phantom": (self.port, self.web)},
+            "seed": 0,
+            "touch": False,
+            "rate": 1.0,
+            "operator": None,
+        }
+        names = {"imu": ["object"], "pose": ["object"], "touch": ["phantom"]}
+        return PlantProcess(told, names, lambda *_: None, lambda: None)
+
+    def put_back(self) -> None:
+        """Arm and loop as they begin: one that lost its torque in motion may lie at its stops."""
+        self.servo.end()
+        self.plant.end()
+        self.plant = self._plant()
+        self.open()
 
     def open(self) -> None:
         """Starts the loop, anew where there was one."""
@@ -132,6 +143,19 @@ class Bench:
                 return
             time.sleep(0.01)
         raise AssertionError(f"never followed: {self.servo.report}, {self.servo.ended}")
+
+    def out_of_range(self) -> bool:
+        """Whether the arm lies where its loop lets nobody move it."""
+        del self.joints[:]
+        end_s = time.monotonic() + PATIENCE_S
+        while not self.joints:
+            assert time.monotonic() < end_s
+            time.sleep(0.01)
+        at = self.joints[-1].position_rad
+        return not all(
+            one.lower_rad <= q <= one.upper_rad
+            for q, one in zip(at, ARM.joints.values(), strict=True)
+        )
 
     def state(self) -> State | None:
         report = self.servo.report
@@ -207,6 +231,8 @@ def bench(shared: Bench) -> Bench:
     time.sleep(0.1)  # an encoder that jumped has jumped back
     if shared.servo.ended or shared.servo.ask(reset=True).get("refused", "no answer"):
         shared.open()
+    if shared.out_of_range():
+        shared.put_back()
     shared.follow()
     return shared
 
