@@ -204,8 +204,7 @@ class Chain:
             [self.time_s[:1], 0.5 * (self.time_s[1:] + self.time_s[:-1]), self.time_s[-1:]]
         )
         low, high = edges[channel.knots] + told.lag_s, edges[channel.knots + 1] + told.lag_s
-        mean, any_there = channel.series.mean_over(low, high)
-        return np.where(any_there[:, None], mean, channel.series.at(times))
+        return channel.series.mean_over(low, high)
 
     def rows(self, outputs: Outputs, setup: Setup, plain: bool = False) -> tuple[Floats, Floats]:
         """All residuals of a chain, a knot a row; NaN where there is none.

@@ -66,22 +66,28 @@ class Series:
         turned = RotationSpline(self.time_s, Rotation.from_quat(self.values, scalar_first=True))(t)
         return unbroken(turned.as_quat(scalar_first=True))
 
-    def mean_over(self, from_s: Floats, to_s: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Means of the readings in spans of time, for sensors that are faster than the knots.
+    def mean_over(self, from_s: Floats, to_s: Floats) -> Floats:
+        """Means over spans of time, for sensors that are faster than the knots.
+
+        Of the straight lines between readings, not of the readings in a span: those come and go as
+        a span is moved, and a lag would have no slope.
 
         Args:
             from_s: (n,) where each span begins.
-            to_s: (n,) where it ends.
+            to_s: (n,) where it ends, later.
 
         Returns:
-            (n, w) means, and (n,) whether there was any reading.
+            (n, w); beyond the ends as at the ends.
         """
-        sums = np.concatenate([np.zeros((1, self.values.shape[1])), np.cumsum(self.values, axis=0)])
-        first = np.searchsorted(self.time_s, from_s, side="left")
-        last = np.searchsorted(self.time_s, to_s, side="left")
-        count = last - first
-        mean = (sums[last] - sums[first]) / np.maximum(count, 1)[:, None]
-        return mean, count > 0
+        steps = np.diff(self.time_s)[:, None] * 0.5 * (self.values[1:] + self.values[:-1])
+        whole = np.concatenate([np.zeros((1, self.values.shape[1])), np.cumsum(steps, axis=0)])
+
+        def until(time_s: Floats) -> Floats:
+            k = np.clip(np.searchsorted(self.time_s, time_s, side="right") - 1, 0, None)
+            between = 0.5 * (self.values[k] + self.at(time_s))
+            return np.asarray(whole[k] + (time_s - self.time_s[k])[:, None] * between)
+
+        return (until(to_s) - until(from_s)) / (to_s - from_s)[:, None]
 
 
 @dataclass(frozen=True)
