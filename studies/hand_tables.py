@@ -72,7 +72,7 @@ def effects() -> dict[str, tuple[Truth, tuple[str, ...], str]]:
         ),
         "lag": (
             base.but(sensors=lag),
-            ("sensor_lag@phantom_force", "sensor_lag@phantom_torque"),
+            ("sensor_lag@/lab/phantom/wrench",),
             "force and torque, 3 ms late",
         ),
         "encoder": (

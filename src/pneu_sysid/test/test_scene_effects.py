@@ -199,3 +199,17 @@ def test_slopes_of_a_bearing_are_those_of_its_friction(loaded: Loaded, chain: Ch
     for one, other in zip(found, foretold, strict=True):
         close = np.isclose(one, other, rtol=1e-3, atol=1e-3 * np.max(np.abs(one)))
         assert np.mean(close) > 0.95  # all but where a contact just opens
+
+
+def test_what_one_message_tells_is_late_together() -> None:
+    loaded = load_scene(Path(__file__).resolve().parents[3] / "scenes/phantom/hanging.yaml")
+    lag, setup = find_scene_effect("sensor_lag"), loaded.setup()
+    wrench = "/lab/phantom/wrench"
+    sought = [place for effect, place in loaded.candidates(setup) if effect.name == "sensor_lag"]
+    assert wrench in sought
+    assert not {"phantom_force", "phantom_torque"} & set(sought)
+    assert "phantom_force" in lag.places(setup)  # one alone may be said to be
+    lag.put(setup, wrench, 0.003)
+    late = {name for name, reading in setup.readings.items() if reading.lag_s == 0.003}
+    assert late == {"phantom_force", "phantom_torque"}
+    assert lag.value(setup, wrench) == 0.003

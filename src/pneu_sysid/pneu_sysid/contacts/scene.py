@@ -404,11 +404,19 @@ class Loaded:
             values: Effects that differ from the MJCF.
         """
         readings = {name: Reading() for name in self.names}
-        setup = Setup(self._spec.copy(), readings, self.widths)
+        setup = Setup(self._spec.copy(), readings, self.widths, self._messages())
         for value in values:
             if value.value is not None:
                 find_scene_effect(value.effect).put(setup, value.at, value.value)
         return setup
+
+    def _messages(self) -> dict[str, tuple[str, ...]]:
+        """Sensors of each topic that tells of several at once."""
+        told: dict[str, list[str]] = {}
+        for name in self.names:
+            if topic := self.scene.sensors[name].topic:
+                told.setdefault(topic, []).append(name)
+        return {topic: tuple(names) for topic, names in told.items() if len(names) > 1}
 
     def candidates(self, setup: Setup) -> list[tuple[SceneEffect, str]]:
         """Every effect and place that the scene has.
@@ -422,7 +430,7 @@ class Loaded:
             (effect, place)
             for effect in scene_effects().values()
             if effect.candidate and effect.name not in self.scene.ignore
-            for place in effect.places(setup)
+            for place in effect.sought(setup)
         ]
 
 

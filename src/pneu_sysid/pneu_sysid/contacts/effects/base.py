@@ -44,6 +44,7 @@ class Setup:
         spec: MuJoCo's ``MjSpec``.
         readings: Per sensor that the scene uses.
         widths: How many components each has.
+        messages: Sensors that are told in one message, by its topic, where there are several.
         clock: Duration of a second of the recording, s.
         drag: Force against the velocity of the centre of each body that moves freely, N s/m.
         loaded: Friction of joints by what they carry, torque per force, by the joint.
@@ -59,6 +60,7 @@ class Setup:
     spec: Any
     readings: dict[str, Reading]
     widths: dict[str, int]
+    messages: dict[str, tuple[str, ...]] = field(default_factory=dict)
     clock: float = 1.0
     drag: float = 0.0
     loaded: dict[str, float] = field(default_factory=dict)
@@ -120,6 +122,14 @@ class SceneEffect(ABC):
         Args:
             setup: The scene.
         """
+
+    def sought(self, setup: Setup) -> list[str]:
+        """Where it is tried where something is missing; wherever it may be unless said.
+
+        Args:
+            setup: The scene.
+        """
+        return self.places(setup)
 
     @abstractmethod
     def value(self, setup: Setup, place: str) -> float:

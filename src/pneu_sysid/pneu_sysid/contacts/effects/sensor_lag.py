@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sensor that tells late."""
+"""A sensor that tells late.
+
+Sensors of one message, such as force and torque at a wrist, are late together.
+"""
 
 from pneu_sysid.contacts.effects.base import SceneEffect, Setup
 
@@ -19,10 +22,15 @@ class SensorLag(SceneEffect):
     source = "sensor calibration"
 
     def places(self, setup: Setup) -> list[str]:
-        return list(setup.readings)
+        return [*setup.readings, *setup.messages]
+
+    def sought(self, setup: Setup) -> list[str]:
+        together = {name for names in setup.messages.values() for name in names}
+        return [name for name in self.places(setup) if name not in together]
 
     def value(self, setup: Setup, place: str) -> float:
-        return setup.readings[place].lag_s
+        return setup.readings[setup.messages.get(place, (place,))[0]].lag_s
 
     def put(self, setup: Setup, place: str, value: float) -> None:
-        setup.readings[place].lag_s = value
+        for name in setup.messages.get(place, (place,)):
+            setup.readings[name].lag_s = value
