@@ -387,9 +387,15 @@ class _Judge:
         chains, q = base.chains, base.q
         if candidate.effect.adds_joint:  # one more direction of motion
             chains, q = begun(self.loaded, self.used, values, self.physics)
-        elif self.foretells:
-            q = redrawn(self.loaded, chains, self.used, values, self.physics)
-        return self._fitted(chains, q, values, CANDIDATE_STEPS, candidate, base.scales)
+            return self._fitted(chains, q, values, CANDIDATE_STEPS, candidate, base.scales)
+        anew = redrawn(self.loaded, chains, self.used, values, self.physics)
+        fit = self._fitted(chains, anew, values, CANDIDATE_STEPS, candidate, base.scales)
+        if self.foretells:
+            return fit
+        # contacts that made up for what is missing hold a trajectory where it was; and one drawn
+        # anew may have gone astray
+        there = self._fitted(chains, q, values, CANDIDATE_STEPS, candidate, base.scales)
+        return min(fit, there, key=lambda f: f.estimated.cost)
 
 
 def _foretold(scores: Scores, others: Seen, score: SceneScore) -> Floats:
