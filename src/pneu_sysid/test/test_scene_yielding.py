@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tips that yield and links that bend: what their compliance would change, and that it is found."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -65,12 +66,13 @@ def arm(folder: Path, values: tuple[Value, ...] = ()) -> Loaded:
     return Loaded(scene, folder)
 
 
-def swung(loaded: Loaded, values: tuple[Value, ...], seconds: float, seed: int) -> Track:
+def swung(
+    loaded: Loaded, values: tuple[Value, ...], seconds: float, seed: int, every: int = 10
+) -> Track:
     """The arm driven, with what its sensors tell."""
     model = loaded.setup(values).spec.compile()
     data = mujoco.MjData(model)
     rng = np.random.default_rng(seed)
-    every = 10
     n = round(seconds / (every * model.opt.timestep))
     t = np.arange(n) * every * model.opt.timestep
     hold = -0.5 * 0.3 * 0.3 * 9.81 - 0.4 * 0.4 * 9.81
@@ -158,6 +160,23 @@ def test_where_nothing_bends_none_is_named(tmp_path: Path) -> None:
     tracks = [swung(loaded, (), 1.0, seed) for seed in range(4, 8)]
     found = diagnose_scene(loaded, tracks, finalists=2)
     assert found.verdict == "nothing_missing"
+
+
+@pytest.mark.long
+def test_a_lag_of_a_sensor_faster_than_the_knots_is_named_and_sized(tmp_path: Path) -> None:
+    loaded = arm(tmp_path)
+    late = []
+    for seed in range(4):
+        track = swung(loaded, (), 1.0, seed, every=1)
+        tip = track.sensors["tip"]
+        late.append(
+            replace(track, sensors=track.sensors | {"tip": Series(tip.time_s + 0.004, tip.values)})
+        )
+    found = diagnose_scene(loaded, late, finalists=3)
+    best = found.finalists[0]
+    assert found.verdict in ("effect", "ambiguous")
+    assert best.label == "sensor_lag@tip"
+    assert best.strength == pytest.approx(0.004, rel=0.05)
 
 
 def test_a_compliance_to_fit_needs_a_start(tmp_path: Path) -> None:
