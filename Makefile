@@ -10,10 +10,11 @@ VENV   := .venv
 RUN    := $(VENV)/bin/python
 # The solvers we compare with hold back versions of our own dependencies, so they live apart.
 BENCH_VENV := .venv-bench
+GPU_VENV   := .venv-gpu
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-robot test test-long bench lint format bags tosses hand-force hand-tables pushing folder-is-named exact calibration thinned \
+.PHONY: help demo demo-robot test test-long bench lint format gpu bags tosses hand-force hand-tables pushing folder-is-named exact calibration thinned \
 	confusion thresholds moved faults fuzz study-pressure clean clean-kernels
 
 help:  ## list the targets
@@ -43,6 +44,9 @@ format: $(VENV)/.ready-dev  ## let ruff put the sources in order
 
 bench: $(BENCH_VENV)/.ready-bench  ## speed and accuracy beside other solvers
 	@NUMBA_CACHE_DIR=$(abspath $(BENCH_VENV))/numba $(BENCH_VENV)/bin/python -m benchmarks
+
+gpu: $(GPU_VENV)/.ready-gpu  ## the gas on this machine's NVIDIA GPU: beside the processor, and how fast
+	@NUMBA_CACHE_DIR=$(abspath $(GPU_VENV))/numba $(GPU_VENV)/bin/python -m studies.gpu
 
 bags: folder-is-named $(VENV)/.ready-run  ## slow: fit and diagnose every bag of folders, BAGS=folders; PAGE=file
 	@$(RUN) -m studies.bags $(BAGS) $(if $(PAGE),--page $(PAGE))
@@ -91,7 +95,7 @@ study-pressure: $(VENV)/.ready-study  ## slow: train, tune and prove pressure co
 	@$(RUN) -m studies.pressure
 
 clean: clean-kernels  ## remove all that these targets have made
-	@rm -rf $(VENV) $(BENCH_VENV) build dist pneu.egg-info out .mypy_cache .ruff_cache .pytest_cache
+	@rm -rf $(VENV) $(BENCH_VENV) $(GPU_VENV) build dist pneu.egg-info out .mypy_cache .ruff_cache .pytest_cache
 
 clean-kernels:  ## remove compiled kernels and byte code
 	@find . -path './.*' -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -105,6 +109,9 @@ $(VENV)/.ready-dev: pyproject.toml tools/environment.py
 
 $(VENV)/.ready-study: pyproject.toml tools/environment.py
 	@$(PYTHON) tools/environment.py $(VENV) --extra study
+
+$(GPU_VENV)/.ready-gpu: pyproject.toml tools/environment.py
+	@$(PYTHON) tools/environment.py $(GPU_VENV) --extra gpu
 
 $(BENCH_VENV)/.ready-bench: pyproject.toml tools/environment.py
 	@$(PYTHON) tools/environment.py $(BENCH_VENV) --extra bench --optional

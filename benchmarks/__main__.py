@@ -14,6 +14,7 @@ from rich.console import Console
 from benchmarks import (
     accuracy,
     contacts,
+    gpu,
     graph,
     hands,
     kernel,
@@ -28,6 +29,7 @@ from benchmarks import (
 
 SUBJECTS = {
     "kernel": kernel,
+    "gpu": gpu,
     "peers": peers,
     "rig": rig,
     "robots": robots,

@@ -65,7 +65,7 @@ def line(cells: int, order: int) -> Rig:
                     }
                 }
             },
-            "taps": {"tap": {"pipe": "after", "position_m": 0.1}},
+            "taps": {"tap": {"pipe": "after", "position_m": 0.02}},
         }
     )
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import shutil
 import tempfile
 from typing import Any, Protocol
 
@@ -19,6 +20,10 @@ from benchmarks.report import Table
 from benchmarks.timing import best_s
 
 CELLS = (200, 2000)
+
+
+SYSTEM = {"PyClaw": "gfortran"}
+"""System package that building a peer needs, where it is none of Python's."""
 
 
 class Solver(Protocol):
@@ -155,6 +160,12 @@ def measure() -> list[Table]:
                 except ImportError as problem:
                     if name not in missing:
                         table.notes.append(f"{name} is not installed here ({problem}): left out.")
+                        if name in SYSTEM and shutil.which(SYSTEM[name]) is None:
+                            table.notes.append(
+                                f"{name} is built with {SYSTEM[name]}, a system package that is"
+                                f" missing: install it (apt install {SYSTEM[name]}), remove"
+                                " .venv-bench, and run `make bench` again."
+                            )
                     missing.add(name)
                     continue
                 time_s = best_s(solver.run, solver.prepare)

@@ -10,12 +10,15 @@ said in full is kept in `pip.log` inside the environment.
 import argparse
 import importlib.util
 import re
+import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 OLDEST_PYTHON = (3, 11)
+BUILT_WITH = {"clawpack": "gfortran"}
+"""System packages without which pip cannot build one of Python's."""
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
@@ -73,6 +76,9 @@ def build(venv, extra, optional):
             print(f"installing {requirement}:", end="", flush=True)
             if not install(pip, [requirement], log):
                 print(f"  {requirement} cannot be installed here and is left out (see {log})")
+                tool = BUILT_WITH.get(re.match(r"[\w-]+", requirement)[0])
+                if tool and shutil.which(tool) is None:
+                    print(f"  it is built with {tool}, a system package: apt install {tool}")
 
     for name in {"run", extra or "run"}:
         (venv / f".ready-{name}").touch()

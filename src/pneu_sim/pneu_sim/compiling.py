@@ -79,6 +79,24 @@ def uncached(function: Callable[..., Any]) -> Any:
 # need not count who holds an array, which costs more than most passes.
 
 
+each = range
+"""What a pass over slots, which may go in any order, goes through.
+
+On a processor one after another; on a GPU every thread has its own share (`pneu_sim.cuda`). Nothing
+else that such a pass does may depend on how often it is done."""
+
+
+def sequence(function: Callable[..., Any]) -> Any:
+    """Compiles what calls passes in their order, and does nothing itself but choose among them.
+
+    Args:
+        function: The sequence.
+    """
+    made = branching(function)
+    made.sequence = True
+    return made
+
+
 def branching(function: Callable[..., Any]) -> Any:
     """Compiles a pass with branches and calls, in exact IEEE arithmetic.
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pneu_sim import layout as L
 from pneu_sim import stepping
 from pneu_sim import tile as tiles
+from pneu_sim.device import Device, chosen
 from pneu_sim.rig.model import Model
 from pneu_sim.solver import Series, Solver
 
@@ -27,21 +28,24 @@ class FullSolver(Solver):
         tiles: Those that are advanced together, and which rigs they are; a last one is filled up.
     """
 
-    def __init__(self, models: Sequence[Model]) -> None:
+    def __init__(self, models: Sequence[Model], device: Device | None = None) -> None:
         """Lays the rigs out.
 
         Args:
             models: The rigs, on one plan.
+            device: On what they are computed; None is what the environment asks for.
         """
         self.models, self.plan = list(models), models[0].plan
         self.step_s = self.plan.dt_s
+        device = chosen() if device is None else device
+        width = WIDTH if device == Device.CPU else self.lanes
         # The last tile is filled up, so that the kernel knows one width or two.
-        count = -(-self.lanes // WIDTH) * WIDTH if self.lanes > WIDTH else self.lanes
+        count = -(-self.lanes // width) * width if self.lanes > width else self.lanes
         compliant, memory = any(m.compliant for m in models), any(m.memory for m in models)
         self.tiles: list[tuple[tiles.Tile, NDArray[np.int64]]] = []
-        for begin in range(0, count, WIDTH):
-            of = np.minimum(np.arange(begin, min(begin + WIDTH, count)), self.lanes - 1)
-            packed = tiles.pack([self.models[j] for j in of], compliant, memory)
+        for begin in range(0, count, width):
+            of = np.minimum(np.arange(begin, min(begin + width, count)), self.lanes - 1)
+            packed = tiles.pack([self.models[j] for j in of], compliant, memory, device)
             self.tiles.append((packed, of))
 
     def fill(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pneu_common.tally import Tally
 from pneu_sim import layout as L
+from pneu_sim.device import Device, chosen
 from pneu_sim.rig.expand import with_cylinders
 from pneu_sim.rig.model import S_BIAS, S_GAIN, S_LAG, S_OFFSET, Model
 from pneu_sim.rig.network import reservoir_of_pipes
@@ -304,21 +305,26 @@ class RunOptions(NamedTuple):
         progress: Called with the fraction done.
         strict: Whether an unstable run is an error; else its predictions are not finite.
         flows: Whether flows, chamber and tap pressures, and what moves, are kept from tick to tick.
+        device: On what they are computed; None is what the environment asks for.
     """
 
     workers: int | None = None
     progress: Callable[[float], None] | None = None
     strict: bool = True
     flows: bool = False
+    device: Device | None = None
 
 
-def shares(count: int, workers: int) -> list[slice]:
+def shares(count: int, workers: int, device: Device = Device.CPU) -> list[slice]:
     """Parts of a batch that are run together: few enough for the cache, enough for all workers.
 
     Args:
         count: Models.
         workers: Threads.
+        device: On what they are computed; a GPU takes all at once.
     """
+    if device != Device.CPU:
+        return [slice(0, count)]
     parts = max(math.ceil(count / TILE), min(workers, count))
     edges = [round(k * count / parts) for k in range(parts + 1)]
     return [slice(a, b) for a, b in pairwise(edges) if b > a]
@@ -350,7 +356,10 @@ def predict(
         InputError: A prediction is not finite, and that is an error.
     """
     plan, count = models[0][0].plan, len(models[0])
+    device = chosen() if options.device is None else options.device
     threads = options.workers or os.cpu_count() or 1
+    if device != Device.CPU:
+        threads = 1  # all models of a recording side by side
     out = []
     for course in courses:
         kept = course.ticks if options.flows else 0
@@ -365,14 +374,22 @@ def predict(
                 np.empty((count, kept, len(plan.cylinders), 3)),
             )
         )
-    tasks = [(c, part) for c in range(len(courses)) for part in shares(count, threads)]
+    tasks = [(c, part) for c in range(len(courses)) for part in shares(count, threads, device)]
     tally = Tally([courses[c].ticks for c, _ in tasks], options.progress)
 
     def run(k: int) -> None:
         c, part = tasks[k]
         of = [courses[c].start] * count if starts is None else list(starts[c])
         _run(
-            models[c][part], of[part], courses[c], field, part, out[c], options.strict, tally.of(k)
+            models[c][part],
+            of[part],
+            courses[c],
+            field,
+            part,
+            out[c],
+            device,
+            options.strict,
+            tally.of(k),
         )
 
     if threads > 1 and len(tasks) > 1:
@@ -391,6 +408,7 @@ def _run(
     field: InitialField,
     part: slice,
     out: Prediction,
+    device: Device,
     strict: bool,
     tell: Callable[[float], None],
 ) -> None:
@@ -404,6 +422,7 @@ def _run(
             field,
             part.start + np.array(which),
             out,
+            device,
             more,
             tell if more == 1 else lambda _: None,
         )
@@ -427,6 +446,7 @@ def _pass(
     field: InitialField,
     rows: Ints,
     out: Prediction,
+    device: Device,
     more: int,
     tell: Callable[[float], None],
 ) -> NDArray[np.bool_]:
@@ -439,6 +459,7 @@ def _pass(
         field: How readings spread over lines and chambers.
         rows: Their rows.
         out: The prediction.
+        device: On what they are computed.
         more: How many times as many steps as usual are taken.
         tell: Called with the fraction done.
 
@@ -448,7 +469,7 @@ def _pass(
     plan = models[0].plan
     n_sub = _steps(plan) * more
     dt = TICK_S / n_sub
-    tile = pack(models)
+    tile = pack(models, device=device)
     if any(s.joints is not None for s in starts):
         place_joints(tile, *_within_stroke(tile, starts))
     fill_pipes(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stepping a batch of rigs: as it comes, or with more steps where it goes wrong."""
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim import kernel
+from pneu_sim.device import Device
 from pneu_sim.solver import Series
 from pneu_sim.tile import CHANGING, Tile, Watch, arrays, moving, settle
 
@@ -62,11 +64,20 @@ def advance(
         moves = moving(tile, watch) if tile.plan.cylinders else None
     clock = kernel.Clock(intervals + 1, n_sub, dt_s, knots - 1, tile.clock, step, closing)
     flat = np.ascontiguousarray(opening).reshape(intervals * knots, ports, w)
-    kernel.advancing(tile.acts)(rigs, moves, clock, flat, record)
+    _run(tile)(rigs, moves, clock, flat, record)
     if watch is not None:
         watch.step += intervals * n_sub
     tile.clock[1] += intervals * n_sub
     return out
+
+
+def _run(tile: Tile) -> Any:
+    """What advances a batch, on its device."""
+    if tile.device == Device.CPU:
+        return kernel.advancing(tile.acts)
+    from pneu_sim.cuda import launch  # nothing else needs a driver
+
+    return functools.partial(launch.advance, tile.acts, tile.device == Device.CUDA32)
 
 
 def advance_safely(tile: Tile, n_sub: int, dt_s: float, opening: Floats) -> Series:
@@ -159,7 +170,8 @@ def some_lanes(tile: Tile, which: Ints) -> Tile:
         which: The lanes.
     """
     own = [(index, np.ascontiguousarray(par[..., which])) for index, par in tile.own]
-    common = {"compliant", "memory", "ripple_index", "leak_index", "step_index", "dt_s", "acts"}
+    common = {"compliant", "memory", "ripple_index", "leak_index", "step_index"}
+    common |= {"dt_s", "acts", "device"}
     arrays: dict[str, Any] = {
         f.name: np.ascontiguousarray(getattr(tile, f.name)[..., which])
         for f in fields(tile)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_sim import kernel
 from pneu_sim import layout as L
+from pneu_sim.device import Device
 from pneu_sim.rig.build import area_steps
 from pneu_sim.rig.mechanics import SLIPPED_M, within_stroke
 from pneu_sim.rig.model import Model
@@ -82,6 +83,7 @@ class Tile:
         step_area: (n_steps, 2, lanes) areas on both sides of those.
         clock: (2, lanes) time from which steps are counted, s, and how many there were since.
         dt_s: Length of those steps.
+        device: On what it is advanced.
     """
 
     models: Sequence[Model]
@@ -125,6 +127,7 @@ class Tile:
     step_area: Floats
     clock: Floats
     dt_s: float = 0.0
+    device: Device = Device.CPU
 
     @property
     def time_s(self) -> Floats:
@@ -235,7 +238,10 @@ def _own_terms(
 
 
 def pack(
-    models: Sequence[Model], compliant: bool | None = None, memory: bool | None = None
+    models: Sequence[Model],
+    compliant: bool | None = None,
+    memory: bool | None = None,
+    device: Device = Device.CPU,
 ) -> Tile:
     """Lays a batch of rigs out for the kernel, its gas yet to be filled in.
 
@@ -243,6 +249,7 @@ def pack(
         models: The rigs, on one plan.
         compliant: Whether any wall yields; None looks.
         memory: Whether any wall has memory; None looks.
+        device: On what it will be advanced.
     """
     plan, w = models[0].plan, len(models)
     ends, ports, chambers = plan.ends.shape[0], plan.ports.shape[0], len(plan.chambers)
@@ -294,6 +301,7 @@ def pack(
         step_index=step_index,
         step_area=step_area,
         clock=np.zeros((2, w)),
+        device=device,
     )
     forget(tile)
     return tile

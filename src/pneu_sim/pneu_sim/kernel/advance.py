@@ -13,7 +13,7 @@ from types import FunctionType
 from typing import Any
 
 from pneu_sim import layout as L
-from pneu_sim.compiling import branching, uncached
+from pneu_sim.compiling import sequence, uncached
 from pneu_sim.kernel.bodies import foresee, move
 from pneu_sim.kernel.chambers import find_chambers, find_middle, heat_chambers
 from pneu_sim.kernel.encoders import correct_motion, read_encoders
@@ -47,6 +47,7 @@ from pneu_sim.kernel.pistons import (
 from pneu_sim.kernel.ports import cross_ports, open_ports
 from pneu_sim.kernel.recording import (
     correct,
+    correct_chambers,
     find_fastest,
     read,
     write_down,
@@ -69,7 +70,7 @@ WALL_EVERY = 4
 they are refreshed every so many, and at every sample, so that no cut of a run shows."""
 
 
-@branching
+@sequence
 def _find_faces(gas, scheme, dt, cells, steps, ends):
     """States on both sides of every face."""
     if scheme.order == 1:
@@ -82,7 +83,7 @@ def _find_faces(gas, scheme, dt, cells, steps, ends):
     mirror_faces(cells, ends)
 
 
-@branching
+@sequence
 def _conserve(dt, scheme, cells):
     """What the faces carry reaches the cells; where walls yield, what the pipe holds."""
     if scheme.compliant:
@@ -93,7 +94,7 @@ def _conserve(dt, scheme, cells):
         conserve(dt, cells, cells.par[L.FACE])
 
 
-@branching
+@sequence
 def _act_of_walls(gas, scheme, dt, s, cells):
     """Friction and heat of the walls, on the gas as it now is."""
     if scheme.compliant:
@@ -112,7 +113,7 @@ def _act_of_walls(gas, scheme, dt, s, cells):
         give_back(cells)
 
 
-@branching
+@sequence
 def advance(rigs, moving, clock, opening, record):
     """Advance a batch of rigs in place and record its taps.
 
@@ -208,7 +209,8 @@ def advance(rigs, moving, clock, opening, record):
                 make_room(gas, order, cells, chambers, moving.cylinders)
             _act_of_walls(gas, scheme, dt, s, cells)
             if corrected:
-                correct(cells, chambers, taps)
+                correct(cells, taps)
+                correct_chambers(chambers, taps)
             if moving is not None and shifted:
                 correct_motion(cells, chambers, moving.cylinders, moving.bodies, moving.encoders)
 

@@ -4,7 +4,7 @@
 import math
 
 from pneu_sim import layout as L
-from pneu_sim.compiling import branching, folded, inlined, vectorised
+from pneu_sim.compiling import branching, each, folded, inlined, sequence, vectorised
 from pneu_sim.riemann import exact_flux, hllc, hllc_flux
 
 
@@ -47,7 +47,7 @@ def reconstruct(gas, van_leer, dt, cells):
     length, p, drag, warm = cells.par[L.LENGTH][w:], X[L.W_P][w:], X[L.W_DRAG][w:], X[L.W_WARM][w:]
     rl, ul, pl, il = X[L.W_RL][w:], X[L.W_UL][w:], X[L.W_PL][w:], X[L.W_IL][w:]
     rr, ur, pr, ir = X[L.W_RR][w:], X[L.W_UR][w:], X[L.W_PR][w:], X[L.W_IR][w:]
-    for i in range(rho_b.size):
+    for i in each(rho_b.size):
         live = 1.0 if length[i] > 0.0 else 0.0
         d0 = live * limited(rho[i] - rho_a[i], rho_b[i] - rho[i], van_leer)
         d1 = live * limited(mom[i] - mom_a[i], mom_b[i] - mom[i], van_leer)
@@ -104,7 +104,7 @@ def taper(gas, dt, cells):
     rl, pl, il = X[L.W_RL], X[L.W_PL], X[L.W_IL]
     rr, pr, ir = X[L.W_RR], X[L.W_PR], X[L.W_IR]
     gamma = gas.gamma
-    for i in range(u.size):
+    for i in each(u.size):
         x = -0.5 * dt * u[i] * growth[i]
         y = 1.0 + x
         z = 1.0 / y
@@ -169,7 +169,7 @@ def flatten_steps(cells, steps):
 def _hllc_faces(gamma, w, c, rr, ur, pr, ir, rl, ul, pl, il, fm, fp, fe):
     """HLLC flux through every face from the state right in each cell and left in the next."""
     rl, ul, pl, il, cn = rl[w:], ul[w:], pl[w:], il[w:], c[w:]
-    for i in range(rl.size):
+    for i in each(rl.size):
         fm[i], fp[i], fe[i] = hllc(
             rr[i], ur[i], pr[i], ir[i], rl[i], ul[i], pl[i], il[i], c[i] + cn[i], gamma
         )
@@ -179,11 +179,11 @@ def _hllc_faces(gamma, w, c, rr, ur, pr, ir, rl, ul, pl, il, fm, fp, fe):
 def _exact_faces(gamma, newton, w, rr, ur, pr, rl, ul, pl, fm, fp, fe):
     """Godunov flux from the exact Riemann solution through every face (thesis 4.6.3)."""
     rl, ul, pl = rl[w:], ul[w:], pl[w:]
-    for i in range(rl.size):
+    for i in each(rl.size):
         fm[i], fp[i], fe[i] = exact_flux(rr[i], ur[i], pr[i], rl[i], ul[i], pl[i], gamma, newton)
 
 
-@branching
+@sequence
 def cross(gas, scheme, cells):
     """Flux of mass, momentum and energy through every face, per area.
 

@@ -8,7 +8,7 @@ cells then keep what the pipe holds, and the gas is taken out of it for the pass
 import math
 
 from pneu_sim import layout as L
-from pneu_sim.compiling import branching, vectorised
+from pneu_sim.compiling import branching, each, vectorised
 
 
 @vectorised
@@ -19,7 +19,7 @@ def invert_density(cells):
         cells: All slots.
     """
     rho, ri = cells.state[L.RHO], cells.work[L.W_RI]
-    for i in range(rho.size):
+    for i in each(rho.size):
         ri[i] = 1.0 / rho[i]
 
 
@@ -36,7 +36,7 @@ def find_primitive(gas, cells):
     gamma = gas.gamma
     gm = gamma - 1.0
     i_r = 1.0 / gas.r
-    for i in range(mom.size):
+    for i in each(mom.size):
         d = ri[i]
         v = mom[i] * d
         q = gm * (ene[i] - 0.5 * mom[i] * v)
@@ -62,7 +62,7 @@ def take_gas(gas, cells):
     kappa, rest, soft = cells.par[L.COMPLIANCE], cells.par[L.REST_P], cells.soft
     gamma = gas.gamma
     gm = gamma - 1.0
-    for i in range(rho.size):
+    for i in each(rho.size):
         k = kappa[i]
         if k <= 0.0:
             soft[L.SOFT_STRETCH, i] = 1.0
@@ -94,7 +94,7 @@ def give_back(cells):
     """
     rho, mom, ene = cells.state[L.RHO], cells.state[L.MOM], cells.state[L.ENE]
     d_rho, d_mom, d_ene = cells.soft[L.SOFT_RHO], cells.soft[L.SOFT_MOM], cells.soft[L.SOFT_ENE]
-    for i in range(rho.size):
+    for i in each(rho.size):
         rho[i] += d_rho[i]
         mom[i] += d_mom[i]
         ene[i] += d_ene[i]
@@ -109,7 +109,7 @@ def widen_faces(cells):
     """
     w, length, face = cells.lanes, cells.par[L.LENGTH], cells.par[L.FACE]
     stretch, out = cells.soft[L.SOFT_STRETCH], cells.soft[L.SOFT_FACE]
-    for i in range(length.size - w):
+    for i in each(length.size - w):
         inside = length[i] > 0.0 and length[i + w] > 0.0
         out[i] = face[i] * (0.5 * (stretch[i] + stretch[i + w]) if inside else 1.0)
 
@@ -129,7 +129,7 @@ def conserve(dt, cells, face):
     inv, p, ri = cells.par[L.INV_VOLUME][w:], cells.work[L.W_P][w:], cells.work[L.W_RI][w:]
     fm, fp, fe = cells.work[L.W_FM], cells.work[L.W_FP], cells.work[L.W_FE]
     right, gm, gp, ge = face[w:], fm[w:], fp[w:], fe[w:]
-    for i in range(rho.size):
+    for i in each(rho.size):
         k = dt * inv[i]
         a = face[i]
         b = right[i]

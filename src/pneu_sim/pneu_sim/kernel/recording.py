@@ -4,7 +4,7 @@
 import math
 
 from pneu_sim import layout as L
-from pneu_sim.compiling import branching, folded
+from pneu_sim.compiling import branching, each, folded
 
 
 @folded
@@ -133,20 +133,19 @@ def read(step, cells, chambers, taps):
 
 
 @branching
-def correct(cells, chambers, taps):
-    """Correct the gas by what the taps ask, spread over lines and chambers.
+def correct(cells, taps):
+    """Correct the gas by what the taps ask, spread over lines.
 
     Gas is added or taken at its own temperature and velocity: what a model gets wrong that lasts is
     mass, and the wall keeps the temperature.
 
     Args:
         cells: All slots.
-        chambers: Chambers.
         taps: Taps.
     """
     w, X = cells.lanes, cells.work
     rho, mom, ene = cells.state[L.RHO], cells.state[L.MOM], cells.state[L.ENE]
-    for i in range(rho.size // w):
+    for i in each(rho.size // w):
         if cells.par[L.INV_VOLUME, i * w] <= 0.0:
             continue
         for j in range(w):
@@ -158,8 +157,18 @@ def correct(cells, chambers, taps):
             rho[q] *= grow
             mom[q] *= grow
             ene[q] *= grow
+
+
+@branching
+def correct_chambers(chambers, taps):
+    """Correct the gas in chambers by what the taps ask, as `correct` does it.
+
+    Args:
+        chambers: Chambers.
+        taps: Taps.
+    """
     for c in range(chambers.state.shape[0]):
-        for j in range(w):
+        for j in range(chambers.state.shape[2]):
             d = 0.0
             for t in range(taps.error.shape[0]):
                 d += taps.spread_chamber[c, t] * taps.error[t, j]

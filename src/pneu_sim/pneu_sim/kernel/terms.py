@@ -12,11 +12,11 @@ for each and every rig. Rows whose numbers are zero are those that a rig does no
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from pneu_sim.compiling import branching, uncached
+from pneu_sim.compiling import sequence, uncached
 from pneu_sim.kernel.leaks import leak
 
 
-@branching
+@sequence
 def act(gas, dt, cells, chambers, terms):
     """All terms of the package, each with what it acts on.
 

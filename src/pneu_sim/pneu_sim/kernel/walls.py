@@ -4,7 +4,7 @@
 import math
 
 from pneu_sim import layout as L
-from pneu_sim.compiling import inlined, vectorised
+from pneu_sim.compiling import each, inlined, vectorised
 
 M0, M1, M2, M3, M4, M5 = L.UNSTEADY_WEIGHTS
 
@@ -30,7 +30,7 @@ def find_coefficients(gas, cells):
     # wall heat of a Nusselt number of 1, pi k / A, over RELAX: k / mu is cp / Pr
     per_relax = gamma * gas.r / ((gamma - 1.0) * prandtl * L.UNSTEADY_RATE)
     gnielinski = 12.7 * (prandtl ** (2.0 / 3.0) - 1.0) / math.sqrt(8.0)
-    for i in range(mom.size):
+    for i in each(mom.size):
         re = abs(mom[i]) * re_coef[i] + 1.0
         x = 6.9 / re + rough[i]
         y = math.sqrt(math.sqrt(math.sqrt(x)))
@@ -66,7 +66,7 @@ def find_decay(gas, dt, cells):
     phi, fade = cells.work[L.W_PHI], cells.work[L.W_FADE]
     a_u, a_t = cells.work[L.W_AU], cells.work[L.W_AT]
     i_pr = 1.0 / gas.prandtl
-    for i in range(rho.size):
+    for i in each(rho.size):
         x = dt * relax[i] / rho[i]
         y = x * i_pr
         a_u[i] = (12.0 - 6.0 * x + x * x) / (12.0 + 6.0 * x + x * x)
@@ -89,7 +89,7 @@ def act_steadily(gas, dt, cells):
     phi, film, drag, warm = X[L.W_PHI], X[L.W_FILM], X[L.W_DRAG], X[L.W_WARM]
     cv = gas.r / (gas.gamma - 1.0)
     i_dt = 1.0 / dt
-    for i in range(rho.size):
+    for i in each(rho.size):
         ri = 1.0 / rho[i]
         v0 = mom[i] * ri
         v = v0 / (1.0 + dt * (visc[i] * phi[i] * ri + 0.5 * loss[i] * abs(v0)))
@@ -187,7 +187,7 @@ def drag_with_memory(dt, cells):
     y3, y4, y5 = S[L.Y0 + 3], S[L.Y0 + 4], S[L.Y0 + 5]
     i_dt = 1.0 / dt
     half = 0.5 * dt
-    for i in range(rho.size):
+    for i in each(rho.size):
         v0 = mom[i] * ri[i]
         h = dt * ri[i]
         v, y0[i], y1[i], y2[i], y3[i], y4[i], y5[i] = _remember(
@@ -230,7 +230,7 @@ def heat_with_memory(gas, dt, cells):
     i_dt = 1.0 / dt
     i_rate = gas.prandtl / dt
     per_heat = dt * i_cv
-    for i in range(rho.size):
+    for i in each(rho.size):
         v0 = mom[i] * ri[i]
         t0 = (ene[i] * ri[i] - 0.5 * v0 * v0) * i_cv
         h = per_heat * ri[i]

@@ -2,7 +2,16 @@
 """Equations of all kinds of body by number: one line each; see ``pneu_sim.bodies.kinds``."""
 
 from pneu_sim.compiling import branching
-from pneu_sim.kernel.equations import arm, cart_pole, dog, kokoro, rail
+from pneu_sim.kernel.equations.arm import levers as arm_levers
+from pneu_sim.kernel.equations.arm import mechanics as arm_mechanics
+from pneu_sim.kernel.equations.cart_pole import levers as cart_pole_levers
+from pneu_sim.kernel.equations.cart_pole import mechanics as cart_pole_mechanics
+from pneu_sim.kernel.equations.dog import levers as dog_levers
+from pneu_sim.kernel.equations.dog import mechanics as dog_mechanics
+from pneu_sim.kernel.equations.kokoro import levers as kokoro_levers
+from pneu_sim.kernel.equations.kokoro import mechanics as kokoro_mechanics
+from pneu_sim.kernel.equations.rail import levers as rail_levers
+from pneu_sim.kernel.equations.rail import mechanics as rail_mechanics
 
 RAIL = 0
 """The kind whose piston moves along with it, and so is a part of its weight."""
@@ -23,15 +32,15 @@ def mechanics(kind, par, b, j, q, v, mass, force):
         force: (joints,) written.
     """
     if kind == RAIL:
-        rail.mechanics(par, b, j, q, v, mass, force)
+        rail_mechanics(par, b, j, q, v, mass, force)
     elif kind == 1:
-        cart_pole.mechanics(par, b, j, q, v, mass, force)
+        cart_pole_mechanics(par, b, j, q, v, mass, force)
     elif kind == 2:
-        arm.mechanics(par, b, j, q, v, mass, force)
+        arm_mechanics(par, b, j, q, v, mass, force)
     elif kind == 3:
-        kokoro.mechanics(par, b, j, q, v, mass, force)
+        kokoro_mechanics(par, b, j, q, v, mass, force)
     elif kind == 4:
-        dog.mechanics(par, b, j, q, v, mass, force)
+        dog_mechanics(par, b, j, q, v, mass, force)
 
 
 @branching
@@ -48,12 +57,12 @@ def levers(kind, par, b, j, q, extension, lever):
         lever: (cylinders, joints) written.
     """
     if kind == RAIL:
-        rail.levers(par, b, j, q, extension, lever)
+        rail_levers(par, b, j, q, extension, lever)
     elif kind == 1:
-        cart_pole.levers(par, b, j, q, extension, lever)
+        cart_pole_levers(par, b, j, q, extension, lever)
     elif kind == 2:
-        arm.levers(par, b, j, q, extension, lever)
+        arm_levers(par, b, j, q, extension, lever)
     elif kind == 3:
-        kokoro.levers(par, b, j, q, extension, lever)
+        kokoro_levers(par, b, j, q, extension, lever)
     elif kind == 4:
-        dog.levers(par, b, j, q, extension, lever)
+        dog_levers(par, b, j, q, extension, lever)

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The passes on a GPU do what they do on a processor: here under Numba's simulator of CUDA.
+
+Where there is a GPU the same cases run on it (``make gpu``).
+"""
+
+import json
+import logging
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pneu_common.errors import InputError
+from pneu_sim import device
+from pneu_sim.device import Device, chosen
+
+HOUSE = Path(__file__).parents[3]
+
+
+def differences(kind: str, steps: int, *cases: str) -> dict[str, tuple[float, str]]:
+    """Largest difference of each case, under the simulator."""
+    environment = os.environ | {"NUMBA_ENABLE_CUDASIM": "1", "PYTHONWARNINGS": "ignore"}
+    words = [sys.executable, "-m", "src.pneu_sim.test.cuda_cases", kind, str(steps), *cases]
+    done = subprocess.run(
+        words, cwd=HOUSE, env=environment, capture_output=True, text=True, check=False, timeout=900
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+CASES = (
+    "walls/1/hllc", "walls/2/hllc", "joint/2/exact", "regulator/1/hllc", "finger/2/hllc",
+    "cart/1/hllc", "legs/1/hllc", "cells/2/hllc",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, tuple[float, str]]:
+    return differences("cuda", 8, *CASES)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_gpu_does_what_the_processor_does(found: dict[str, tuple[float, str]], case: str) -> None:
+    worst, of = found[case]
+    assert worst < 1e-9, of
+    assert of  # rounding is not the same: it was another that computed
+
+
+@pytest.mark.long
+def test_a_thousand_steps_with_every_pass() -> None:
+    ((worst, of),) = differences("cuda", 1000, "walls/2/hllc").values()
+    assert worst < 1e-9, of
+
+
+def test_single_precision_is_close() -> None:
+    ((worst, of),) = differences("cuda32", 8, "walls/2/hllc").values()
+    assert 1e-9 < worst < 1e-3, of
+
+
+def test_without_a_gpu_the_processor_computes_and_says_so(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv(device.VARIABLE, "cuda")
+    monkeypatch.setattr("pneu_sim.cuda.launch.missing", lambda: "no CUDA device was found")
+    device._found.cache_clear()
+    with caplog.at_level(logging.WARNING):
+        assert chosen() == Device.CPU
+        assert chosen() == Device.CPU
+    assert [r.getMessage() for r in caplog.records] == [
+        "PNEU_DEVICE is 'cuda', but no CUDA device was found: computing on the processor"
+    ]
+    device._found.cache_clear()
+
+
+def test_a_device_that_there_is_not_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(device.VARIABLE, "gpu")
+    with pytest.raises(InputError, match="PNEU_DEVICE: found 'gpu'; allowed are cpu, cuda, cuda32"):
+        chosen()
