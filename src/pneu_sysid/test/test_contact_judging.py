@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pneu_sysid.contacts.candidates import Seen
-from pneu_sysid.contacts.diagnose import Floats, _falls, _mean, per_knot
+from pneu_sysid.contacts.diagnose import SURE, Floats, _falls, _lead, _mean, per_knot
 
 
 def _fall(before: Floats, after: Floats) -> tuple[float, float]:
@@ -28,6 +28,24 @@ def test_one_recording_that_goes_another_way_decides_nothing() -> None:
     mean, error = _fall(before, after)
     assert mean == pytest.approx(0.3, abs=0.03)
     assert mean > 2.5 * error
+
+
+def test_what_shows_where_bodies_touch_alone_is_sure_by_its_signs() -> None:
+    rng = np.random.default_rng(3)
+    rises = np.where(np.arange(10) % 2 == 0, 400.0, 2.0) * rng.uniform(0.5, 1.5, 10)
+    mean, error = _mean(rises)
+    assert mean < SURE * error < SURE * _lead(rises) * error
+    assert _lead(rises) > 3.0  # all ten of one sign: one in 1024
+    assert _lead(-rises) < 0.0
+
+
+def test_a_second_look_is_no_second_chance() -> None:
+    """Noise is hardly more often beyond what decides by the surer of two looks than by one."""
+    rng = np.random.default_rng(5)
+    values = rng.standard_t(3, size=(2000, 10))
+    by_mean = np.mean([_mean(v)[0] > SURE * _mean(v)[1] for v in values])
+    by_either = np.mean([_lead(v) > SURE for v in values])
+    assert by_either < by_mean + 0.005 < 0.045
 
 
 def test_recordings_that_never_touch_are_judged_by_flight_alone() -> None:
