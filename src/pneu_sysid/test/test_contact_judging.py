@@ -30,22 +30,24 @@ def test_one_recording_that_goes_another_way_decides_nothing() -> None:
     assert mean > 2.5 * error
 
 
-def test_what_shows_where_bodies_touch_alone_is_sure_by_its_signs() -> None:
+def test_what_shows_where_bodies_touch_alone_is_sure_by_its_sum() -> None:
     rng = np.random.default_rng(3)
-    rises = np.where(np.arange(10) % 2 == 0, 400.0, 2.0) * rng.uniform(0.5, 1.5, 10)
+    touches = np.arange(10) % 2 == 0
+    rises = np.where(touches, 400.0 * rng.uniform(0.5, 1.5, 10), 2.0 * rng.normal(size=10))
     mean, error = _mean(rises)
-    assert mean < SURE * error < SURE * _lead(rises) * error
-    assert _lead(rises) > 3.0  # all ten of one sign: one in 1024
+    assert mean < SURE * error
+    assert _lead(rises) > SURE
     assert _lead(-rises) < 0.0
+    assert _lead(np.array([1e4, *rng.normal(size=9)])) < SURE  # one that went another way
 
 
 def test_a_second_look_is_no_second_chance() -> None:
-    """Noise is hardly more often beyond what decides by the surer of two looks than by one."""
+    """Noise is not much more often beyond what decides by the surer of two looks than by one."""
     rng = np.random.default_rng(5)
     values = rng.standard_t(3, size=(2000, 10))
     by_mean = np.mean([_mean(v)[0] > SURE * _mean(v)[1] for v in values])
     by_either = np.mean([_lead(v) > SURE for v in values])
-    assert by_either < by_mean + 0.005 < 0.045
+    assert by_either < by_mean + 0.012 < 0.05
 
 
 def test_recordings_that_never_touch_are_judged_by_flight_alone() -> None:
