@@ -229,6 +229,15 @@ def sought(physics: Physics, name: str, tell: Tell) -> dict[str, Any]:
     }
 
 
+def hidden_values() -> dict[str, str]:
+    """What is hidden, by the parameter that it is a value of."""
+    told = {}
+    for change in open_truth(HIDDEN).model:
+        name = f"contact_{change.set}@all" if change.of == "geom" else ""
+        told[name or f"joint_{change.set}@{change.name}"] = f"{change.to:.4g}"
+    return told
+
+
 def page(found: dict[str, Any], path: Path) -> None:
     """Writes the page.
 
@@ -258,6 +267,8 @@ def page(found: dict[str, Any], path: Path) -> None:
         ]
         for name, values in zip(crossed["names"], crossed["values"], strict=True):
             lines.append(f"| {name} | " + " | ".join(f"{v:.4g}" for v in values) + " |")
+        truly = hidden_values()
+        lines.append("| hidden | " + " | ".join(truly.get(k, "") for k in crossed["labels"]) + " |")
         lines += [
             "",
             "## Cost of each with parameters of every one (table 2.3)",
