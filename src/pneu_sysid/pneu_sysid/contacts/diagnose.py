@@ -49,6 +49,9 @@ CANDIDATE_TURNS = 1
 """Of them with a candidate: all else is where it should be."""
 CANDIDATE_STEPS = 2
 """Of what trajectories tell with a candidate, in each turn: it begins at its score."""
+STRONG = 0.1
+"""Share of the cost kept aside from which candidates are told apart by what each leaves: what they
+would add by slopes says little so far from where those were taken."""
 WORTH = 0.02
 """Share by which the cost of flights or of contacts that are kept aside must fall."""
 SURE = 2.5
@@ -79,6 +82,7 @@ class Finalist:
         held: (aside, kinds) cost per knot of each recording kept aside.
         gain: Share by which that falls, the mean of logarithms.
         worth: The same of the kind of motion in which it falls most.
+        falls: (aside,) by which the logarithm of each one's cost falls, the mean over kinds.
         rise: (aside,) by which the logarithm of each one's likelihood rises.
         lead: That rise, in standard errors over the recordings.
         alike: Labels of finalists that explain as much.
@@ -91,6 +95,7 @@ class Finalist:
     held: Floats
     gain: float
     worth: float
+    falls: Floats
     rise: Floats
     lead: float
     alike: list[str] = field(default_factory=list)
@@ -248,8 +253,9 @@ def diagnose_scene(
     for number, score in enumerate(chosen):
         said(score.parameter.label, 0.2 + 0.8 * number / finalists)
         found.append(_refitted(judge, base, score, known, _foretold(scores, others, score)))
-    found.sort(key=lambda f: (not _good(f), -_mean(f.rise)[0]))
-    _tie(found, scores)
+    by_falls = any(_good(f) and f.gain >= STRONG for f in found)
+    found.sort(key=lambda f: (not _good(f), -_mean(f.falls if by_falls else f.rise)[0]))
+    _tie(found, scores, by_falls)
     verdict, sentence = _verdict(found)
     return SceneDiagnosis(
         verdict, sentence, base, scores, found, known.kinds,
@@ -434,7 +440,8 @@ def _refitted(
     strength, error = fit.told(len(fit.parameters) - 1)
     before, after = judge.pair(base, known, fit)
     falls = _falls(before.kinds, after.kinds)
-    mean, spread = _mean(np.nanmean(falls, axis=1))
+    each = np.nanmean(falls, axis=1)
+    mean, spread = _mean(each)
     by_kind = [_mean(k[np.isfinite(k)])[0] for k in falls.T if np.isfinite(k).sum() > 1]
     # a weak effect is told by slopes, a strong one by what it leaves where slopes no longer hold
     ways = [foretold, np.nansum(falls * counts_of(after.chains), axis=1)]
@@ -444,7 +451,7 @@ def _refitted(
         best, leads = 1, [-np.inf, _lead(ways[1])]
     return Finalist(
         score, fit, strength, error, after.kinds, float(1.0 - np.exp(-mean)),
-        float(1.0 - np.exp(-max([mean, *by_kind]))), ways[best], leads[best],
+        float(1.0 - np.exp(-max([mean, *by_kind]))), each, ways[best], leads[best],
     )  # fmt: skip
 
 
@@ -507,12 +514,12 @@ def _good(found: Finalist) -> bool:
     return found.worth >= WORTH and found.lead >= SURE
 
 
-def _tie(found: list[Finalist], scores: Scores) -> None:
+def _tie(found: list[Finalist], scores: Scores, by_falls: bool) -> None:
     order = {s.parameter.label: k for k, s in enumerate(scores.scores)}
     good = [f for f in found if _good(f)]
     for other in good[1:]:
         best = good[0]
-        apart, spread = _mean(best.rise - other.rise)
+        apart, spread = _mean(best.falls - other.falls if by_falls else best.rise - other.rise)
         cosine = abs(scores.alike[order[best.label], order[other.label]])
         enough = SURE if cosine > ALIKE else TIED
         if apart < enough * spread:
