@@ -13,6 +13,7 @@ from benchmarks.report import Table
 from benchmarks.timing import best_s
 from pneu_sim import simulate, stepping
 from pneu_sim import tile as tiles
+from pneu_sim.cuda.launch import missing
 from pneu_sim.device import Device
 from pneu_sim.rig.build import build
 from pneu_sim.valve import KNOTS_PER_SAMPLE
@@ -50,13 +51,6 @@ def rate(rigs: int, order: int, device: Device) -> float:
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         taken = best_s(lambda: list(pool.map(one, batch)))
     return steps * CELLS * rigs / taken
-
-
-def missing() -> str:
-    """Why nothing can be measured on a GPU here; empty where it can."""
-    from pneu_sim.cuda.launch import missing as why
-
-    return why()
 
 
 def measure() -> list[Table]:

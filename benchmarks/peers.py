@@ -20,8 +20,6 @@ from benchmarks.report import Table
 from benchmarks.timing import best_s
 
 CELLS = (200, 2000)
-
-
 SYSTEM = {"PyClaw": "gfortran"}
 """System package that building a peer needs, where it is none of Python's."""
 

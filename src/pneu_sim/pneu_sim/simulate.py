@@ -315,16 +315,13 @@ class RunOptions(NamedTuple):
     device: Device | None = None
 
 
-def shares(count: int, workers: int, device: Device = Device.CPU) -> list[slice]:
+def shares(count: int, workers: int) -> list[slice]:
     """Parts of a batch that are run together: few enough for the cache, enough for all workers.
 
     Args:
         count: Models.
         workers: Threads.
-        device: On what they are computed; a GPU takes all at once.
     """
-    if device != Device.CPU:
-        return [slice(0, count)]
     parts = max(math.ceil(count / TILE), min(workers, count))
     edges = [round(k * count / parts) for k in range(parts + 1)]
     return [slice(a, b) for a, b in pairwise(edges) if b > a]
@@ -358,8 +355,9 @@ def predict(
     plan, count = models[0][0].plan, len(models[0])
     device = chosen() if options.device is None else options.device
     threads = options.workers or os.cpu_count() or 1
-    if device != Device.CPU:
-        threads = 1  # all models of a recording side by side
+    parts = shares(count, threads)
+    if device != Device.CPU:  # all models of a recording side by side
+        threads, parts = 1, [slice(0, count)]
     out = []
     for course in courses:
         kept = course.ticks if options.flows else 0
@@ -374,7 +372,7 @@ def predict(
                 np.empty((count, kept, len(plan.cylinders), 3)),
             )
         )
-    tasks = [(c, part) for c in range(len(courses)) for part in shares(count, threads, device)]
+    tasks = [(c, part) for c in range(len(courses)) for part in parts]
     tally = Tally([courses[c].ticks for c, _ in tasks], options.progress)
 
     def run(k: int) -> None:

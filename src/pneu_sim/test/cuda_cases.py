@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from pneu_sim import layout as L
 from pneu_sim import tile as tiles
+from pneu_sim.cuda import launch
 from pneu_sim.device import Device
 from pneu_sim.effects import registry
 from pneu_sim.rig import Rig, load_rig
@@ -163,6 +164,8 @@ def main() -> None:
     for words in cases:
         case, order, flux = words.split("/")
         found[words] = difference(case, int(order), flux, int(steps), Device(device))
+    if launch._kernel.cache_info().currsize == 0:
+        sys.exit("nothing was computed on the device")
     print(json.dumps(found))
 
 

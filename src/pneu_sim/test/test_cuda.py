@@ -46,7 +46,6 @@ def found() -> dict[str, tuple[float, str]]:
 def test_a_gpu_does_what_the_processor_does(found: dict[str, tuple[float, str]], case: str) -> None:
     worst, of = found[case]
     assert worst < 1e-9, of
-    assert of  # rounding is not the same: it was another that computed
 
 
 @pytest.mark.long

@@ -4,7 +4,7 @@
 import functools
 import importlib.util
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba.core.config
 import numba.cuda
@@ -13,7 +13,7 @@ from numba.core import types
 from numpy.typing import NDArray
 
 from pneu_sim import kernel
-from pneu_sim.cuda.batch import Batch, view_name
+from pneu_sim.cuda.batch import HOT, Batch, view_name
 from pneu_sim.cuda.translate import Translation
 from pneu_sim.cuda.views import viewing
 
@@ -22,8 +22,8 @@ config: Any = numba.core.config
 WARP = 1 if config.ENABLE_CUDASIM else 32
 MOST_THREADS = 3 if config.ENABLE_CUDASIM else 256
 """Threads of a block; those of the simulator are Python's own, and slow."""
-SHARED_BYTES = 48 * 1024
-"""Memory that a block of any GPU can share."""
+SHARED_BYTES = 47 * 1024
+"""Memory that a block of any GPU can share, 48 KiB, less what answers of passes take."""
 
 
 def missing() -> str:
@@ -87,41 +87,47 @@ def _source(batch: Batch, rigs: Any, moving: Any, clock: Any, record: Any, share
     return "\n".join(lines)
 
 
-def advance(
-    terms: tuple[Callable[..., Any], ...],
-    single: bool,
-    rigs: kernel.Rigs,
-    moving: kernel.Moving | None,
-    clock: kernel.Clock,
-    opening: NDArray[np.float64],
-    record: kernel.Record,
-) -> None:
+class Launch(NamedTuple):
+    """A launch that is yet to be done.
+
+    Attributes:
+        kernel: What runs.
+        given: What it is given: memory, arrays as long as a recording, openings, numbers.
+        batch: How the memory is laid out.
+        blocks: Rigs.
+        threads: Of each.
+        shared: Bytes that a block shares.
+    """
+
+    kernel: Any
+    given: tuple[Any, ...]
+    batch: Batch
+    blocks: int
+    threads: int
+    shared: int
+
+
+def advance(terms: tuple[Callable[..., Any], ...], single: bool, *told: Any) -> None:
     """Advances a batch as `pneu_sim.kernel.advance` does, on a GPU.
 
     Args:
         terms: Further terms, see `pneu_sim.kernel.advancing`.
         single: Whether in single precision.
-        rigs: The batch.
-        moving: What of it moves, or None.
-        clock: How many steps of what length.
-        opening: ((samples - 1) * (knots + 1), n_ports, lanes).
-        record: What is written down.
+        told: What that is given: rigs, what of them moves, clock, openings, record.
     """
-    run, given, batch, blocks, threads, shared = prepared(
-        terms, single, rigs, moving, clock, opening, record
-    )
+    run = prepared(terms, single, *told)
     sent: list[Any] = [
         tuple(cuda.to_device(part) for part in one)
         if isinstance(one, tuple)
         else cuda.to_device(one)
         if isinstance(one, np.ndarray)
         else one
-        for one in given
+        for one in run.given
     ]
-    run[blocks, threads, 0, shared](*sent)
+    run.kernel[run.blocks, run.threads, 0, run.shared](*sent)
     cuda.synchronize()
     long = [part.copy_to_host() for part in sent[4]]
-    batch.take_back(sent[0].copy_to_host(), sent[1].copy_to_host(), long)
+    run.batch.take_back(sent[0].copy_to_host(), sent[1].copy_to_host(), long)
 
 
 def prepared(
@@ -132,27 +138,23 @@ def prepared(
     clock: kernel.Clock,
     opening: NDArray[np.float64],
     record: kernel.Record,
-) -> tuple[Any, tuple[Any, ...], Batch, int, int, int]:
-    """A launch that is yet to be done; see `advance`.
+) -> Launch:
+    """The launch that advances a batch.
 
     Args:
-        terms: Further terms.
+        terms: Further terms, see `pneu_sim.kernel.advancing`.
         single: Whether in single precision.
         rigs: The batch.
         moving: What of it moves, or None.
         clock: How many steps of what length.
         opening: ((samples - 1) * (knots + 1), n_ports, lanes).
         record: What is written down.
-
-    Returns:
-        The kernel, what it is given, the batch, blocks, threads of each, and bytes that it shares.
     """
     real = np.float32 if single else np.float64
     lanes = rigs.cells.lanes
     slots = rigs.cells.par.shape[1] // lanes
     batch = Batch(lanes)
-    # what every pass is at comes first in memory
-    for name in ("state", "work"):
+    for name in HOT[kernel.Cells]:  # comes first in memory
         batch.array(kernel.Cells, name, getattr(rigs.cells, name))
     shared = batch.hot * real().itemsize
     shared = shared if shared <= SHARED_BYTES else 0
@@ -170,4 +172,4 @@ def prepared(
     )
     threads = min(-(-slots // WARP) * WARP, MOST_THREADS)
     run = _kernel(source, frozenset(batch.shapes), terms, single)
-    return run, given, batch, lanes, threads, shared
+    return Launch(run, given, batch, lanes, threads, shared)

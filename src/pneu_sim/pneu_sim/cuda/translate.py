@@ -115,7 +115,7 @@ class Translation:
             made = self.device(kernel)
             if kernel in ANSWERING:
                 made = _told_by_one(made)
-            elif _over_slots(kernel):
+            elif _goes_over_slots(kernel):
                 made = _by_all(made)
             elif not getattr(kernel, "sequence", False):
                 made = _by_one(made)
@@ -123,11 +123,10 @@ class Translation:
         return self._staged[kernel]
 
 
-def _over_slots(kernel: Any) -> bool:
-    """Whether a pass, or what it calls, goes through slots."""
+def _goes_over_slots(kernel: Any) -> bool:
+    """Whether a pass goes through slots."""
     scope = kernel.py_func.__globals__
-    found = [scope.get(name) for name in _names(kernel.py_func.__code__)]
-    return each in found or any(_over_slots(f) for f in found if isinstance(f, Dispatcher))
+    return each in [scope.get(name) for name in _names(kernel.py_func.__code__)]
 
 
 def _names(code: CodeType) -> set[str]:
