@@ -259,8 +259,8 @@ def test_drawing_anew_finds_what_one_estimate_does_not() -> None:
     often = joint(loaded, chains, values, starts, physics, tracks=tracks)
     names = [p.effect.name for p in often.parameters]
     tilt = [names.index("frame_tilt_x"), names.index("frame_tilt_y")]
+    assert np.max(np.abs(once.x[tilt] - TILT)) > 0.01
     assert often.x[tilt] == pytest.approx(TILT, abs=0.002)
-    assert np.max(np.abs(once.x[tilt] - TILT)) > 2.0 * np.max(np.abs(often.x[tilt] - TILT))
     assert often.estimated.cost < 0.1 * once.estimated.cost
 
 
