@@ -5,7 +5,17 @@ import numpy as np
 import pytest
 
 from pneu_sysid.contacts.candidates import Seen
-from pneu_sysid.contacts.diagnose import SURE, Floats, _falls, _lead, _mean, per_knot
+from pneu_sysid.contacts.diagnose import (
+    SURE,
+    TIED,
+    Finalist,
+    Floats,
+    _apart,
+    _falls,
+    _lead,
+    _mean,
+    per_knot,
+)
 
 
 def _fall(before: Floats, after: Floats) -> tuple[float, float]:
@@ -48,6 +58,31 @@ def test_a_second_look_is_no_second_chance() -> None:
     by_mean = np.mean([_mean(v)[0] > SURE * _mean(v)[1] for v in values])
     by_either = np.mean([_lead(v) > SURE for v in values])
     assert by_either < by_mean + 0.012 < 0.05
+
+
+def _left(rng: np.random.Generator, touches: Floats, share: float) -> Finalist:
+    """A candidate that takes a share of what is left where bodies touch, and nothing elsewhere."""
+    falls = np.where(touches > 0.0, share * rng.uniform(0.5, 1.5, touches.size), 0.0)
+    falls += 0.01 * rng.normal(size=touches.size)
+    found = object.__new__(Finalist)
+    found.falls = falls
+    return found
+
+
+def test_candidates_are_told_apart_where_few_stretches_touch() -> None:
+    """By their sum; of two that explain alike, three stretches seldom say that they do not."""
+    rng = np.random.default_rng(6)
+    touches = np.array([1.0, 0.0, 0.0, 0.9, 0.0, 0.0, 1.1, 0.0, 0.0, 0.0])
+    told, by_mean, same = 0, 0, 0
+    for _ in range(100):
+        strong, weak, equal = (_left(rng, touches, share) for share in (0.5, 0.02, 0.5))
+        apart, spread = _mean(strong.falls - weak.falls)
+        by_mean += apart > TIED * spread
+        told += _apart(strong, weak, True) > TIED
+        same += _apart(strong, equal, True) > TIED
+    assert by_mean < 50
+    assert told > 95
+    assert same < 35
 
 
 def test_recordings_that_never_touch_are_judged_by_flight_alone() -> None:

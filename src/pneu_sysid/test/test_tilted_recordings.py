@@ -246,7 +246,7 @@ def test_tilt_and_heights_are_found() -> None:
 
 @pytest.mark.long
 def test_drawing_anew_finds_what_one_estimate_does_not() -> None:
-    """Everything at once, contacts too: the first estimate stays on the level floor."""
+    """Everything at once, contacts too: the first estimate creeps on beside the level floor."""
     loaded = elbow(("z",))
     tracks = []
     for seed, rise_m in ((2, 0.5), (3, -0.02), (4, 0.0)):
@@ -259,7 +259,8 @@ def test_drawing_anew_finds_what_one_estimate_does_not() -> None:
     often = joint(loaded, chains, values, starts, physics, tracks=tracks)
     names = [p.effect.name for p in often.parameters]
     tilt = [names.index("frame_tilt_x"), names.index("frame_tilt_y")]
-    assert np.max(np.abs(once.x[tilt] - TILT)) > 0.01
+    assert not once.estimated.converged
+    assert np.max(np.abs(once.x[tilt] - TILT)) > 0.004
     assert often.x[tilt] == pytest.approx(TILT, abs=0.002)
     assert often.estimated.cost < 0.1 * once.estimated.cost
 

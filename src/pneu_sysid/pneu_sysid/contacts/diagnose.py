@@ -519,11 +519,14 @@ def _tie(found: list[Finalist], scores: Scores, by_falls: bool) -> None:
     good = [f for f in found if _good(f)]
     for other in good[1:]:
         best = good[0]
-        apart, spread = _mean(best.falls - other.falls if by_falls else best.rise - other.rise)
         cosine = abs(scores.alike[order[best.label], order[other.label]])
-        enough = SURE if cosine > ALIKE else TIED
-        if apart < enough * spread:
+        if _apart(best, other, by_falls) < (SURE if cosine > ALIKE else TIED):
             best.alike.append(other.label)
+
+
+def _apart(best: Finalist, other: Finalist, by_falls: bool) -> float:
+    """Standard errors by which one explains more than another."""
+    return _lead(best.falls - other.falls if by_falls else best.rise - other.rise)
 
 
 def _verdict(found: list[Finalist]) -> tuple[Verdict, str]:
