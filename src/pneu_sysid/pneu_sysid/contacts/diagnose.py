@@ -63,6 +63,8 @@ TIED = 1.5
 where their columns are alike."""
 ALIKE = 0.95
 """Cosine between columns above which two candidates are one to these recordings."""
+LESS = 0.5
+"""Of what one explains: another that explains a smaller share may be told from it by a sum."""
 TRIMMED = 0.2
 """Share of recordings on either side that a mean leaves out: a roll-out that tips over by a little
 tells nothing of what is missing."""
@@ -525,8 +527,16 @@ def _tie(found: list[Finalist], scores: Scores, by_falls: bool) -> None:
 
 
 def _apart(best: Finalist, other: Finalist, by_falls: bool) -> float:
-    """Standard errors by which one explains more than another."""
-    return _lead(best.falls - other.falls if by_falls else best.rise - other.rise)
+    """Standard errors by which one explains more than another.
+
+    Two that explain nearly as much are told apart by the mean over recordings alone: what sums of
+    them say surely may be what neither of the two models knows.
+    """
+    way = best.falls - other.falls if by_falls else best.rise - other.rise
+    if other.gain < LESS * best.gain:
+        return _lead(way)
+    mean, spread = _mean(way)
+    return mean / spread if spread > 0.0 else 0.0
 
 
 def _verdict(found: list[Finalist]) -> tuple[Verdict, str]:
