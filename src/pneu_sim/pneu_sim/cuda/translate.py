@@ -20,6 +20,8 @@ from pneu_sim.kernel.encoders import read_encoders
 from pneu_sim.kernel.recording import read
 
 Function = Callable[..., Any]
+KEEPING = np.float32(1e-12)
+"""What stands for constants that are too small for single precision."""
 cuda: Any = numba.cuda  # its types say nothing of what kernels see
 ANSWERING = (read, read_encoders)
 """Passes whose answer decides which passes follow: all threads are told it."""
@@ -104,7 +106,7 @@ class Translation:
                 elif isinstance(value, Dispatcher):
                     scope[name] = self._stage(value) if sequence else self.device(value)
                 elif self.single and isinstance(value, float):
-                    scope[name] = np.float32(value)
+                    scope[name] = _single(value)
             code = _singly(own.__code__) if self.single else own.__code__
             self._made[kernel] = cuda.jit(device=True)(FunctionType(code, scope, own.__name__))
         return self._made[kernel]
@@ -136,5 +138,11 @@ def _names(code: CodeType) -> set[str]:
 
 def _singly(code: CodeType) -> CodeType:
     """The same code, its constants single precision."""
-    constants = tuple(np.float32(c) if isinstance(c, float) else c for c in code.co_consts)
+    constants = tuple(_single(c) if isinstance(c, float) else c for c in code.co_consts)
     return code.replace(co_consts=constants)
+
+
+def _single(value: float) -> np.float32:
+    """A constant in single precision; what keeps from zero still does, and so does its cube."""
+    there = np.float32(value)
+    return KEEPING if value > 0.0 and there == 0.0 else there

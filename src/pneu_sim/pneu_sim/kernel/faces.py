@@ -7,6 +7,9 @@ from pneu_sim import layout as L
 from pneu_sim.compiling import branching, each, folded, inlined, sequence, vectorised
 from pneu_sim.riemann import exact_flux, hllc, hllc_flux
 
+TINY = 1e-90
+"""Keeps sums of differences from zero; even three of them multiply to a number."""
+
 
 @inlined
 def limited(a, b, van_leer):
@@ -18,12 +21,91 @@ def limited(a, b, van_leer):
         van_leer: Whether by van Leer's limiter, else by minmod.
     """
     ab = max(a * b, 0.0)
-    smooth = ab / (a + b + 1e-300)
+    smooth = ab / (a + b + TINY)
     least = 0.5 * (a if abs(a) < abs(b) else b) * (1.0 if ab > 0.0 else 0.0)
     return smooth if van_leer else least
 
 
+@inlined
+def _smoothly(a0, b0, a1, b1, a2, b2):
+    """Half of van Leer's slopes of three quantities, by one division."""
+    s0 = a0 + b0 + TINY
+    s1 = a1 + b1 + TINY
+    s2 = a2 + b2 + TINY
+    s01 = s0 * s1
+    y = 1.0 / (s01 * s2)
+    k0 = max(a0 * b0, 0.0) * (s1 * s2 * y)
+    k1 = max(a1 * b1, 0.0) * (s0 * s2 * y)
+    return k0, k1, max(a2 * b2, 0.0) * (s01 * y)
+
+
 @vectorised
+def _slopes(
+    gamma, van_leer, dt, w, rho, mom, ene, length, p, ri, drag, warm, rl, ul, pl, il, rr, ur, pr, ir
+):  # fmt: skip
+    """See `reconstruct`."""
+    gm = gamma - 1.0
+    half = 0.5 * dt
+    rho_a, mom_a, ene_a = rho, mom, ene
+    rho, mom, ene = rho[w:], mom[w:], ene[w:]
+    rho_b, mom_b, ene_b = rho[w:], mom[w:], ene[w:]
+    length, p, ri, drag, warm = length[w:], p[w:], ri[w:], drag[w:], warm[w:]
+    rl, ul, pl, il = rl[w:], ul[w:], pl[w:], il[w:]
+    rr, ur, pr, ir = rr[w:], ur[w:], pr[w:], ir[w:]
+    for i in each(rho_b.size):
+        d, m, e, i0 = rho[i], mom[i], ene[i], ri[i]
+        a0, b0 = d - rho_a[i], rho_b[i] - d
+        a1, b1 = m - mom_a[i], mom_b[i] - m
+        a2, b2 = e - ene_a[i], ene_b[i] - e
+        if van_leer:
+            d0, d1, d2 = _smoothly(a0, b0, a1, b1, a2, b2)
+        else:
+            d0, d1, d2 = limited(a0, b0, False), limited(a1, b1, False), limited(a2, b2, False)
+        live = 1.0 if length[i] > 0.0 else 0.0
+        d0 *= live
+        d1 *= live
+        d2 *= live
+        r1 = d - d0
+        m1 = m - d1
+        e1 = e - d2
+        r2 = d + d0
+        m2 = m + d1
+        e2 = e + d2
+        y = 1.0 / (r1 * r2)
+        u1 = m1 * (r2 * y)
+        u2 = m2 * (r1 * y)
+        p1 = gm * (e1 - 0.5 * m1 * u1)
+        p2 = gm * (e2 - 0.5 * m2 * u2)
+        h = half * live / length[i]
+        f0 = h * (m1 - m2)
+        f1 = h * (m1 * u1 + p1 - m2 * u2 - p2) + half * drag[i]
+        f2 = h * (u1 * (e1 + p1) - u2 * (e2 + p2)) + half * warm[i]
+        r1 += f0
+        r2 += f0
+        m1 += f1
+        m2 += f1
+        y = 1.0 / (r1 * r2)
+        i1 = r2 * y
+        i2 = r1 * y
+        u1 = m1 * i1
+        u2 = m2 * i2
+        p1 = gm * (e1 + f2 - 0.5 * m1 * u1)
+        p2 = gm * (e2 + f2 - 0.5 * m2 * u2)
+        q = p[i]
+        low = min(min(r1, r2) - 0.05 * d, 0.0) + min(min(p1, p2) - 0.05 * q, 0.0)
+        keep = low >= 0.0
+        u0 = m * i0
+        rl[i] = r1 if keep else d
+        ul[i] = u1 if keep else u0
+        pl[i] = p1 if keep else q
+        il[i] = i1 if keep else i0
+        rr[i] = r2 if keep else d
+        ur[i] = u2 if keep else u0
+        pr[i] = p2 if keep else q
+        ir[i] = i2 if keep else i0
+
+
+@sequence
 def reconstruct(gas, van_leer, dt, cells):
     """MUSCL-Hancock face states from limited slopes of the conservative variables (thesis 4.6.4).
 
@@ -38,72 +120,17 @@ def reconstruct(gas, van_leer, dt, cells):
         dt: Step, s.
         cells: All slots.
     """
-    w, S, X = cells.lanes, cells.state, cells.work
-    gm = gas.gamma - 1.0
-    half = 0.5 * dt
-    rho_a, mom_a, ene_a = S[L.RHO], S[L.MOM], S[L.ENE]
-    rho, mom, ene = rho_a[w:], mom_a[w:], ene_a[w:]
-    rho_b, mom_b, ene_b = rho[w:], mom[w:], ene[w:]
-    length, p, drag, warm = cells.par[L.LENGTH][w:], X[L.W_P][w:], X[L.W_DRAG][w:], X[L.W_WARM][w:]
-    rl, ul, pl, il = X[L.W_RL][w:], X[L.W_UL][w:], X[L.W_PL][w:], X[L.W_IL][w:]
-    rr, ur, pr, ir = X[L.W_RR][w:], X[L.W_UR][w:], X[L.W_PR][w:], X[L.W_IR][w:]
-    for i in each(rho_b.size):
-        live = 1.0 if length[i] > 0.0 else 0.0
-        d0 = live * limited(rho[i] - rho_a[i], rho_b[i] - rho[i], van_leer)
-        d1 = live * limited(mom[i] - mom_a[i], mom_b[i] - mom[i], van_leer)
-        d2 = live * limited(ene[i] - ene_a[i], ene_b[i] - ene[i], van_leer)
-        r1 = rho[i] - d0
-        m1 = mom[i] - d1
-        e1 = ene[i] - d2
-        r2 = rho[i] + d0
-        m2 = mom[i] + d1
-        e2 = ene[i] + d2
-        u1 = m1 / r1
-        u2 = m2 / r2
-        p1 = gm * (e1 - 0.5 * m1 * u1)
-        p2 = gm * (e2 - 0.5 * m2 * u2)
-        h = half * live / length[i]
-        f0 = h * (m1 - m2)
-        f1 = h * (m1 * u1 + p1 - m2 * u2 - p2) + half * drag[i]
-        f2 = h * (u1 * (e1 + p1) - u2 * (e2 + p2)) + half * warm[i]
-        r1 += f0
-        r2 += f0
-        m1 += f1
-        m2 += f1
-        i1 = 1.0 / r1
-        i2 = 1.0 / r2
-        u1 = m1 * i1
-        u2 = m2 * i2
-        p1 = gm * (e1 + f2 - 0.5 * m1 * u1)
-        p2 = gm * (e2 + f2 - 0.5 * m2 * u2)
-        low = min(min(r1, r2) - 0.05 * rho[i], 0.0) + min(min(p1, p2) - 0.05 * p[i], 0.0)
-        keep = low >= 0.0
-        i0 = 1.0 / rho[i]
-        u0 = mom[i] * i0
-        rl[i] = r1 if keep else rho[i]
-        ul[i] = u1 if keep else u0
-        pl[i] = p1 if keep else p[i]
-        il[i] = i1 if keep else i0
-        rr[i] = r2 if keep else rho[i]
-        ur[i] = u2 if keep else u0
-        pr[i] = p2 if keep else p[i]
-        ir[i] = i2 if keep else i0
+    P, S, X = cells.par, cells.state, cells.work
+    _slopes(
+        gas.gamma, van_leer, dt, cells.lanes,
+        S[L.RHO], S[L.MOM], S[L.ENE], P[L.LENGTH], X[L.W_P], X[L.W_RI], X[L.W_DRAG], X[L.W_WARM],
+        X[L.W_RL], X[L.W_UL], X[L.W_PL], X[L.W_IL], X[L.W_RR], X[L.W_UR], X[L.W_PR], X[L.W_IR],
+    )  # fmt: skip
 
 
 @vectorised
-def taper(gas, dt, cells):
-    """Half a step of what a changing area does to the reconstructed states (thesis eq. 4.1).
-
-    Args:
-        gas: The gas.
-        dt: Step, s.
-        cells: All slots.
-    """
-    X = cells.work
-    growth, u = cells.par[L.TAPER], X[L.W_U]
-    rl, pl, il = X[L.W_RL], X[L.W_PL], X[L.W_IL]
-    rr, pr, ir = X[L.W_RR], X[L.W_PR], X[L.W_IR]
-    gamma = gas.gamma
+def _tapering(gamma, dt, growth, u, rl, pl, il, rr, pr, ir):
+    """See `taper`."""
     for i in each(u.size):
         x = -0.5 * dt * u[i] * growth[i]
         y = 1.0 + x
@@ -115,6 +142,21 @@ def taper(gas, dt, cells):
         ir[i] *= z
         pl[i] *= q
         pr[i] *= q
+
+
+@sequence
+def taper(gas, dt, cells):
+    """Half a step of what a changing area does to the reconstructed states (thesis eq. 4.1).
+
+    Args:
+        gas: The gas.
+        dt: Step, s.
+        cells: All slots.
+    """
+    X = cells.work
+    rl, pl, il = X[L.W_RL], X[L.W_PL], X[L.W_IL]
+    rr, pr, ir = X[L.W_RR], X[L.W_PR], X[L.W_IR]
+    _tapering(gas.gamma, dt, cells.par[L.TAPER], X[L.W_U], rl, pl, il, rr, pr, ir)
 
 
 @branching
@@ -165,7 +207,7 @@ def flatten_steps(cells, steps):
                 X[L.W_IR, i] = 1.0 / X[L.W_RR, i]
 
 
-@inlined
+@vectorised
 def _hllc_faces(gamma, w, c, rr, ur, pr, ir, rl, ul, pl, il, fm, fp, fe):
     """HLLC flux through every face from the state right in each cell and left in the next."""
     rl, ul, pl, il, cn = rl[w:], ul[w:], pl[w:], il[w:], c[w:]

@@ -8,34 +8,31 @@ cells then keep what the pipe holds, and the gas is taken out of it for the pass
 import math
 
 from pneu_sim import layout as L
-from pneu_sim.compiling import branching, each, vectorised
+from pneu_sim.compiling import branching, each, sequence, vectorised
 
 
 @vectorised
+def _invert(rho, ri):
+    """Reciprocals, slot by slot."""
+    for i in each(rho.size):
+        ri[i] = 1.0 / rho[i]
+
+
+@sequence
 def invert_density(cells):
     """Take the reciprocal of the density of every slot.
 
     Args:
         cells: All slots.
     """
-    rho, ri = cells.state[L.RHO], cells.work[L.W_RI]
-    for i in each(rho.size):
-        ri[i] = 1.0 / rho[i]
+    _invert(cells.state[L.RHO], cells.work[L.W_RI])
 
 
 @vectorised
-def find_primitive(gas, cells):
-    """Velocity, pressure, speed of sound and temperature of every slot (thesis table 4.1).
-
-    Args:
-        gas: The gas.
-        cells: All slots.
-    """
-    mom, ene, ri = cells.state[L.MOM], cells.state[L.ENE], cells.work[L.W_RI]
-    u, p, c, t = cells.work[L.W_U], cells.work[L.W_P], cells.work[L.W_C], cells.work[L.W_T]
-    gamma = gas.gamma
+def _primitive(gamma, r, mom, ene, ri, u, p, c, t):
+    """See `find_primitive`."""
     gm = gamma - 1.0
-    i_r = 1.0 / gas.r
+    i_r = 1.0 / r
     for i in each(mom.size):
         d = ri[i]
         v = mom[i] * d
@@ -44,6 +41,19 @@ def find_primitive(gas, cells):
         p[i] = q
         c[i] = math.sqrt(gamma * q * d)
         t[i] = q * d * i_r
+
+
+@sequence
+def find_primitive(gas, cells):
+    """Velocity, pressure, speed of sound and temperature of every slot (thesis table 4.1).
+
+    Args:
+        gas: The gas.
+        cells: All slots.
+    """
+    S, X = cells.state, cells.work
+    u, p, c, t = X[L.W_U], X[L.W_P], X[L.W_C], X[L.W_T]
+    _primitive(gas.gamma, gas.r, S[L.MOM], S[L.ENE], X[L.W_RI], u, p, c, t)
 
 
 @branching
@@ -86,18 +96,24 @@ def take_gas(gas, cells):
 
 
 @vectorised
+def _add(rho, mom, ene, d_rho, d_mom, d_ene):
+    """What is held besides, slot by slot."""
+    for i in each(rho.size):
+        rho[i] += d_rho[i]
+        mom[i] += d_mom[i]
+        ene[i] += d_ene[i]
+
+
+@sequence
 def give_back(cells):
     """Undo `take_gas`; what happened to the gas meanwhile happens to the pipe.
 
     Args:
         cells: All slots.
     """
-    rho, mom, ene = cells.state[L.RHO], cells.state[L.MOM], cells.state[L.ENE]
-    d_rho, d_mom, d_ene = cells.soft[L.SOFT_RHO], cells.soft[L.SOFT_MOM], cells.soft[L.SOFT_ENE]
-    for i in each(rho.size):
-        rho[i] += d_rho[i]
-        mom[i] += d_mom[i]
-        ene[i] += d_ene[i]
+    S, soft = cells.state, cells.soft
+    d_rho, d_mom, d_ene = soft[L.SOFT_RHO], soft[L.SOFT_MOM], soft[L.SOFT_ENE]
+    _add(S[L.RHO], S[L.MOM], S[L.ENE], d_rho, d_mom, d_ene)
 
 
 @branching
@@ -115,20 +131,11 @@ def widen_faces(cells):
 
 
 @vectorised
-def conserve(dt, cells, face):
-    """Add what the faces carry, and the wall reaction of a changing area (thesis eq. 4.1-4.8).
-
-    Args:
-        dt: Step, s.
-        cells: All slots.
-        face: Area of the face between each slot and the next.
-    """
-    w = cells.lanes
+def _balance(dt, w, face, inv, p, fm, fp, fe, rho, mom, ene, ri):
+    """See `conserve`."""
     # Shifted views instead of an index i + w: what keeps the loop free of gathers.
-    rho, mom, ene = cells.state[L.RHO][w:], cells.state[L.MOM][w:], cells.state[L.ENE][w:]
-    inv, p, ri = cells.par[L.INV_VOLUME][w:], cells.work[L.W_P][w:], cells.work[L.W_RI][w:]
-    fm, fp, fe = cells.work[L.W_FM], cells.work[L.W_FP], cells.work[L.W_FE]
     right, gm, gp, ge = face[w:], fm[w:], fp[w:], fe[w:]
+    inv, p, rho, mom, ene, ri = inv[w:], p[w:], rho[w:], mom[w:], ene[w:], ri[w:]
     for i in each(rho.size):
         k = dt * inv[i]
         a = face[i]
@@ -138,3 +145,18 @@ def conserve(dt, cells, face):
         ri[i] = 1.0 / d
         mom[i] += k * (a * fp[i] - b * gp[i] + p[i] * (b - a))
         ene[i] += k * (a * fe[i] - b * ge[i])
+
+
+@sequence
+def conserve(dt, cells, face):
+    """Add what the faces carry, and the wall reaction of a changing area (thesis eq. 4.1-4.8).
+
+    Args:
+        dt: Step, s.
+        cells: All slots.
+        face: Area of the face between each slot and the next.
+    """
+    S, X = cells.state, cells.work
+    inv, p, ri = cells.par[L.INV_VOLUME], X[L.W_P], X[L.W_RI]
+    fm, fp, fe = X[L.W_FM], X[L.W_FP], X[L.W_FE]
+    _balance(dt, cells.lanes, face, inv, p, fm, fp, fe, S[L.RHO], S[L.MOM], S[L.ENE], ri)

@@ -4,31 +4,18 @@
 import math
 
 from pneu_sim import layout as L
-from pneu_sim.compiling import each, inlined, vectorised
+from pneu_sim.compiling import each, inlined, sequence, vectorised
 
 M0, M1, M2, M3, M4, M5 = L.UNSTEADY_WEIGHTS
 
 
 @vectorised
-def find_coefficients(gas, cells):
-    """Steady wall drag relative to laminar, phi = f Re / 64, and wall heat, at any Reynolds number.
-
-    Laminar below the onset (Re 2300), Haaland's friction factor and with it Gnielinski's (1976)
-    Nusselt number above 1.74 times that (4000), a smooth blend between. Haaland's logarithm is
-    ln x = 8 ln x^(1/8), with a Pade form of the inner logarithm: relative error < 1e-4 in the
-    friction factor, and nothing but square roots and divisions, which vectorise.
-
-    Args:
-        gas: The gas.
-        cells: All slots.
-    """
-    P, mom = cells.par, cells.state[L.MOM]
-    re_coef, rough, turb, onset = P[L.REYNOLDS], P[L.ROUGH], P[L.TURBULENT], P[L.ONSET]
-    relax, heat, heat_turb = P[L.RELAX], P[L.HEAT], P[L.HEAT_TURBULENT]
-    phi, film = cells.work[L.W_PHI], cells.work[L.W_FILM]
-    gamma, prandtl = gas.gamma, gas.prandtl
+def _coefficients(
+    gamma, r_gas, prandtl, mom, re_coef, rough, turb, onset, relax, heat, heat_turb, phi, film
+):
+    """See `find_coefficients`."""
     # wall heat of a Nusselt number of 1, pi k / A, over RELAX: k / mu is cp / Pr
-    per_relax = gamma * gas.r / ((gamma - 1.0) * prandtl * L.UNSTEADY_RATE)
+    per_relax = gamma * r_gas / ((gamma - 1.0) * prandtl * L.UNSTEADY_RATE)
     gnielinski = 12.7 * (prandtl ** (2.0 / 3.0) - 1.0) / math.sqrt(8.0)
     for i in each(mom.size):
         re = abs(mom[i]) * re_coef[i] + 1.0
@@ -42,14 +29,54 @@ def find_coefficients(gas, cells):
         g = max(-1.8 * 8.0 * 0.43429448190325176 * (ln_y - 0.916290731874155), 1.0)
         s = min(max((re * onset[i] - 1.0) / 0.74, 0.0), 1.0)
         blend = s * s * (3.0 - 2.0 * s)
-        phi[i] = 1.0 + blend * turb[i] * max(re / (64.0 * g * g) - 1.0, 0.0)
-        # f / 8 = 1 / (8 g^2)
-        nusselt = (re - 1000.0) * prandtl / (8.0 * g * (g + gnielinski))
+        # f / 8 = 1 / (8 g^2); both quotients by one division
+        h = g + gnielinski
+        q = 1.0 / (8.0 * g * g * h)
+        phi[i] = 1.0 + blend * turb[i] * max(0.125 * re * h * q - 1.0, 0.0)
+        nusselt = (re - 1000.0) * prandtl * g * q
         more = max(nusselt - L.NUSSELT_LAMINAR, 0.0) * per_relax * relax[i]
         film[i] = heat[i] + blend * heat_turb[i] * more
 
 
+@sequence
+def find_coefficients(gas, cells):
+    """Steady wall drag relative to laminar, phi = f Re / 64, and wall heat, at any Reynolds number.
+
+    Laminar below the onset (Re 2300), Haaland's friction factor and with it Gnielinski's (1976)
+    Nusselt number above 1.74 times that (4000), a smooth blend between. Haaland's logarithm is
+    ln x = 8 ln x^(1/8), with a Pade form of the inner logarithm: relative error < 1e-4 in the
+    friction factor, and nothing but square roots and divisions, which vectorise.
+
+    Args:
+        gas: The gas.
+        cells: All slots.
+    """
+    P, X = cells.par, cells.work
+    _coefficients(
+        gas.gamma, gas.r, gas.prandtl, cells.state[L.MOM],
+        P[L.REYNOLDS], P[L.ROUGH], P[L.TURBULENT], P[L.ONSET], P[L.RELAX],
+        P[L.HEAT], P[L.HEAT_TURBULENT], X[L.W_PHI], X[L.W_FILM],
+    )  # fmt: skip
+
+
 @vectorised
+def _decay(prandtl, dt, relax, quicken, ri, phi, a_u, a_t, fade):
+    """See `find_decay`."""
+    i_pr = 1.0 / prandtl
+    for i in each(ri.size):
+        x = dt * relax[i] * ri[i]
+        y = x * i_pr
+        even_x, even_y = 12.0 + x * x, 12.0 + y * y
+        below_x, below_y = even_x + 6.0 * x, even_y + 6.0 * y
+        more = 1.0 + quicken[i] * (110.0 / 28.0) * x * (phi[i] - 1.0)
+        both = below_x * below_y
+        q = 1.0 / (both * more)  # all quotients by one division
+        a_u[i] = (even_x - 6.0 * x) * (below_y * more * q)
+        a_t[i] = (even_y - 6.0 * y) * (below_x * more * q)
+        fade[i] = both * q
+
+
+@sequence
 def find_decay(gas, dt, cells):
     """Decay over one step of the slowest memory states of wall drag and wall heat.
 
@@ -62,19 +89,36 @@ def find_decay(gas, dt, cells):
         dt: Step, s.
         cells: All slots.
     """
-    rho, relax, quicken = cells.state[L.RHO], cells.par[L.RELAX], cells.par[L.QUICKEN]
-    phi, fade = cells.work[L.W_PHI], cells.work[L.W_FADE]
-    a_u, a_t = cells.work[L.W_AU], cells.work[L.W_AT]
-    i_pr = 1.0 / gas.prandtl
-    for i in each(rho.size):
-        x = dt * relax[i] / rho[i]
-        y = x * i_pr
-        a_u[i] = (12.0 - 6.0 * x + x * x) / (12.0 + 6.0 * x + x * x)
-        a_t[i] = (12.0 - 6.0 * y + y * y) / (12.0 + 6.0 * y + y * y)
-        fade[i] = 1.0 / (1.0 + quicken[i] * (110.0 / 28.0) * x * (phi[i] - 1.0))
+    P, X = cells.par, cells.work
+    a_u, a_t, fade = X[L.W_AU], X[L.W_AT], X[L.W_FADE]
+    _decay(gas.prandtl, dt, P[L.RELAX], P[L.QUICKEN], X[L.W_RI], X[L.W_PHI], a_u, a_t, fade)
 
 
 @vectorised
+def _steadily(gamma, r_gas, dt, rho, mom, ene, ri, visc, loss, wall_t, phi, film, drag, warm):
+    """See `act_steadily`."""
+    cv = r_gas / (gamma - 1.0)
+    i_cv = 1.0 / cv
+    i_dt = 1.0 / dt
+    for i in each(rho.size):
+        k = ri[i]
+        v0 = mom[i] * k
+        t0 = (ene[i] * k - 0.5 * v0 * v0) * i_cv
+        h = dt * film[i] * k * i_cv
+        hold = 1.0 + dt * (visc[i] * phi[i] * k + 0.5 * loss[i] * abs(v0))
+        keep = 1.0 + h
+        q = 1.0 / (hold * keep)
+        v = v0 * (keep * q)
+        t = (t0 + h * wall_t[i]) * (hold * q)
+        # Friction turns kinetic energy into heat, so it leaves the total alone (thesis 5.1).
+        mom[i] = rho[i] * v
+        g = rho[i] * cv * (t - t0)
+        ene[i] += g
+        drag[i] = rho[i] * (v - v0) * i_dt
+        warm[i] = g * i_dt
+
+
+@sequence
 def act_steadily(gas, dt, cells):
     """Quasi-steady friction and heat, implicit in the end-of-step velocity and temperature.
 
@@ -83,25 +127,11 @@ def act_steadily(gas, dt, cells):
         dt: Step, s.
         cells: All slots.
     """
-    P, X = cells.par, cells.work
-    rho, mom, ene = cells.state[L.RHO], cells.state[L.MOM], cells.state[L.ENE]
-    visc, loss, wall_t = P[L.VISCOUS], P[L.LOSS], P[L.WALL_T]
-    phi, film, drag, warm = X[L.W_PHI], X[L.W_FILM], X[L.W_DRAG], X[L.W_WARM]
-    cv = gas.r / (gas.gamma - 1.0)
-    i_dt = 1.0 / dt
-    for i in each(rho.size):
-        ri = 1.0 / rho[i]
-        v0 = mom[i] * ri
-        v = v0 / (1.0 + dt * (visc[i] * phi[i] * ri + 0.5 * loss[i] * abs(v0)))
-        t0 = (ene[i] * ri - 0.5 * v0 * v0) / cv
-        h = dt * film[i] * ri / cv
-        t = (t0 + h * wall_t[i]) / (1.0 + h)
-        # Friction turns kinetic energy into heat, so it leaves the total alone (thesis 5.1).
-        mom[i] = rho[i] * v
-        g = rho[i] * cv * (t - t0)
-        ene[i] += g
-        drag[i] = rho[i] * (v - v0) * i_dt
-        warm[i] = g * i_dt
+    P, S, X = cells.par, cells.state, cells.work
+    _steadily(
+        gas.gamma, gas.r, dt, S[L.RHO], S[L.MOM], S[L.ENE], X[L.W_RI],
+        P[L.VISCOUS], P[L.LOSS], P[L.WALL_T], X[L.W_PHI], X[L.W_FILM], X[L.W_DRAG], X[L.W_WARM],
+    )  # fmt: skip
 
 
 @inlined
@@ -172,19 +202,10 @@ def _remember(given, hold, tie, before, xi, a, f, x0, x1, x2, x3, x4, x5):
 
 
 @vectorised
-def drag_with_memory(dt, cells):
-    """Wall friction with memory.
-
-    Args:
-        dt: Step, s.
-        cells: All slots.
-    """
-    P, S, X = cells.par, cells.state, cells.work
-    rho, mom, ri, u, phi = S[L.RHO], S[L.MOM], X[L.W_RI], X[L.W_U], X[L.W_PHI]
-    decay, fade, stay, drag = X[L.W_AU], X[L.W_FADE], X[L.W_STAY], X[L.W_DRAG]
-    visc, loss, unst = P[L.VISCOUS], P[L.LOSS], P[L.UNSTEADY]
-    y0, y1, y2 = S[L.Y0], S[L.Y0 + 1], S[L.Y0 + 2]
-    y3, y4, y5 = S[L.Y0 + 3], S[L.Y0 + 4], S[L.Y0 + 5]
+def _drag(
+    dt, rho, mom, ri, u, phi, decay, fade, stay, visc, loss, unst, drag, y0, y1, y2, y3, y4, y5
+):
+    """See `drag_with_memory`."""
     i_dt = 1.0 / dt
     half = 0.5 * dt
     for i in each(rho.size):
@@ -210,25 +231,32 @@ def drag_with_memory(dt, cells):
         mom[i] = m
 
 
-@vectorised
-def heat_with_memory(gas, dt, cells):
-    """Wall heat with memory: the thermal twin of the drag, at the thermal diffusivity.
+@sequence
+def drag_with_memory(dt, cells):
+    """Wall friction with memory.
 
     Args:
-        gas: The gas.
         dt: Step, s.
         cells: All slots.
     """
     P, S, X = cells.par, cells.state, cells.work
-    rho, mom, ene, ri, t_old = S[L.RHO], S[L.MOM], S[L.ENE], X[L.W_RI], X[L.W_T]
-    decay, fade, stay, warm = X[L.W_AT], X[L.W_FADE], X[L.W_STAY], X[L.W_WARM]
-    film, unst, wall_t = X[L.W_FILM], P[L.HEAT_UNSTEADY], P[L.WALL_T]
-    y0, y1, y2 = S[L.Z0], S[L.Z0 + 1], S[L.Z0 + 2]
-    y3, y4, y5 = S[L.Z0 + 3], S[L.Z0 + 4], S[L.Z0 + 5]
-    cv = gas.r / (gas.gamma - 1.0)
+    _drag(
+        dt, S[L.RHO], S[L.MOM], X[L.W_RI], X[L.W_U], X[L.W_PHI],
+        X[L.W_AU], X[L.W_FADE], X[L.W_STAY], P[L.VISCOUS], P[L.LOSS], P[L.UNSTEADY], X[L.W_DRAG],
+        S[L.Y0], S[L.Y0 + 1], S[L.Y0 + 2], S[L.Y0 + 3], S[L.Y0 + 4], S[L.Y0 + 5],
+    )  # fmt: skip
+
+
+@vectorised
+def _heat(
+    gamma, r_gas, prandtl, dt, rho, mom, ene, ri, t_old, decay, fade, stay, film, unst, wall_t,
+    warm, y0, y1, y2, y3, y4, y5,
+):  # fmt: skip
+    """See `heat_with_memory`."""
+    cv = r_gas / (gamma - 1.0)
     i_cv = 1.0 / cv
     i_dt = 1.0 / dt
-    i_rate = gas.prandtl / dt
+    i_rate = prandtl / dt
     per_heat = dt * i_cv
     for i in each(rho.size):
         v0 = mom[i] * ri[i]
@@ -253,3 +281,20 @@ def heat_with_memory(gas, dt, cells):
         g = rho[i] * cv * (t - t0)
         ene[i] += g
         warm[i] = g * i_dt
+
+
+@sequence
+def heat_with_memory(gas, dt, cells):
+    """Wall heat with memory: the thermal twin of the drag, at the thermal diffusivity.
+
+    Args:
+        gas: The gas.
+        dt: Step, s.
+        cells: All slots.
+    """
+    P, S, X = cells.par, cells.state, cells.work
+    _heat(
+        gas.gamma, gas.r, gas.prandtl, dt, S[L.RHO], S[L.MOM], S[L.ENE], X[L.W_RI], X[L.W_T],
+        X[L.W_AT], X[L.W_FADE], X[L.W_STAY], X[L.W_FILM], P[L.HEAT_UNSTEADY], P[L.WALL_T],
+        X[L.W_WARM], S[L.Z0], S[L.Z0 + 1], S[L.Z0 + 2], S[L.Z0 + 3], S[L.Z0 + 4], S[L.Z0 + 5],
+    )  # fmt: skip
