@@ -253,7 +253,8 @@ def test_joints_come_with_every_sample_and_start_over_with_a_reset(graph, tmp_pa
     taps = graph.listen(TapPressures, "taps/pressures", common.READINGS_QOS)
     publisher = graph.probe.create_publisher(ValveCommand, "valve/command", common.COMMAND_QOS)
     wait_for(lambda: publisher.get_subscription_count() == 1)
-    wait_for(lambda: node.count_subscribers("joint_states") == 1)
+    for heard in ("joint_states", "taps/pressures"):
+        wait_for(lambda heard=heard: node.count_subscribers(heard) == 1)
     for name in ("head_line", "rod_line"):  # and no gas of a cylinder
         assert node.count_publishers(f"lines/{name}/state") == 1
     topics = [name for name, _ in node.get_topic_names_and_types()]

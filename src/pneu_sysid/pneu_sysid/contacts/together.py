@@ -94,9 +94,9 @@ def joint(
 ) -> SceneFit:
     """Trajectories and parameters estimated together, from where they stand.
 
-    Where they leave much, or creep on without settling, trajectories may lie on a floor that is no
-    longer where it was: they are drawn anew under what was found, and all is estimated again, as
-    long as that helps.
+    Where they leave much, or creep on after as many iterations as others need to settle,
+    trajectories may lie on a floor that is no longer where it was: they are drawn anew under what
+    was found, and all is estimated again, as long as that helps.
 
     Args:
         loaded: The scene.
@@ -115,7 +115,8 @@ def joint(
     found = estimate(problem, State(q, problem.start()), iterations, enough=enough, tell=tell)
     last, worse = found, 0
     for _ in range(DRAWN_ANEW if tracks and parameters else 0):
-        if found.converged and np.all(found.costs <= EXPLAINED * readings):
+        creeps = not found.converged and iterations >= TOGETHER
+        if not creeps and np.all(found.costs <= EXPLAINED * readings):
             break
         drawn = redrawn(loaded, chains, tracks, last.values, physics)
         state = State(drawn, last.state.x)
