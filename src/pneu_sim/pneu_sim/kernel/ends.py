@@ -82,17 +82,20 @@ def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
     c0sq = gamma * r_gas * t0
     k = 0.5 * (gamma - 1.0) * (1.0 + loss) / c0sq
     e = gamma / (gamma - 1.0)
-    w_max = math.sqrt(2.0 / (gamma + 1.0) * c0sq / (1.0 + loss))
-    # Bernoulli's law to first order in the velocity head, then Newton's method.
+    # w < w_max, where gas from rest is sonic: k w^2 < (gamma - 1) / (gamma + 1)
+    w_max = math.sqrt((gamma - 1.0) / ((gamma + 1.0) * k))
+    # Bernoulli's law to first order in the velocity head, then to third, then Newton's method.
     drive = p0 - wave
-    w = min(2.0 * drive / (z + math.sqrt(z * z + 4.0 * e * k * p0 * drive)), w_max)
+    w = 2.0 * drive / (z + math.sqrt(z * z + 4.0 * e * k * p0 * drive))
+    s = k * w * w
+    less = 0.5 * e * (e - 1.0) * p0 * s * s * (1.0 - (e - 2.0) / 3.0 * s)
+    w = min(w + less / (z + 2.0 * p0 * e * k * w * (1.0 - (e - 1.0) * s)), w_max)
     for _ in range(4):
         x = max(1.0 - k * w * w, 0.05)
         y = power(x, e)
         f = p0 * y - wave - z * w
-        df_dw = -p0 * e * y / x * 2.0 * k * w - z
-        step = f / df_dw
-        w = min(max(w - step, 0.0), w_max)
+        step = f * x / (p0 * e * y * 2.0 * k * w + z * x)
+        w = min(max(w + step, 0.0), w_max)
         if abs(step) < 1e-6 * w:  # the next one would be of the order of rounding
             break
     pf = wave + z * w if w < w_max else p0 * power(1.0 - k * w * w, e)
@@ -275,45 +278,43 @@ def fill_ghosts(gas, vessels, cells, ends, reservoirs, chambers):
     """
     w, S, X, index, gamma = cells.lanes, cells.state, cells.work, ends.table, gas.gamma
     rho, mom, ene = S[L.RHO], S[L.MOM], S[L.ENE]
+    i_gm, i_r = 1.0 / (gamma - 1.0), 1.0 / gas.r
     for e in range(index.shape[0]):
         kind = index[e, L.E_KIND]
         ref = index[e, L.E_REF]
         vessel = kind == L.TANK or kind == L.CHAMBER or kind == L.JUNCTION
         if vessel and not vessels:
             continue
+        if kind == L.RESERVOIR or vessel:
+            for j in range(w):
+                g = index[e, L.E_GHOST] * w + j
+                if vessel:
+                    d, v, p = _beyond_vessel(e, j, gas, cells, ends, reservoirs, chambers)
+                    k = 1.0 / d
+                    t = p * k * i_r
+                else:
+                    p, v = reservoirs.supplied[ref, j], 0.0
+                    t = reservoirs.par[ref, L.R_TEMPERATURE, j]
+                    d = p / (gas.r * t)
+                    k = 1.0 / d
+                rho[g], mom[g], ene[g] = d, d * v, p * i_gm + 0.5 * d * v * v
+                X[L.W_U, g], X[L.W_P, g], X[L.W_T, g], X[L.W_RI, g] = v, p, t, k
+                X[L.W_C, g] = math.sqrt(gamma * p * k)
+            continue
+        # the others mirror a cell: their own, or LINK and BRANCH their partner's
+        own = kind == L.WALL or kind == L.PORTED
+        source = e if own else ref
+        turn = -1.0 if own else turned(index, e, ref)
         for j in range(w):
-            i = index[e, L.E_CELL] * w + j
             g = index[e, L.E_GHOST] * w + j
-            if kind == L.WALL:
-                rho[g] = rho[i]
-                mom[g] = -mom[i]
-                ene[g] = ene[i]
-            elif kind == L.PORTED:
-                v = 2.0 * ends.velocity[e, j] - X[L.W_U, i]
-                rho[g] = rho[i]
-                mom[g] = rho[i] * v
-                ene[g] = ene[i] + 0.5 * rho[i] * (v * v - X[L.W_U, i] ** 2)
-            elif kind == L.RESERVOIR:
-                p = reservoirs.supplied[ref, j]
-                rho[g] = p / (gas.r * reservoirs.par[ref, L.R_TEMPERATURE, j])
-                mom[g] = 0.0
-                ene[g] = p / (gamma - 1.0)
-            elif vessel:
-                d, v, p = _beyond_vessel(e, j, gas, cells, ends, reservoirs, chambers)
-                rho[g] = d
-                mom[g] = d * v
-                ene[g] = p / (gamma - 1.0) + 0.5 * d * v * v
-            else:  # LINK and BRANCH see the partner's cell, turned to this pipe's direction
-                k = index[ref, L.E_CELL] * w + j
-                rho[g] = rho[k]
-                mom[g] = turned(index, e, ref) * mom[k]
-                ene[g] = ene[k]
-            m = rho[g]
-            X[L.W_U, g] = mom[g] / m
-            X[L.W_P, g] = (gamma - 1.0) * (ene[g] - 0.5 * mom[g] ** 2 / m)
-            X[L.W_C, g] = math.sqrt(gamma * X[L.W_P, g] / m)
-            X[L.W_T, g] = X[L.W_P, g] / (m * gas.r)
-            X[L.W_RI, g] = 1.0 / m
+            i = index[source, L.E_CELL] * w + j
+            u = X[L.W_U, i]
+            v = turn * u
+            if kind == L.PORTED:
+                v += 2.0 * ends.velocity[e, j]
+            rho[g], mom[g], ene[g] = rho[i], rho[i] * v, ene[i] + 0.5 * rho[i] * (v * v - u * u)
+            X[L.W_U, g], X[L.W_P, g], X[L.W_T, g] = v, X[L.W_P, i], X[L.W_T, i]
+            X[L.W_C, g], X[L.W_RI, g] = X[L.W_C, i], X[L.W_RI, i]
 
 
 @branching
@@ -362,10 +363,10 @@ def _through_ports(e, j, gas, order, cells, ends, ports):
         p = X[L.W_P, i] + push / face
     else:
         d, v, p = face_state(e, j, order, cells, ends)
-        c = math.sqrt(gas.gamma * p / d)
         uf = out / (d * face)
-        p = max(p + d * c * (v - uf), 0.05 * p) + d * uf * uf
-    return out / face, p, ends.ported[e, L.N_HEAT, j] / face
+        p = max(p + math.sqrt(gas.gamma * p * d) * (v - uf), 0.05 * p) + d * uf * uf
+    i_face = 1.0 / face
+    return out * i_face, p, ends.ported[e, L.N_HEAT, j] * i_face
 
 
 @folded

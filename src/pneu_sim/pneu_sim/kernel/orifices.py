@@ -41,25 +41,27 @@ def iso6358_flow(p_a, z_a, t_a, p_b, z_b, t_b, conductance, ratio, laminar=1.0, 
         t_a = t_b
         sign = -1.0
     k = conductance * ANR_DENSITY * math.sqrt(ANR_TEMPERATURE / t_a)
+    z = z_a + z_b
+    d = p_a - p_b
+    above = 1.0 - ratio
     if laminar < 1.0:
-        g = (laminar - ratio) / (1.0 - ratio)
-        slope = share * k * math.sqrt(1.0 - g * g) / (1.0 - laminar)
-        m = slope * (p_a - p_b) / (1.0 + slope * (z_a + z_b))
+        # slope s = k_lin / over of the flow, in the equation m = s (d - z m)
+        over = above * (1.0 - laminar)
+        k_lin = share * k * math.sqrt(above * above - (laminar - ratio) ** 2)
+        m = k_lin * d / (over + k_lin * z)
         if p_b + z_b * m > laminar * (p_a - z_a * m):
             return sign * m
-    m = k * p_a / (1.0 + k * z_a)
-    if p_b + z_b * m > ratio * (p_a - z_a * m):
-        d = p_a - p_b
-        z = z_a + z_b
-        e = (1.0 - 2.0 * ratio) * p_a + p_b
-        g = (1.0 - 2.0 * ratio) * z_a - z_b
-        a2 = (1.0 - ratio) ** 2 / (k * k) - z * g
-        b1 = z * e + d * g
-        disc = b1 * b1 + 4.0 * a2 * d * e
-        m = 2.0 * d * e / (b1 + math.sqrt(max(disc, 0.0)) + 1e-300)
-        if share < 1.0 and laminar < 1.0 and p_b + z_b * m > laminar * (p_a - z_a * m):
-            # what the lines let through lies within the jump, where the pressures' ratio stands
-            m = (laminar * p_a - p_b) / max(z_b + laminar * z_a, 1e-300)
+    wide = 1.0 + k * z_a
+    if p_b * wide + z_b * k * p_a <= ratio * p_a:
+        return sign * (k * p_a / wide)
+    e = (1.0 - 2.0 * ratio) * p_a + p_b
+    g = (1.0 - 2.0 * ratio) * z_a - z_b
+    b1 = k * (z * e + d * g)
+    disc = b1 * b1 + 4.0 * (above * above - k * k * z * g) * d * e
+    m = 2.0 * k * d * e / (b1 + math.sqrt(max(disc, 0.0)) + 1e-300)
+    if share < 1.0 and laminar < 1.0 and p_b + z_b * m > laminar * (p_a - z_a * m):
+        # what the lines let through lies within the jump, where the pressures' ratio stands
+        m = (laminar * p_a - p_b) / max(z_b + laminar * z_a, 1e-300)
     return sign * m
 
 

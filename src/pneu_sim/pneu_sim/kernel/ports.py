@@ -44,9 +44,10 @@ def _head(j, end, flow, heads, cells, ends):
     is exact without.
     """
     i = ends.table[end, L.E_CELL] * cells.lanes + j
-    area = cells.par[L.AREA, i]
-    x = flow / (cells.state[L.RHO, i] * area * area)
-    mach = min(x * area / cells.work[L.W_C, i], 0.95)
+    area, c = cells.par[L.AREA, i], cells.work[L.W_C, i]
+    y = flow / (cells.state[L.RHO, i] * area * area * c)
+    x = y * c
+    mach = min(y * area, 0.95)
     return heads * x * (1.0 + 0.25 * mach * mach * min(max(2.0 - heads, 0.0), 1.0)), mach
 
 
@@ -60,9 +61,9 @@ def _at_end(k, j, end, out, gas, order, cells, ends, ports):
     """
     i = ends.table[end, L.E_CELL] * cells.lanes + j
     d, v, p = face_state(end, j, order, cells, ends)
-    c = math.sqrt(gas.gamma * p / d)
-    z = c / cells.par[L.FACE, ends.table[end, L.E_FACE] * cells.lanes + j]
-    p = max(p + d * c * v - z * ends.ported[end, L.N_MASS, j], 0.05 * p)
+    dc = math.sqrt(gas.gamma * p * d)
+    z = dc / (d * cells.par[L.FACE, ends.table[end, L.E_FACE] * cells.lanes + j])
+    p = max(p + dc * v - z * ends.ported[end, L.N_MASS, j], 0.05 * p)
     if out > 0.0:
         heads = ports.par[k, L.Q_HEAD, j]
         x, mach = _head(j, end, out, heads, cells, ends)
@@ -96,10 +97,11 @@ def _most_out(j, end, flow, gas, order, cells, ends):
     """
     gamma = gas.gamma
     d, v, p = face_state(end, j, order, cells, ends)
-    c = math.sqrt(gamma * p / d)
+    dc = math.sqrt(gamma * p * d)
     face = cells.par[L.FACE, ends.table[end, L.E_FACE] * cells.lanes + j]
-    if flow < 0.4 * d * c * face:
+    if flow < 0.4 * dc * face:
         return math.inf
+    c = dc / d
     cf = min(max(2.0 / (gamma + 1.0) * c + (gamma - 1.0) / (gamma + 1.0) * v, 0.1 * c), c + abs(v))
     return face * cf * d * math.exp(2.0 / (gamma - 1.0) * math.log(cf / c))
 
