@@ -16,8 +16,10 @@ from benchmarks import (
     contacts,
     gpu,
     graph,
+    growth,
     hands,
     kernel,
+    passes,
     peers,
     report,
     rig,
@@ -29,6 +31,8 @@ from benchmarks import (
 
 SUBJECTS = {
     "kernel": kernel,
+    "passes": passes,
+    "growth": growth,
     "gpu": gpu,
     "peers": peers,
     "rig": rig,

@@ -24,16 +24,26 @@ STEPS = {1: 2000, 16: 2000, 256: 640, 4096: 128}
 """Steps of a run, by the number of rigs; on a GPU each run is one launch."""
 
 
-def rate(rigs: int, order: int, device: Device) -> float:
+def rate(
+    rigs: int,
+    order: int,
+    device: Device,
+    steps: int,
+    cells: int = CELLS,
+    threads: int | None = None,
+) -> float:
     """Cells times steps per second, all that a call has to copy included.
 
     Args:
         rigs: How many, side by side.
         order: Of the scheme.
         device: On what.
+        steps: Of a run.
+        cells: Of each rig.
+        threads: Of the processor; None is all.
     """
-    model = build(line(CELLS, order))
-    width = simulate.TILE if device == Device.CPU else rigs
+    model = build(line(cells, order))
+    width = simulate.width_of(model.plan.slots) if device == Device.CPU else rigs
     batch = []
     for begin in range(0, rigs, width):
         tile = tiles.pack([model] * min(width, rigs - begin), device=device)
@@ -42,15 +52,15 @@ def rate(rigs: int, order: int, device: Device) -> float:
         chambers = np.full((len(tile.plan.chambers), tile.lanes), 2e5)
         tiles.fill_chambers(tile, chambers, np.full_like(chambers, 293.0))
         batch.append(tile)
-    steps, ports = STEPS[rigs], batch[0].plan.ports.shape[0]
+    ports = batch[0].plan.ports.shape[0]
 
     def one(tile: tiles.Tile) -> None:
         opening = np.full((1, KNOTS_PER_SAMPLE + 1, ports, tile.lanes), 0.5)
         stepping.advance(tile, steps, tile.plan.dt_s, opening)
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
         taken = best_s(lambda: list(pool.map(one, batch)))
-    return steps * CELLS * rigs / taken
+    return steps * cells * rigs / taken
 
 
 def measure() -> list[Table]:
@@ -71,9 +81,9 @@ def measure() -> list[Table]:
     why = missing()
     for order, name in ((1, "first order, HLLC"), (2, "MUSCL-Hancock, HLLC")):
         for rigs in RIGS:
-            row = {"order": name, "rigs": rigs, "cpu": rate(rigs, order, Device.CPU)}
+            row = {"order": name, "rigs": rigs, "cpu": rate(rigs, order, Device.CPU, STEPS[rigs])}
             for device in (Device.CUDA, Device.CUDA32):
-                row[device] = None if why else rate(rigs, order, device)
+                row[device] = None if why else rate(rigs, order, device, STEPS[rigs])
             table.rows.append(row)
     if why:
         table.notes.append(f"No GPU was measured: {why}.")

@@ -75,7 +75,7 @@ def nanoseconds(cells: int, batch: int, order: int, budget_s: float = 1.0) -> fl
 
     A batch runs as `simulate.predict` runs it: tile after tile, each along the whole recording.
     """
-    width = min(batch, simulate.TILE)
+    width = min(batch, simulate.width_of(cells + 4))
     rig = line(cells, order)
     tiles = []
     for _ in range(batch // width):
@@ -101,8 +101,8 @@ def measure() -> list[Table]:
     table = Table(
         "Kernel: nanoseconds per cell and step",
         "Two lines, a supply, a valve with ISO 6358 flow and a chamber; wall friction and wall heat"
-        " over the whole Reynolds range, both with memory. A batch is advanced in tiles of"
-        f" {simulate.TILE} rigs.",
+        " over the whole Reynolds range, both with memory. A batch is advanced in tiles of up to"
+        f" {simulate.TILE} rigs, as many as the cache holds.",
         columns,
     )
     for order, name in ((1, "first order, HLLC"), (2, "MUSCL-Hancock, HLLC")):

@@ -100,7 +100,7 @@ def profile(cells: int, batch: int, order: int, budget_s: float = 0.1) -> dict[s
         order: Of the scheme.
         budget_s: Time for each pass.
     """
-    width = min(batch, simulate.TILE)
+    width = min(batch, simulate.width_of(cells + 4))
     simulator = Simulator([line(cells, order)] * width)
     simulator.run(0.005, {"voltage": 7.5})
     tile = simulator.plant.solver.tiles[0][0]

@@ -30,6 +30,7 @@ class Table:
         columns: Key of a row's field to the heading, with its unit.
         rows: Raw values; None where there is nothing to state.
         notes: What could not be measured, and why.
+        picture: A file of `docs/figures` that shows it; none unless given.
     """
 
     title: str
@@ -37,6 +38,7 @@ class Table:
     columns: Mapping[str, str]
     rows: list[dict[str, Any]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    picture: str = ""
 
 
 def shown(value: Any) -> str:
@@ -93,6 +95,8 @@ def page(whole: Mapping[str, Any]) -> str:
             lines += ["", f"Machine: {described}."]
         for table in subject["tables"]:
             keys = list(table["columns"])
+            if table.get("picture"):
+                lines += [f"![{table['title']}](figures/{table['picture']})", ""]
             lines += ["", f"## {table['title']}", "", table["text"], ""]
             lines.append("| " + " | ".join(table["columns"].values()) + " |")
             lines.append("|" + " --- |" * len(keys))

@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from numba import njit
-from numba.core import codegen, config, event
+from numba.core import codegen, event
+from numba.core import config as numba_config
 from numba.core.caching import IndexDataCacheFile
 from numba.core.registry import cpu_target
 
@@ -39,6 +40,7 @@ def _use_whole_vectors() -> None:
     LLVM prefers half of them on Intel's processors, for the sake of the first ones that had them.
     Whoever sets ``NUMBA_CPU_FEATURES``, or has used Numba before, has what was set.
     """
+    config: Any = numba_config  # its types know none of its settings
     features = codegen.get_host_cpu_features()
     if config.CPU_FEATURES is None and _WIDE in features.split(","):
         config.CPU_FEATURES = f"{features},-prefer-256-bit"

@@ -39,7 +39,9 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 TILE = 8
-"""Rigs advanced together: one vector register of doubles, and a working set that stays in cache."""
+"""Rigs advanced together at most: one vector register of doubles."""
+CACHE_BYTES = 2**20
+"""What their gas may take, half of a second-level cache: long lines fill vectors by themselves."""
 TICK_S = 2e-3
 """Flows are told, and steps counted, from tick to tick; readings have their own times between."""
 KNOTS = 16
@@ -315,14 +317,25 @@ class RunOptions(NamedTuple):
     device: Device | None = None
 
 
-def shares(count: int, workers: int) -> list[slice]:
+def width_of(slots: int) -> int:
+    """How many rigs are advanced together: as many as the cache holds.
+
+    Args:
+        slots: Of each.
+    """
+    rows = L.PARAM_ROWS + L.STATE_ROWS + L.WORK_ROWS
+    return min(max(CACHE_BYTES // (8 * rows * slots), 1), TILE)
+
+
+def shares(count: int, workers: int, slots: int) -> list[slice]:
     """Parts of a batch that are run together: few enough for the cache, enough for all workers.
 
     Args:
         count: Models.
         workers: Threads.
+        slots: Of each model.
     """
-    parts = max(math.ceil(count / TILE), min(workers, count))
+    parts = max(math.ceil(count / width_of(slots)), min(workers, count))
     edges = [round(k * count / parts) for k in range(parts + 1)]
     return [slice(a, b) for a, b in pairwise(edges) if b > a]
 
@@ -355,7 +368,7 @@ def predict(
     plan, count = models[0][0].plan, len(models[0])
     device = chosen() if options.device is None else options.device
     threads = options.workers or os.cpu_count() or 1
-    parts = shares(count, threads)
+    parts = shares(count, threads, plan.slots)
     if device != Device.CPU:  # all models of a recording side by side
         threads, parts = 1, [slice(0, count)]
     out = []
