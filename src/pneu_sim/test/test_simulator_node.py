@@ -249,8 +249,8 @@ def test_joints_come_with_every_sample_and_start_over_with_a_reset(graph, tmp_pa
     rig = moving(tmp_path, start=0.02)
     node = simulator(graph, rig=rig, pace="lock_step", publish_clock=True, command_timeout_s=0.0,
                      line_state_rate_hz=50.0)  # fmt: skip
-    joints = graph.listen(JointState, "joint_states", common.READINGS_QOS)
-    taps = graph.listen(TapPressures, "taps/pressures", common.READINGS_QOS)
+    joints = graph.listen(JointState, "joint_states", common.FAST_QOS)
+    taps = graph.listen(TapPressures, "taps/pressures", common.FAST_QOS)
     publisher = graph.probe.create_publisher(ValveCommand, "valve/command", common.COMMAND_QOS)
     wait_for(lambda: publisher.get_subscription_count() == 1)
     for heard in ("joint_states", "taps/pressures"):
@@ -314,7 +314,7 @@ def test_joints_of_a_mechanism_are_published_too(graph):
     rig = Path(__file__).resolve().parents[3] / "rigs" / "arm4.yaml"
     Plant([load_rig(rig)])  # what moves is compiled here, not while the graph waits
     simulator(graph, rig=str(rig), pace="lock_step", publish_clock=True, command_timeout_s=0.0)
-    joints = graph.listen(JointState, "joint_states", common.READINGS_QOS)
+    joints = graph.listen(JointState, "joint_states", common.FAST_QOS)
     assert graph.call(StepSimulator, "simulator/step", step(0.02)).success
     wait_for(lambda: len(joints) > 0)
     assert list(joints[-1].name) == ["yaw", "shoulder", "elbow"]
@@ -326,7 +326,7 @@ def test_a_rig_with_encoders_publishes_what_they_read_with_noise_of_the_seed(gra
     encoders = "encoders:\n  place: {joint: load_slide, noise: 4.0e-4, quantum: 5.0e-4}\n"
     path.write_text(path.read_text() + encoders)
     node = simulator(graph, rig=str(path), pace="lock_step", publish_clock=True)
-    read = graph.listen(JointState, "joint_states", common.READINGS_QOS)
+    read = graph.listen(JointState, "joint_states", common.FAST_QOS)
     wait_for(lambda: node.count_subscribers("joint_states") == 1)
     for count in (20, 40):
         assert graph.call(StepSimulator, "simulator/step", step(0.08)).success

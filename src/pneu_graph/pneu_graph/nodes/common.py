@@ -41,7 +41,8 @@ FAST_QOS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""For readings at kilohertz: a recorder that gets no turn for half a second loses none."""
+"""For readings at kilohertz, and for those of many steps at once: a recorder that gets no turn for
+half a second loses none."""
 
 EXIT_BAD_INPUT = 2
 CLOCK_TOPIC = "/clock"

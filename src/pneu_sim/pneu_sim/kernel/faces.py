@@ -40,10 +40,12 @@ def _smoothly(a0, b0, a1, b1, a2, b2):
 
 
 @vectorised
-def _slopes(
-    gamma, van_leer, dt, w, rho, mom, ene, length, p, ri, drag, warm, rl, ul, pl, il, rr, ur, pr, ir
-):  # fmt: skip
+def _slopes(gamma, van_leer, dt, w, held, cell, left, right):
     """See `reconstruct`."""
+    rho, mom, ene = held
+    length, p, ri, drag, warm = cell
+    rl, ul, pl, il = left
+    rr, ur, pr, ir = right
     gm = gamma - 1.0
     half = 0.5 * dt
     rho_a, mom_a, ene_a = rho, mom, ene
@@ -122,10 +124,15 @@ def reconstruct(gas, van_leer, dt, cells):
     """
     P, S, X = cells.par, cells.state, cells.work
     _slopes(
-        gas.gamma, van_leer, dt, cells.lanes,
-        S[L.RHO], S[L.MOM], S[L.ENE], P[L.LENGTH], X[L.W_P], X[L.W_RI], X[L.W_DRAG], X[L.W_WARM],
-        X[L.W_RL], X[L.W_UL], X[L.W_PL], X[L.W_IL], X[L.W_RR], X[L.W_UR], X[L.W_PR], X[L.W_IR],
-    )  # fmt: skip
+        gas.gamma,
+        van_leer,
+        dt,
+        cells.lanes,
+        (S[L.RHO], S[L.MOM], S[L.ENE]),
+        (P[L.LENGTH], X[L.W_P], X[L.W_RI], X[L.W_DRAG], X[L.W_WARM]),
+        (X[L.W_RL], X[L.W_UL], X[L.W_PL], X[L.W_IL]),
+        (X[L.W_RR], X[L.W_UR], X[L.W_PR], X[L.W_IR]),
+    )
 
 
 @vectorised

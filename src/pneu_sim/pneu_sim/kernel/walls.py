@@ -202,10 +202,12 @@ def _remember(given, hold, tie, before, xi, a, f, x0, x1, x2, x3, x4, x5):
 
 
 @vectorised
-def _drag(
-    dt, rho, mom, ri, u, phi, decay, fade, stay, visc, loss, unst, drag, y0, y1, y2, y3, y4, y5
-):
+def _drag(dt, gas_is, wall, fading, drag, y):
     """See `drag_with_memory`."""
+    rho, mom, ri, u = gas_is
+    phi, visc, loss, unst = wall
+    decay, fade, stay = fading
+    y0, y1, y2, y3, y4, y5 = y
     i_dt = 1.0 / dt
     half = 0.5 * dt
     for i in each(rho.size):
@@ -241,22 +243,26 @@ def drag_with_memory(dt, cells):
     """
     P, S, X = cells.par, cells.state, cells.work
     _drag(
-        dt, S[L.RHO], S[L.MOM], X[L.W_RI], X[L.W_U], X[L.W_PHI],
-        X[L.W_AU], X[L.W_FADE], X[L.W_STAY], P[L.VISCOUS], P[L.LOSS], P[L.UNSTEADY], X[L.W_DRAG],
-        S[L.Y0], S[L.Y0 + 1], S[L.Y0 + 2], S[L.Y0 + 3], S[L.Y0 + 4], S[L.Y0 + 5],
-    )  # fmt: skip
+        dt,
+        (S[L.RHO], S[L.MOM], X[L.W_RI], X[L.W_U]),
+        (X[L.W_PHI], P[L.VISCOUS], P[L.LOSS], P[L.UNSTEADY]),
+        (X[L.W_AU], X[L.W_FADE], X[L.W_STAY]),
+        X[L.W_DRAG],
+        (S[L.Y0], S[L.Y0 + 1], S[L.Y0 + 2], S[L.Y0 + 3], S[L.Y0 + 4], S[L.Y0 + 5]),
+    )
 
 
 @vectorised
-def _heat(
-    gamma, r_gas, prandtl, dt, rho, mom, ene, ri, t_old, decay, fade, stay, film, unst, wall_t,
-    warm, y0, y1, y2, y3, y4, y5,
-):  # fmt: skip
+def _heat(gas, dt, gas_is, wall, fading, warm, y):
     """See `heat_with_memory`."""
-    cv = r_gas / (gamma - 1.0)
+    rho, mom, ene, ri, t_old = gas_is
+    film, unst, wall_t = wall
+    decay, fade, stay = fading
+    y0, y1, y2, y3, y4, y5 = y
+    cv = gas.r / (gas.gamma - 1.0)
     i_cv = 1.0 / cv
     i_dt = 1.0 / dt
-    i_rate = prandtl / dt
+    i_rate = gas.prandtl / dt
     per_heat = dt * i_cv
     for i in each(rho.size):
         v0 = mom[i] * ri[i]
@@ -294,7 +300,11 @@ def heat_with_memory(gas, dt, cells):
     """
     P, S, X = cells.par, cells.state, cells.work
     _heat(
-        gas.gamma, gas.r, gas.prandtl, dt, S[L.RHO], S[L.MOM], S[L.ENE], X[L.W_RI], X[L.W_T],
-        X[L.W_AT], X[L.W_FADE], X[L.W_STAY], X[L.W_FILM], P[L.HEAT_UNSTEADY], P[L.WALL_T],
-        X[L.W_WARM], S[L.Z0], S[L.Z0 + 1], S[L.Z0 + 2], S[L.Z0 + 3], S[L.Z0 + 4], S[L.Z0 + 5],
-    )  # fmt: skip
+        gas,
+        dt,
+        (S[L.RHO], S[L.MOM], S[L.ENE], X[L.W_RI], X[L.W_T]),
+        (X[L.W_FILM], P[L.HEAT_UNSTEADY], P[L.WALL_T]),
+        (X[L.W_AT], X[L.W_FADE], X[L.W_STAY]),
+        X[L.W_WARM],
+        (S[L.Z0], S[L.Z0 + 1], S[L.Z0 + 2], S[L.Z0 + 3], S[L.Z0 + 4], S[L.Z0 + 5]),
+    )

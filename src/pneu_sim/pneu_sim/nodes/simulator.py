@@ -149,7 +149,7 @@ class SimulatorNode(Node):
         self._tap_topics = [t for t in self._tap_topics if t.name != topics.TAPS_TOPIC]
         self._publishers_of = {
             topic.name: self.create_publisher(
-                topics.message_class(topic.type), topic.name, common.READINGS_QOS
+                topics.message_class(topic.type), topic.name, common.FAST_QOS
             )
             for topic in (*self._tap_topics, *self._encoder_topics)
         }
@@ -157,15 +157,15 @@ class SimulatorNode(Node):
         self._set_publisher = self._applied = self._joint_publisher = None
         if rig.taps:
             self._set_publisher = self.create_publisher(
-                TapPressures, topics.TAPS_TOPIC, common.READINGS_QOS
+                TapPressures, topics.TAPS_TOPIC, common.FAST_QOS
             )
         if rig.commands:
             self._applied = self.create_publisher(
-                ValveCommand, topics.APPLIED_TOPIC, common.READINGS_QOS
+                ValveCommand, topics.APPLIED_TOPIC, common.FAST_QOS
             )
         if rig.moves and not rig.encoders:  # where they truly are: what nobody reads in its stead
             self._joint_publisher = self.create_publisher(
-                JointState, topics.JOINTS_TOPIC, common.READINGS_QOS
+                JointState, topics.JOINTS_TOPIC, common.FAST_QOS
             )
         self._line_publishers = {
             name: self.create_publisher(LineState, f"lines/{name}/state", common.READINGS_QOS)
