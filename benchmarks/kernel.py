@@ -8,6 +8,7 @@ import numpy as np
 from benchmarks.report import Table
 from benchmarks.timing import best_s
 from pneu_sim import simulate, stepping
+from pneu_sim.rig.build import build
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Simulator
 from pneu_sim.valve import KNOTS_PER_SAMPLE
@@ -70,21 +71,26 @@ def line(cells: int, order: int) -> Rig:
     )
 
 
+def width(cells: int, batch: int, order: int) -> int:
+    """How many of a batch of lines `simulate.predict` advances together."""
+    return min(batch, simulate.width_of(build(line(cells, order)).plan.slots))
+
+
 def nanoseconds(cells: int, batch: int, order: int, budget_s: float = 1.0) -> float:
     """Time per cell, step and rig, the ends and the valve included; ghosts do not count as cells.
 
     A batch runs as `simulate.predict` runs it: tile after tile, each along the whole recording.
     """
-    width = min(batch, simulate.width_of(cells + 4))
+    together = width(cells, batch, order)
     rig = line(cells, order)
     tiles = []
-    for _ in range(batch // width):
-        simulator = Simulator([rig] * width)
+    for _ in range(batch // together):
+        simulator = Simulator([rig] * together)
         simulator.run(0.005, {"voltage": 7.5})  # gas moves, and the walls remember
         tiles.append(simulator.plant.solver.tiles[0][0])
     plan = tiles[0].plan
-    steps = max(20, 200_000 // (cells * width))
-    opening = np.full((1, KNOTS_PER_SAMPLE + 1, plan.ports.shape[0], width), 0.5)
+    steps = max(20, 200_000 // (cells * together))
+    opening = np.full((1, KNOTS_PER_SAMPLE + 1, plan.ports.shape[0], together), 0.5)
 
     def run() -> None:
         for one in tiles:

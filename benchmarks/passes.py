@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from benchmarks.kernel import line, nanoseconds
+from benchmarks.kernel import line, nanoseconds, width
 from benchmarks.report import Table
 from benchmarks.timing import best_s
-from pneu_sim import simulate
 from pneu_sim.simulator import Simulator
 
 kernel = importlib.import_module("pneu_sim.kernel.advance")  # the package has a name like it
@@ -100,12 +99,12 @@ def profile(cells: int, batch: int, order: int, budget_s: float = 0.1) -> dict[s
         order: Of the scheme.
         budget_s: Time for each pass.
     """
-    width = min(batch, simulate.width_of(cells + 4))
-    simulator = Simulator([line(cells, order)] * width)
+    together = width(cells, batch, order)
+    simulator = Simulator([line(cells, order)] * together)
     simulator.run(0.005, {"voltage": 7.5})
     tile = simulator.plant.solver.tiles[0][0]
-    opening = np.full((2, tile.plan.ports.shape[0], width), 0.5)
-    times = max(20, 50_000 // (cells * width))
+    opening = np.full((2, tile.plan.ports.shape[0], together), 0.5)
+    times = max(20, 50_000 // (cells * together))
     state, kept = tile.state.ravel(), tile.state.ravel().copy()
 
     def taken(function: Any, args: tuple[Any, ...]) -> float:
@@ -114,7 +113,7 @@ def profile(cells: int, batch: int, order: int, budget_s: float = 0.1) -> dict[s
 
     put_back = taken(_nothing, ())
     return {
-        name: often * (taken(function, args) - put_back) / (times * cells * width) * 1e9
+        name: often * (taken(function, args) - put_back) / (times * cells * together) * 1e9
         for name, function, args, often in passes(tile.free, tile.plan.dt_s, opening)
     }
 

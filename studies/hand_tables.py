@@ -238,18 +238,23 @@ def hidden_values() -> dict[str, str]:
     return told
 
 
-def page(found: dict[str, Any], path: Path) -> None:
+def page(kept: dict[str, Any], path: Path) -> None:
     """Writes the page.
 
     Args:
-        found: Figures by stage.
+        kept: Figures of each stage, and the digest of the sources that they were made by.
         path: The page.
     """
     scenes = digest_of([HAND.parent])
+    found = {stage: of["figures"] for stage, of in kept.items()}
+    of_sources: dict[str, list[str]] = {}
+    for stage, of in kept.items():
+        of_sources.setdefault(of["sources"], []).append(stage)
+    made = "; ".join(f"{', '.join(names)}: {digest}" for digest, names in of_sources.items())
     lines = [
         "# An arm that touches: the experiments of thesis 2.7",
         "",
-        f"Made by `make hand-tables`, from the sources {sources_digest()} and scenes {scenes}.",
+        f"Made by `make hand-tables`, from scenes {scenes}. Sources by stage: {made}.",
         "",
         f"Five recordings of {SECONDS:g} s through `hand.launch.yaml backend:=emulated`: a Phantom"
         " taps and presses a cylinder on a string. The truth is hidden in"
@@ -351,6 +356,7 @@ def main() -> int:
     parser.add_argument("--workers", type=int)
     asked = parser.parse_args()
     console, physics = Console(width=140), Physics(asked.workers)
+    sources = sources_digest()  # as they are imported now
     OUT.mkdir(parents=True, exist_ok=True)
     chosen = asked.stages or list(stages)
     todo: list[tuple[str, Callable[[Tell], Any]]] = [
@@ -372,15 +378,15 @@ def main() -> int:
             continue
         with progress(stage) as tell:
             figures = make(lambda note, done, stage=stage: tell(stage, done, note))  # type: ignore[misc]
-        write_whole(file, json.dumps(figures))
+        write_whole(file, json.dumps({"sources": sources, "figures": figures}))
         console.print(f"{stage}: {json.dumps(figures)[:600]}")
     if "page" in chosen:
-        found = {}
+        kept = {}
         for stage in ("cross", "without", "starts", *(f"effect {name}" for name in effects())):
             file = OUT / f"{stage.replace(' ', '_')}.json"
             if file.is_file():
-                found[stage] = json.loads(file.read_text(encoding="utf-8"))
-        page(found, asked.page)
+                kept[stage] = json.loads(file.read_text(encoding="utf-8"))
+        page(kept, asked.page)
         console.print(f"{asked.page} is written")
     return 0
 

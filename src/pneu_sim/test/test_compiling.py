@@ -2,21 +2,57 @@
 """Compiled kernels that are kept on disk are those of the sources as they are."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+from numba.types import UniTuple, boolean, float64, int64
 
 import pneu_common
 import pneu_sim
+from pneu_sim.compiling import vectorised
+from pneu_sim.kernel import faces, lines, walls
 
 LEAK = (
     "from pneu_sim.kernel.leaks import leak_flow;"
     "print(repr(leak_flow(0, 1e-6, 0.0, 1.0, 3e5, 293.0, 1e5, 293.0, 1.4, 287.0)),"
     " sum(leak_flow.stats.cache_hits.values()))"
 )
+
+ROW, NUMBER = float64[::1], float64
+
+
+def rows(count: int) -> UniTuple:
+    return UniTuple(ROW, count)
+
+
+@pytest.mark.parametrize(
+    ("kernel", "arguments"),
+    [
+        (lines._primitive, (NUMBER, NUMBER, *[ROW] * 7)),
+        (lines._balance, (NUMBER, int64, *[ROW] * 10)),
+        (
+            faces._slopes,
+            (NUMBER, boolean, NUMBER, int64, rows(3), rows(5), rows(4), rows(4)),
+        ),
+        (walls._drag, (NUMBER, rows(4), rows(4), rows(3), ROW, rows(6))),
+    ],
+    ids=lambda given: getattr(given, "__name__", ""),
+)
+def test_a_pass_does_several_slots_at_once_and_compares_no_rows_first(
+    kernel: Any, arguments: tuple[Any, ...]
+) -> None:
+    """In a short line the comparing took longest, and with many rows nothing was vectorised."""
+    own = vectorised(kernel.py_func)
+    own._cache.disable()  # what is kept on disk has no code that can be read
+    own.compile(arguments)
+    (code,) = own.inspect_llvm().values()
+    assert re.search(r"f(mul|add|sub)[a-z ]* <\d+ x double>", code)
+    assert "vector.memcheck" not in code
 
 
 @pytest.mark.long
