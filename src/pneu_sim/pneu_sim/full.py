@@ -16,7 +16,7 @@ from pneu_sim.rig.build import build
 from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import Course, InitialField, Prediction, RunOptions, predict
-from pneu_sim.simulator import Simulator
+from pneu_sim.simulator import run_from_rest
 from pneu_sim.solver import Solver
 
 Floats = NDArray[np.float64]
@@ -66,8 +66,7 @@ class Full(ModelKind):
             sample_s: Interval of commands and readings, s.
             samples: How many there are.
         """
-        seen = Simulator(rig).run((samples - 1) * sample_s, commands, sample_s)
-        return FromRest(seen.taps, seen.joints, seen.speeds, seen.encoders)
+        return run_from_rest(rig, commands, sample_s, samples)
 
     def solver(self, rigs: Sequence[Rig], plan: Plan, gas: Gas = AIR) -> Solver:
         """What steps rigs side by side; see `ModelKind.solver`.

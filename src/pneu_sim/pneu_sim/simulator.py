@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim.gas import AIR, Gas
+from pneu_sim.models import FromRest
 from pneu_sim.plant import Plant
 from pneu_sim.rig.schema import Rig
 from pneu_sim.stepping import unstable
@@ -251,3 +252,18 @@ class Simulator:
     def _named(self, names: Sequence[str], series: Floats) -> dict[str, Floats]:
         one = 0 if self._single else slice(None)
         return {name: series[:, i, one] for i, name in enumerate(names)}
+
+
+def run_from_rest(
+    rig: Rig, commands: Mapping[str, Floats], sample_s: float, samples: int
+) -> FromRest:
+    """Runs a rig that starts from rest, by whichever model steps it; see `ModelKind.from_rest`.
+
+    Args:
+        rig: The rig.
+        commands: (T,) volts per command.
+        sample_s: Interval of commands and readings, s.
+        samples: How many there are.
+    """
+    seen = Simulator(rig).run((samples - 1) * sample_s, commands, sample_s)
+    return FromRest(seen.taps, seen.joints, seen.speeds, seen.encoders)

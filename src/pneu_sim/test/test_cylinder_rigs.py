@@ -176,8 +176,8 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         "unknown key 'bodies.b.mas_kg'; did you mean 'mass_kg'?",
     ),
     "a lumped model": (
-        changed(model="thin_plate"),
-        "model: found thin_plate, which does not move cylinders yet; allowed is pde",
+        changed(model="delay_line"),
+        "model: found delay_line, which moves no cylinders; allowed are pde, thin_plate",
     ),
 }  # fmt: skip
 
@@ -211,12 +211,12 @@ def test_what_moves_is_predicted_less_far_unless_the_file_says_how_far(given: An
     assert still.fit.horizon_s == HORIZON_S and "fit" not in still.dump()
 
 
-def test_other_models_than_the_full_one_say_that_they_move_nothing(tmp_path: Path) -> None:
+def test_the_delay_line_says_that_it_moves_nothing(tmp_path: Path) -> None:
     """Rigs that programs build are not read from a file; they learn it when they are run."""
     path = tmp_path / "rig.yaml"
     YAML(typ="safe").dump(SPRING, path)
-    rig = load_rig(path).model_copy(update={"model": "thin_plate"})
-    with pytest.raises(InputError, match="found thin_plate, which moves no bodies; use pde"):
+    rig = load_rig(path).model_copy(update={"model": "delay_line"})
+    with pytest.raises(InputError, match="found delay_line, which moves no bodies; use pde"):
         run_from_rest(rig, {}, 1e-3, 10)
 
 

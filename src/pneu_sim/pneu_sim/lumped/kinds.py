@@ -1,18 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lumped models as kinds: closed volumes behind orifices, with or without the line's delay."""
+"""The lumped models as kinds: volumes behind orifices, with or without the line's delay."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.lumped import batch, delay_line, thin_plate
 from pneu_sim.lumped.model import LumpedModel
+from pneu_sim.lumped.moving import moving_solver
 from pneu_sim.lumped.solver import LumpedSolver
-from pneu_sim.models import ModelKind
+from pneu_sim.models import FromRest, ModelKind
 from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import Course, InitialField, Prediction, RunOptions
+from pneu_sim.simulator import run_from_rest
 from pneu_sim.solver import Solver
+
+Floats = NDArray[np.float64]
 
 
 class Lumped(ModelKind):
@@ -64,7 +71,7 @@ class Lumped(ModelKind):
 
 
 class ThinPlate(Lumped):
-    """Closed volumes filled through orifices (thesis 3.2.1)."""
+    """Volumes filled through orifices (thesis 3.2.1), which move pistons where a rig has any."""
 
     def build(self, rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> LumpedModel:
         """Reduces a rig; see `Lumped.build`.
@@ -75,6 +82,33 @@ class ThinPlate(Lumped):
             gas: The gas.
         """
         return thin_plate.build(rig, plan, gas)
+
+    def from_rest(
+        self, rig: Rig, commands: Mapping[str, Floats], sample_s: float, samples: int
+    ) -> FromRest:
+        """Runs a rig that starts from rest; see `ModelKind.from_rest`.
+
+        Args:
+            rig: The rig.
+            commands: (T,) volts per command.
+            sample_s: Interval of commands and readings, s.
+            samples: How many there are.
+        """
+        if rig.moves:
+            return run_from_rest(rig, commands, sample_s, samples)
+        return super().from_rest(rig, commands, sample_s, samples)
+
+    def solver(self, rigs: Sequence[Rig], plan: Plan, gas: Gas = AIR) -> Solver:
+        """What steps rigs side by side; see `ModelKind.solver`.
+
+        Args:
+            rigs: The rigs.
+            plan: Their grid plan.
+            gas: The gas.
+        """
+        if not rigs[0].moves:
+            return super().solver(rigs, plan, gas)
+        return moving_solver(rigs, gas)
 
 
 class DelayLine(Lumped):

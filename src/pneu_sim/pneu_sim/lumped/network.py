@@ -52,8 +52,8 @@ def reduce_network(rig: Rig) -> Network:
     """
     if rig.moves:
         raise InputError(
-            f"rig {rig.name!r}: model: found {rig.model}, lumped models do not move cylinders yet;"
-            " use pde"
+            f"rig {rig.name!r}: model: found {rig.model}, which moves no cylinders along"
+            " recordings; use pde"
         )
     for name, cylinder in rig.cylinders.items():
         if cylinder.gas == "cells":

@@ -14,8 +14,8 @@ BUILT_IN = {
     "delay_line": "pneu_sim.lumped.kinds:DelayLine",
 }
 """One line per kind."""
-STILL = ("thin_plate", "delay_line")
-"""Those that know no pistons, and hence move no bodies."""
+STILL = ("delay_line",)
+"""Those that move no pistons."""
 
 
 def known() -> dict[str, EntryPoint]:

@@ -142,8 +142,8 @@ def implausible(rig: Rig) -> str:
 
 def _unmoved(rig: Rig) -> str:
     """An objection to a model that cannot move what the rig has; else empty."""
-    if rig.cylinders and rig.model in STILL:
-        return f"model: found {rig.model}, which does not move cylinders yet; allowed is pde"
+    if rig.moves and rig.model in STILL:
+        return f"model: found {rig.model}, which moves no cylinders; allowed are pde, thin_plate"
     return ""
 
 
