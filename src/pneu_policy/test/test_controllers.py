@@ -18,9 +18,10 @@ from pneu_policy.control.controllers import (
     save_pid,
 )
 from pneu_policy.control.feed_forward import FeedForward
+from pneu_policy.control.identity import rig_identity
 from pneu_policy.control.observations import Observer, Recipe
 from pneu_policy.control.pid import Gains, Pid
-from pneu_policy.control.policy_file import PolicyFile, rig_identity
+from pneu_policy.control.policy_file import PolicyFile
 from pneu_policy.task.plants import ControlPlant
 from pneu_policy.task.targets import Target
 from pneu_sim.rig import load_rig

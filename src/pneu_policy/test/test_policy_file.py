@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from pneu_common.errors import InputError
+from pneu_policy.control.identity import rig_identity
 from pneu_policy.control.observations import Recipe
-from pneu_policy.control.policy_file import PolicyFile, rig_identity
+from pneu_policy.control.policy_file import PolicyFile
 from pneu_sim.rig import load_rig
 
 ROOT = Path(__file__).parents[3]

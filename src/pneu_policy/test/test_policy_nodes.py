@@ -27,9 +27,10 @@ from pneu_common.errors import InputError
 from pneu_graph.launch.plan import Plan
 from pneu_graph.nodes import common
 from pneu_policy.control.controllers import PidController, save_pid
+from pneu_policy.control.identity import rig_identity
 from pneu_policy.control.observations import Recipe
 from pneu_policy.control.pid import Gains
-from pneu_policy.control.policy_file import PolicyFile, rig_identity
+from pneu_policy.control.policy_file import PolicyFile
 from pneu_policy.nodes.pid import PidNode
 from pneu_policy.nodes.policy import PolicyNode
 from pneu_policy.nodes.target import TargetNode

@@ -10,9 +10,10 @@ from typer.testing import CliRunner
 
 from pneu_common.errors import InputError
 from pneu_policy.control.controllers import FeedForwardPid, PidController, load_controller
+from pneu_policy.control.identity import rig_identity
 from pneu_policy.control.observations import Recipe
 from pneu_policy.control.pid import Gains
-from pneu_policy.control.policy_file import PolicyFile, rig_identity
+from pneu_policy.control.policy_file import PolicyFile
 from pneu_policy.tune.command import register_policy, register_tune
 from pneu_policy.tune.gains import Trials, tune
 from pneu_policy.tune.settings import TuneSettings

@@ -189,6 +189,18 @@ class FullSolver(Solver):
         for tile, of in self.tiles:
             tile.cylinder_state[free, L.SY_SPEED] = speed[free][:, of]
 
+    def start_pistons(self, extension: Floats) -> None:
+        """Sets where pistons that move no body start; see `Solver.start_pistons`.
+
+        Args:
+            extension: (n_cylinders, lanes).
+        """
+        for model, own in zip(self.models, extension.T, strict=True):
+            tiles.check_extensions(model, own)
+        free = self.plan.moves < 0
+        for tile, of in self.tiles:
+            tile.cylinder[free, L.PY_START] = extension[free][:, of]
+
     def impulse(self) -> Floats:
         """Impulse on every piston since this was last asked for; see `Solver.impulse`."""
         impulse = self._whole(lambda tile: tile.cylinder_state[:, L.SY_IMPULSE])

@@ -231,6 +231,17 @@ class Solver(ABC):
         """
         raise InputError("cylinders: the rig's model moves no pistons")
 
+    def start_pistons(self, extension: Floats) -> None:
+        """Sets where pistons that move no body stand from the next filling on.
+
+        Args:
+            extension: (n_cylinders, lanes) m, or rad; of those that move bodies it is not used.
+
+        Raises:
+            InputError: The model has none that move, or one would stand beyond its stroke.
+        """
+        raise InputError("cylinders: the rig's model moves no pistons")
+
     def impulse(self) -> Floats:
         """Impulse of gas and room on every piston since this was last asked for, N s.
 

@@ -11,11 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
-from pneu_policy.control.policy_file import PolicyFile, rig_identity
+from pneu_policy.control.identity import rig_identity, robot_identity
+from pneu_policy.control.policy_file import PolicyFile
 from pneu_policy.control.push_policy import PushPolicy
+from pneu_policy.control.robot_policy import RobotPolicy
 from pneu_policy.learn.history import Row
 from pneu_policy.learn.settings import TrainSettings
 from pneu_policy.task.pushing import Pushing
+from pneu_policy.task.robot import Robots
 from pneu_policy.task.task_env import TaskEnv
 from pneu_policy.task.tracking import PressureTracking
 
@@ -45,7 +48,7 @@ class Trained:
     log_std: float
 
 
-def export_policy(trained: Trained, path: str | Path) -> PolicyFile | PushPolicy:
+def export_policy(trained: Trained, path: str | Path) -> PolicyFile | PushPolicy | RobotPolicy:
     """Writes what was trained.
 
     Args:
@@ -60,7 +63,15 @@ def export_policy(trained: Trained, path: str | Path) -> PolicyFile | PushPolicy
     """
     env = trained.env
     if isinstance(env, PressureTracking):
-        file: PolicyFile | PushPolicy = _of_a_rig(trained, env)
+        file: PolicyFile | PushPolicy | RobotPolicy = _of_a_rig(trained, env)
+    elif isinstance(env, Robots):
+        file = RobotPolicy(
+            weights=trained.weights,
+            recipe=env.settings.recipe,
+            rig=robot_identity(env.rig),
+            training=_training(trained, {"model": env.rig.model, "rig": _source(trained)}),
+            log_std=trained.log_std,
+        )
     elif isinstance(env, Pushing):
         file = PushPolicy(
             weights=trained.weights,
@@ -70,7 +81,9 @@ def export_policy(trained: Trained, path: str | Path) -> PolicyFile | PushPolicy
             log_std=trained.log_std,
         )
     else:
-        raise InputError(f"{path}: a policy file is of a rig or a hand, found {type(env).__name__}")
+        raise InputError(
+            f"{path}: a policy file is of a rig, a robot or a hand, found {type(env).__name__}"
+        )
     file.save(path)
     return file
 

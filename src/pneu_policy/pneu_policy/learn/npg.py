@@ -31,17 +31,21 @@ MOST_HALVINGS = 10
 
 @dataclass(frozen=True)
 class Batch:
-    """Episodes of equal length; the horizon cuts all of them off, none ends by itself.
+    """Episodes side by side; the horizon cuts all of them off that have not ended by themselves.
 
     Attributes:
         observations: Before each action and after the last one: (steps + 1, episodes, size).
         actions: (steps, episodes, size).
-        rewards: (steps, episodes).
+        rewards: (steps, episodes), zero after an end.
+        alive: Whether an episode had not ended before a step, (steps, episodes); None is always.
+        ended: Whether it has ended by itself, (episodes,); None is never.
     """
 
     observations: Array
     actions: Array
     rewards: Array
+    alive: NDArray[np.bool_] | None = None
+    ended: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)
@@ -331,25 +335,34 @@ def update(
         known = values(features).cpu().numpy().reshape(steps + 1, episodes)
     if not settings.bootstrap:
         known[-1] = 0.0
+    if batch.alive is not None:  # after an end there is nothing to earn
+        known[:-1] *= batch.alive
+    if batch.ended is not None:
+        known[-1] *= ~batch.ended
     advantage = advantages(batch.rewards, known, settings.gamma, settings.gae_lambda)
     # Returns end at the horizon: fitted to its own value there, the network drifts away.
     returns = discounted(batch.rewards, np.zeros_like(known[-1]), settings.gamma)
 
     count = steps * episodes
+    counted: slice | Tensor = slice(None)
+    if batch.alive is not None:
+        counted = torch.from_numpy(np.flatnonzero(batch.alive)).to(device)
     kl, step = improve_policy(
         policy,
-        observations[:count],
-        torch.from_numpy(batch.actions).to(device).flatten(0, 1),
-        torch.from_numpy(advantage).to(device).flatten(),
+        observations[:count][counted],
+        torch.from_numpy(batch.actions).to(device).flatten(0, 1)[counted],
+        torch.from_numpy(advantage).to(device).flatten()[counted],
         settings,
     )
     fit_values(
         values,
         optimiser,
-        features[:count],
-        torch.from_numpy(returns).to(device).flatten(),
+        features[:count][counted],
+        torch.from_numpy(returns).to(device).flatten()[counted],
         settings,
         rng,
     )
-    left = float(np.var(returns - known[:-1]))
-    return Update(kl=kl, step=step, explained=1.0 - left / max(float(np.var(returns)), 1e-12))
+    took = np.ones_like(returns, dtype=bool) if batch.alive is None else batch.alive
+    left = float(np.var((returns - known[:-1])[took]))
+    spread = max(float(np.var(returns[took])), 1e-12)
+    return Update(kl=kl, step=step, explained=1.0 - left / spread)

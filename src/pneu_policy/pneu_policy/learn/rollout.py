@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Episodes of a policy in a vector environment whose episodes all end together."""
+"""Episodes of a policy in a vector environment, all of which begin and are over together."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,6 +25,11 @@ class Episodes:
         rewards: (steps, episodes).
         error: Tracking error after each step, (steps, episodes), SI.
         unit: How much one is of what errors are told in.
+        alive: Whether an episode had not ended before a step, (steps, episodes); None is always.
+            What was seen and done after its end does not count.
+        success: Whether it was where it should be after each step, (steps, episodes); None where
+            the task does not say.
+        ended: Whether an episode has ended by itself, (episodes,); None is never.
     """
 
     observations: Array
@@ -32,6 +37,9 @@ class Episodes:
     rewards: Array
     error: NDArray[np.float64]
     unit: float
+    alive: NDArray[np.bool_] | None = None
+    success: NDArray[np.bool_] | None = None
+    ended: NDArray[np.bool_] | None = None
 
     @property
     def score(self) -> float:
@@ -40,13 +48,19 @@ class Episodes:
 
     @property
     def rmse(self) -> float:
-        """RMS tracking error over all episodes, in the task's unit."""
-        return float(np.sqrt(np.mean(self.error**2)) / self.unit)
+        """RMS tracking error over all episodes while they lasted, in the task's unit."""
+        squares = self.error**2 if self.alive is None else self.error[self.alive] ** 2
+        return float(np.sqrt(np.mean(squares)) / self.unit)
 
     @property
     def samples(self) -> int:
         """Steps of all episodes together."""
-        return int(self.rewards.size)
+        return int(self.rewards.size if self.alive is None else self.alive.sum())
+
+    @property
+    def successful(self) -> float | None:
+        """Share of all steps that were a success, those after an end being none."""
+        return None if self.success is None else float(self.success.mean())
 
 
 def roll_out(env: TaskEnv, act: Callable[[Array], Array], seed: int) -> Episodes:
@@ -59,10 +73,13 @@ def roll_out(env: TaskEnv, act: Callable[[Array], Array], seed: int) -> Episodes
 
     Raises:
         FloatingPointError: The environment returned what is not finite.
-        ValueError: Episodes do not end together, or not at all.
+        ValueError: Episodes are not cut off together, or do not end at all.
     """
     observation, _ = env.reset(seed=seed)
     observations, actions, rewards, errors = [np.asarray(observation, np.float32)], [], [], []
+    successes: list[NDArray[np.bool_]] = []
+    over = np.zeros(len(observations[0]), dtype=bool)
+    lasted: list[NDArray[np.bool_]] = []
     for step in range(LONGEST):
         action = np.asarray(act(observations[-1]), np.float32)
         observation, reward, terminated, truncated, info = env.step(action)
@@ -76,11 +93,15 @@ def roll_out(env: TaskEnv, act: Callable[[Array], Array], seed: int) -> Episodes
         actions.append(action)
         rewards.append(np.array(reward, np.float32))
         errors.append(np.array(info["error"], np.float64))
-        done = terminated | truncated
-        if done.all():
+        if "success" in info:
+            successes.append(np.array(info["success"], bool))
+        lasted.append(~over)
+        over = over | terminated
+        if (over | truncated).all():
             break
-        if done.any():
-            raise ValueError(f"only {done.sum()} of {len(done)} episodes ended after step {step}")
+        if truncated.any():
+            cut = int(truncated.sum())
+            raise ValueError(f"only {cut} of {len(over)} episodes were cut off after step {step}")
     else:
         raise ValueError(f"episodes did not end within {LONGEST} steps")
     return Episodes(
@@ -89,4 +110,7 @@ def roll_out(env: TaskEnv, act: Callable[[Array], Array], seed: int) -> Episodes
         np.stack(rewards),
         np.stack(errors),
         env.unit[1],
+        None if all(one.all() for one in lasted) else np.stack(lasted),
+        np.stack(successes) if successes else None,
+        over if over.any() else None,
     )

@@ -128,7 +128,13 @@ class Trainer:
 
         seed = int(generator(s.seed, _EPISODES, k).integers(2**31))
         episodes = roll_out(self.env, explore, seed)
-        batch = npg.Batch(episodes.observations, episodes.actions, episodes.rewards)
+        batch = npg.Batch(
+            episodes.observations,
+            episodes.actions,
+            episodes.rewards,
+            episodes.alive,
+            episodes.ended,
+        )
         order = generator(s.seed, _VALUE_ORDER, k)
         update = npg.update(self.policy, self.values, self._optimiser, batch, s.npg, order)
         latest = self.policy.flat()
@@ -149,6 +155,7 @@ class Trainer:
             "rmse": episodes.rmse,
             "eval_score": judged.score if judged else None,
             "eval_rmse": judged.rmse if judged else None,
+            "eval_success": judged.successful if judged else None,
             "std": float(std.mean()),
             "kl": update.kl,
             "step": update.step,

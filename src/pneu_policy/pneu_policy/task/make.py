@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from pydantic import Discriminator, Tag
 
 from pneu_policy.task.pushing import Pushing, PushSettings
+from pneu_policy.task.robot import Robots, RobotSettings
 from pneu_policy.task.task_env import TaskEnv
 from pneu_policy.task.tracking import EnvSettings, PressureTracking
 
@@ -20,13 +21,15 @@ def task(value: Any) -> Any:
 
 
 TaskSettings = Annotated[
-    Annotated[EnvSettings, Tag("pressure")] | Annotated[PushSettings, Tag("push")],
+    Annotated[EnvSettings, Tag("pressure")]
+    | Annotated[PushSettings, Tag("push")]
+    | Annotated[RobotSettings, Tag("robot")],
     Discriminator(task),
 ]
 """Settings of a task; ``task`` tells which, a pressure's unless given."""
 
 
-def make_env(settings: EnvSettings | PushSettings) -> TaskEnv:
+def make_env(settings: EnvSettings | PushSettings | RobotSettings) -> TaskEnv:
     """Builds plants of a task.
 
     Args:
@@ -37,4 +40,6 @@ def make_env(settings: EnvSettings | PushSettings) -> TaskEnv:
     """
     if isinstance(settings, PushSettings):
         return Pushing(settings)
+    if isinstance(settings, RobotSettings):
+        return Robots(settings)
     return PressureTracking(settings)

@@ -21,6 +21,7 @@ from pneu_policy.control.observations import Observer, Recipe
 from pneu_policy.task.ensembles import draw_rigs
 from pneu_policy.task.plants import ControlPlant
 from pneu_policy.task.ranges import DelayRange, Kinds, Range, Seed
+from pneu_policy.task.reward import Reward
 from pneu_policy.task.targets import Target
 from pneu_policy.task.task_env import TaskEnv
 from pneu_sim.rig.load import load_rig
@@ -30,32 +31,6 @@ Floats = NDArray[np.float64]
 
 LONGEST_S = 60.0
 """Targets begin within this time of their own start, so that few episodes are alike."""
-
-
-class Reward(Settings):
-    """Reward of a control period (thesis 7.1).
-
-    Attributes:
-        alpha: Weight of the error's size, in the recipe's span.
-        beta: Weight of its logarithm.
-        floor: Least error under the logarithm, in the recipe's span.
-        offset: What is added, so that a good policy earns more than nothing.
-    """
-
-    alpha: Annotated[float, Field(ge=0.0)] = 1.0
-    beta: Annotated[float, Field(ge=0.0)] = 0.25
-    floor: Annotated[float, Field(gt=0.0)] = 0.01
-    offset: float = 0.0
-
-    def of(self, error: Floats) -> Floats:
-        """Rewards of some errors.
-
-        Args:
-            error: Errors in the recipe's span.
-        """
-        size = np.abs(error)
-        log = np.log(np.maximum(size, self.floor))
-        return self.offset - self.alpha * size - self.beta * log
 
 
 class EnvSettings(Settings):
