@@ -7,7 +7,7 @@ with on the way, and where the pistons will then be.
 """
 
 import math
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from pneu_common.errors import InputError
 from pneu_common.validation import Settings
 from pneu_sim.inverse import InverseDynamics
 from pneu_sim.rig.schema import Rig
+
+if TYPE_CHECKING:
+    from pneu_policy.control.robot_recipe import RobotRecipe
 
 Floats = NDArray[np.float64]
 
@@ -32,8 +35,8 @@ class PlanSettings(Settings):
         speed_hz: Cut-off of the first-order filter of the measured speed.
     """
 
-    joining_hz: Annotated[float, Field(gt=0.0)] = 3.0
-    damping: Annotated[float, Field(gt=0.0)] = 1.0
+    joining_hz: Annotated[float, Field(gt=0.0)] = 3.5
+    damping: Annotated[float, Field(gt=0.0)] = 0.7
     most_rad_s2: Annotated[float, Field(gt=0.0)] = 200.0
     smoothed_s: Annotated[float, Field(gt=0.0)] = 0.02
     speed_hz: Annotated[float, Field(gt=0.0)] = 30.0
@@ -68,7 +71,7 @@ class Planner:
         self._period_s = period_s
         self.steps = max(1, math.ceil(ahead_s / period_s - 1e-9))
         self._around = max(1, round(settings.smoothed_s / period_s))
-        self.reach = self.steps + 2 * self._around + 1
+        self.reach = self.steps + self._around + 2
         on = [rig.encoders[name].on(name) for name in tracked]
         missing = [name for name in on if name not in self._inverse.joints]
         if missing or len(on) != len(self._inverse.cylinders):
@@ -80,6 +83,36 @@ class Planner:
         self._strokes = self._inverse.strokes()
         self._before: Floats | None = None
         self._speed: Floats | None = None
+        self._pace: Floats | None = None
+        self._gone: Floats | None = None
+
+    @classmethod
+    def of_recipe(cls, recipe: "RobotRecipe", rig: Rig) -> "Planner":
+        """The high level that tells a policy which forces are required.
+
+        Args:
+            recipe: What the policy sees.
+            rig: The rig, as far as it is known.
+
+        Raises:
+            InputError: The rig has no inverse dynamics, or previews are no whole periods.
+        """
+        r = recipe
+        for at in r.preview_s:
+            if abs(at / r.period_s - round(at / r.period_s)) > 1e-6:
+                raise InputError(
+                    f"recipe.preview_s: found {at:g}, a plan tells forces at whole control periods"
+                    f" of {r.period_s:g} s"
+                )
+        if r.plan is None:
+            raise InputError("recipe.plan: found none, which says what forces are required")
+        made = cls(r.plan, rig, list(r.tracked), r.period_s, max(r.preview_s[-1], r.period_s))
+        if made.cylinders != list(r.forces):
+            raise InputError(
+                f"recipe.forces: found {', '.join(r.forces)}, rig {rig.name!r} is moved by"
+                f" {', '.join(made.cylinders)}"
+            )
+        return made
 
     @property
     def cylinders(self) -> list[str]:
@@ -88,43 +121,61 @@ class Planner:
 
     def reset(self) -> None:
         """Forgets the past, as if joints had stood still."""
-        self._before = self._speed = None
+        self._before = self._speed = self._pace = self._gone = None
 
     def speed(self, position: Floats) -> Floats:
         """Speeds by what was measured, one control period after the last.
 
+        A filter of differences alone is late, and a plan by late speeds overdoes accelerations; so
+        the last plan's acceleration carries both the difference, which is of half a period ago, and
+        the speed before on to the present.
+
         Args:
             position: (count, tracked) rad or m.
         """
-        if self._before is None or self._speed is None:
+        h = self._period_s
+        if self._before is None or self._speed is None or self._pace is None:
             self._speed = np.zeros_like(position)
         else:
-            keep = math.exp(-2.0 * math.pi * self.settings.speed_hz * self._period_s)
-            raw = (position - self._before) / self._period_s
-            self._speed = keep * self._speed + (1.0 - keep) * raw
+            keep = math.exp(-2.0 * math.pi * self.settings.speed_hz * h)
+            raw = (position - self._before) / h + 0.5 * h * self._pace
+            self._speed = keep * (self._speed + h * self._pace) + (1.0 - keep) * raw
         self._before = position.copy()
         return self._speed
+
+    def _course(self, targets: Floats) -> tuple[Floats, Floats]:
+        """Speeds and accelerations of targets from now on, by central differences.
+
+        Targets that have gone by are remembered; at the first plan they are taken to have come as
+        they go on.
+
+        Args:
+            targets: (count, tracked, reach).
+        """
+        h, k = self._period_s, self._around
+        if self._gone is None:
+            self._gone = 2.0 * targets[:, :, :1] - targets[:, :, k + 1 : 0 : -1]
+        whole = np.concatenate([self._gone, targets], axis=2)
+        self._gone = whole[:, :, 1 : k + 2].copy()
+        rate = (whole[:, :, 2 * k :] - whole[:, :, : -2 * k]) / (2.0 * k * h)
+        bend = (rate[:, :, 2:] - rate[:, :, :-2]) / (2.0 * h)
+        return rate[:, :, 1:], bend
 
     def plan(self, position: Floats, targets: Floats) -> tuple[Floats, Floats]:
         """What to push with, from now on.
 
         Args:
             position: (count, tracked) measured, rad or m.
-            targets: (count, tracked, reach) at the present period and those after it; what lies
-                further back is taken to have been like the present.
+            targets: (count, tracked, reach) at the present period and those after it.
 
         Returns:
             (count, cylinders, steps + 1) forces, N, now and at every period ahead, and
             (count, cylinders, steps + 1) extensions over their strokes.
         """
-        s, h, k = self.settings, self._period_s, self._around
+        s, h = self.settings, self._period_s
         q, v = position.copy(), self.speed(position).copy()
         count, tracked = q.shape
-        # Central differences over a short stretch; at its beginning what there is.
-        whole = np.concatenate([np.repeat(targets[:, :, :1], k, axis=2), targets], axis=2)
-        rate = (whole[:, :, 2 * k :] - whole[:, :, : -2 * k]) / (2.0 * k * h)
-        rate[:, :, :k] = (targets[:, :, k : 2 * k] - targets[:, :, :k]) / (k * h)
-        bend = np.gradient(rate, h, axis=2)
+        rate, bend = self._course(targets)
         w = 2.0 * math.pi * s.joining_hz
         way = np.zeros((3, count, self.steps + 1, tracked))
         for n in range(self.steps + 1):
@@ -134,6 +185,8 @@ class Planner:
                 + w * w * (targets[:, :, n] - q)
             )
             a = np.clip(a, -s.most_rad_s2, s.most_rad_s2)
+            if n == 0:
+                self._pace = a
             way[:, :, n] = q, v, a
             q = q + h * v + 0.5 * h * h * a
             v = v + h * a

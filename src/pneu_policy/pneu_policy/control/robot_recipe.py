@@ -7,6 +7,7 @@ lines) is for studies in simulation; `hardware` says whether a recipe does witho
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated, Any, Self
@@ -18,6 +19,7 @@ from pydantic import Field, model_validator
 from pneu_common.validation import Listed, Settings
 from pneu_policy.control.observations import DENSITY_KG_M3, GAS, VELOCITY_M_S, Points
 from pneu_policy.control.planner import PlanSettings
+from pneu_sim.rig.schema import Rig
 
 Floats = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -80,18 +82,50 @@ class Push(Settings):
     Attributes:
         head_tap: Tap at the head side; None is open to the room.
         rod_tap: Tap at the rod side; likewise.
-        head_m2: Area there, or displacement of a rotary actuator.
+        head_m2: Area there, or displacement of a rotary actuator; None is the rig's.
         rod_m2: Likewise.
-        room_pa: Pressure of the room.
+        room_pa: Pressure of the room; None is the rig's.
         span_n: Forces are told in these.
     """
 
     head_tap: str | None
     rod_tap: str | None
-    head_m2: float
-    rod_m2: float
-    room_pa: float
+    head_m2: float | None = None
+    rod_m2: float | None = None
+    room_pa: float | None = None
     span_n: Positive = 100.0
+
+    def of_rig(self, rig: Rig, cylinder: str) -> "Push":
+        """The same with what a rig says where nothing was said.
+
+        Args:
+            rig: The rig.
+            cylinder: The cylinder.
+        """
+        head_m2, rod_m2 = rig.cylinders[cylinder].areas
+        filled = {
+            "head_m2": head_m2 if self.head_m2 is None else self.head_m2,
+            "rod_m2": rod_m2 if self.rod_m2 is None else self.rod_m2,
+            "room_pa": rig.ambient.pressure_pa if self.room_pa is None else self.room_pa,
+        }
+        return self.model_copy(update=filled)
+
+    def force_n(self, pressure_pa: Mapping[str, Any]) -> Any:
+        """Net force of the gas on the piston, N.
+
+        Args:
+            pressure_pa: By tap its reading or readings, Pa.
+
+        Raises:
+            ValueError: Areas or the room's pressure are not known.
+        """
+        if self.head_m2 is None or self.rod_m2 is None or self.room_pa is None:
+            raise ValueError("areas and the room's pressure are not known; take them from a rig")
+        force: Any = 0.0
+        for tap, area in ((self.head_tap, self.head_m2), (self.rod_tap, -self.rod_m2)):
+            if tap is not None:
+                force = force + area * (pressure_pa[tap] - self.room_pa)
+        return force
 
 
 class RobotRecipe(Settings):
@@ -176,6 +210,15 @@ class RobotRecipe(Settings):
                 if tap is not None and tap not in self.taps:
                     raise ValueError(f"forces.{name}: found tap {tap!r}, which taps does not have")
         return self
+
+    def of_rig(self, rig: Rig) -> "RobotRecipe":
+        """The same with what a rig says of cylinders where nothing was said.
+
+        Args:
+            rig: The rig; has the cylinders.
+        """
+        forces = {name: push.of_rig(rig, name) for name, push in self.forces.items()}
+        return self.model_copy(update={"forces": forces})
 
     @property
     def hardware(self) -> bool:
@@ -321,12 +364,10 @@ class RobotObserver:
             taps_pa: (count, taps) in the order of the recipe's taps.
         """
         r = self.recipe
+        told = dict(zip(r.taps, taps_pa.T, strict=True))
         out = np.zeros((len(taps_pa), len(r.forces)))
         for c, push in enumerate(r.forces.values()):
-            sides = ((push.head_tap, push.head_m2), (push.rod_tap, -push.rod_m2))
-            for tap, area in sides:
-                if tap is not None:
-                    out[:, c] += area * (taps_pa[:, r.taps.index(tap)] - push.room_pa)
+            out[:, c] = push.force_n(told)
         return out
 
     def observe(self, now: Moment) -> Floats:

@@ -12,14 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_policy.judge.latency import EARLY_S, LATE_S, latency, rms
+
 Floats = NDArray[np.float64]
 
 ATM_PA = 101325.0
-LATE_S = 0.25
-"""Largest delay that is looked for."""
-EARLY_S = 0.10
-"""Largest lead that is looked for."""
-SEARCH_STEP_S = 0.002
 RATE_WINDOW_S = 0.01
 """Interval of the command's rate of change: that of the slowest controller, so that a controller
 is not charged for commanding more often."""
@@ -129,16 +126,6 @@ def measure(track: Track, begin_s: float, end_s: float, null_v: float, band_hz: 
     )
 
 
-def rms(time_s: Floats, values: Floats) -> float:
-    """Root mean square over time, by the trapezoidal rule.
-
-    Args:
-        time_s: (n,) increasing times, s.
-        values: (n,) values there.
-    """
-    return float(np.sqrt(np.trapezoid(values**2, time_s) / (time_s[-1] - time_s[0])))
-
-
 def target_at(track: Track, time_s: Floats) -> Floats:
     """The target of a run at some times.
 
@@ -150,7 +137,7 @@ def target_at(track: Track, time_s: Floats) -> Floats:
 
 
 def latency_of(track: Track, time_s: Floats, pressure_pa: Floats) -> tuple[float, float]:
-    """The delay of the target that fits the pressure best, finer than the samples.
+    """The delay of the target that fits the pressure best; see `latency`.
 
     Args:
         track: The run, for its target.
@@ -160,25 +147,7 @@ def latency_of(track: Track, time_s: Floats, pressure_pa: Floats) -> tuple[float
     Returns:
         The delay, positive where the pressure is late, s, and the error left, Pa.
     """
-
-    def error(delay_s: float) -> float:
-        return rms(time_s, pressure_pa - target_at(track, time_s - delay_s))
-
-    near = (track.target_time_s >= time_s[0]) & (track.target_time_s <= time_s[-1])
-    if np.ptp(track.target_pa[near]) == 0.0:
-        return math.nan, error(0.0)
-    # Whole multiples, so that no delay at all is one of them.
-    steps = np.arange(-round(EARLY_S / SEARCH_STEP_S), round(LATE_S / SEARCH_STEP_S) + 1)
-    delays = SEARCH_STEP_S * steps
-    errors = [error(float(delay)) for delay in delays]
-    best = float(delays[int(np.argmin(errors))])
-    low, high = max(best - SEARCH_STEP_S, -EARLY_S), min(best + SEARCH_STEP_S, LATE_S)
-    from scipy.optimize import minimize_scalar  # slow to import; a list of commands does without
-
-    finer = minimize_scalar(error, bounds=(low, high), method="bounded", options={"xatol": 1e-6})
-    if finer.fun < min(errors):
-        return float(finer.x), float(finer.fun)
-    return best, float(min(errors))
+    return latency(time_s, pressure_pa, track.target_time_s, track.target_pa)
 
 
 def _check(track: Track, begin_s: float, end_s: float) -> None:

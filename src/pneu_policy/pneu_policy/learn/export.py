@@ -67,7 +67,7 @@ def export_policy(trained: Trained, path: str | Path) -> PolicyFile | PushPolicy
     elif isinstance(env, Robots):
         file = RobotPolicy(
             weights=trained.weights,
-            recipe=env.settings.recipe,
+            recipe=env.recipe,
             rig=robot_identity(env.rig),
             training=_training(trained, {"model": env.rig.model, "rig": _source(trained)}),
             log_std=trained.log_std,

@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from pneu_common.errors import InputError
 from pneu_common.validation import Listed, Settings
 from pneu_policy.control.planner import Planner
 from pneu_policy.control.robot_recipe import RobotRecipe
 from pneu_policy.task.ranges import Kinds, Range
 from pneu_policy.task.reward import Reward
-from pneu_policy.task.waves import Wave
+from pneu_policy.task.waves import Kind, Wave
 from pneu_sim.rig.schema import Rig
 
 Floats = NDArray[np.float64]
@@ -144,6 +143,7 @@ class Track(Settings):
         kinds: Kinds of target, ``smooth`` (sums of sines), ``jagged`` (saw-teeth), ``hold``
             (square); each episode draws one. To reach a place is to hold one for the whole episode.
         target_period_s: Least and most typical time between extremes, s.
+        periods_s: The same for single kinds.
         jitter: Share of that by which corners of jagged targets are moved.
         reward: The reward of being near.
         force_reward: The reward of pushing as the plan says, of the error in the recipe's span of
@@ -159,6 +159,7 @@ class Track(Settings):
     ranges: dict[str, Span]
     kinds: Kinds = ("smooth",)
     target_period_s: Range = (0.4, 0.8)
+    periods_s: dict[Kind, Range] = Field(default_factory=dict)
     jitter: float = 0.6
     reward: Reward | None = Reward()
     force_reward: Reward | None = None
@@ -215,7 +216,7 @@ class _Tracking(Aim):
         self._span = np.array([recipe.encoders[name].span for name in recipe.tracked])
         self._within = _bounds(goal.within, names)
         self._upright = _bounds(goal.upright, names)
-        self._planner = plan_of(recipe, rig) if recipe.forces else None
+        self._planner = Planner.of_recipe(recipe, rig) if recipe.forces else None
         self._force_span = np.array([push.span_n for push in recipe.forces.values()])
         self._planned = np.zeros((count, len(recipe.forces)))
         reach = 1 if self._planner is None else self._planner.reach
@@ -229,16 +230,18 @@ class _Tracking(Aim):
     def begin(self, rng: np.random.Generator) -> None:
         g, n = self._goal, self._count
         kinds = rng.integers(len(g.kinds), size=n)
-        periods = rng.uniform(*g.target_period_s, (n, len(self._led)))
+        shares = rng.uniform(size=(n, len(self._led)))
         seeds = rng.integers(2**31, size=(n, len(self._led)))
         begins = rng.uniform(0.0, LONGEST_S, n)
         if self._planner is not None:
             self._planner.reset()
         starts = np.zeros((len(self._led), 2, n))
         for j in range(n):
+            kind = g.kinds[int(kinds[j])]
+            short, long = g.periods_s.get(kind, g.target_period_s)
             waves = {
                 name: Wave(
-                    g.kinds[int(kinds[j])], *g.ranges[name], float(periods[j, k]),
+                    kind, *g.ranges[name], short + float(shares[j, k]) * (long - short),
                     int(seeds[j, k]), jitter=g.jitter,
                 )
                 for k, name in enumerate(self._led)
@@ -544,34 +547,6 @@ class _Walking(Aim):
 
 Goal = Annotated[Track | Push | SwingUp | Walk, Field(discriminator="kind")]
 """What a robot is to do; ``kind`` tells which."""
-
-
-def plan_of(recipe: RobotRecipe, rig: Rig) -> Planner:
-    """The high level that tells a policy which forces are required.
-
-    Args:
-        recipe: What the policy sees.
-        rig: The rig, as the high level knows it.
-
-    Raises:
-        InputError: The rig has no inverse dynamics, or previews are no whole periods.
-    """
-    for at in recipe.preview_s:
-        if abs(at / recipe.period_s - round(at / recipe.period_s)) > 1e-6:
-            raise InputError(
-                f"recipe.preview_s: found {at:g}, a plan tells forces at whole control periods of"
-                f" {recipe.period_s:g} s"
-            )
-    if recipe.plan is None:
-        raise InputError("recipe.plan: found none, which says what forces are required")
-    ahead_s = max(recipe.preview_s[-1], recipe.period_s)
-    planner = Planner(recipe.plan, rig, list(recipe.tracked), recipe.period_s, ahead_s)
-    if planner.cylinders != list(recipe.forces):
-        raise InputError(
-            f"recipe.forces: found {', '.join(recipe.forces)}, rig {rig.name!r} is moved by"
-            f" {', '.join(planner.cylinders)}"
-        )
-    return planner
 
 
 def _unknown(what: str, names: Iterable[str], recipe: RobotRecipe) -> str:

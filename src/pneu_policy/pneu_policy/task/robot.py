@@ -96,6 +96,7 @@ class Robots(TaskEnv):
     Attributes:
         settings: What it was made of.
         rig: The rig as its file has it, by the model that was asked for.
+        recipe: What policies see, with what the rig says of its cylinders.
         plant: The plant.
     """
 
@@ -117,6 +118,7 @@ class Robots(TaskEnv):
         objection = s.goal.needs(r) or _misfit(self.rig, r)
         if objection:
             raise InputError(objection)
+        r = self.recipe = r.of_rig(self.rig)
         rigs = draw_rigs(self.rig, s.num_envs, s.seed, s.spread)
         self._leads = s.goal.kind == "push"
         if self._leads:
@@ -160,7 +162,7 @@ class Robots(TaskEnv):
     @property
     def period_s(self) -> float:
         """Control period, s."""
-        return self.settings.recipe.period_s
+        return self.recipe.period_s
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -207,7 +209,7 @@ class Robots(TaskEnv):
             Observations, rewards, terminations (that stay), truncations (all, at the horizon),
             ``info``.
         """
-        s, r = self.settings, self.settings.recipe
+        s, r = self.settings, self.recipe
         if self._step < 0:
             raise gymnasium.error.ResetNeeded("step was called before reset")
         if self._step >= s.horizon:
@@ -254,7 +256,7 @@ class Robots(TaskEnv):
 
     def _motion(self) -> Motion:
         """What robots truly do, of what the recipe asks for."""
-        r = self.settings.recipe
+        r = self.recipe
         forces = self.plant.forces()[:, self._pushed]
         if self._leads:
             nothing = np.zeros((self.num_envs, 0))
@@ -270,7 +272,7 @@ class Robots(TaskEnv):
         return Motion(whole, every, forces)
 
     def _observe(self) -> NDArray[np.float32]:
-        r, rng = self.settings.recipe, self._rng
+        r, rng = self.recipe, self._rng
         taps, encoders = self.plant.seen()
         taps, encoders = taps[:, self._taps], encoders[:, self._encoders]
         taps = taps + self._tap_noise * rng.normal(size=taps.shape)

@@ -3,10 +3,8 @@
 
 Candidates are run on simulated rigs drawn from the calibration's uncertainty, with sensor noise and
 late commands, as policies are trained; all candidates meet the same rigs, targets, noise and
-delays. What is least is the RMSE of target minus pressure over all of them, sought in the
-logarithms of the gains by differential evolution (best/1/bin with dither: Storn and Price, Journal
-of Global Optimization 11 (1997) 341-359): of several searches tried it got stuck least. The same
-settings give the same gains.
+delays. What is least is the RMSE of target minus pressure over all of them; see
+`pneu_policy.tune.search`. The same settings give the same gains.
 """
 
 import hashlib
@@ -18,8 +16,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import differential_evolution
-from scipy.stats.qmc import LatinHypercube
 
 from pneu_common.errors import InputError
 from pneu_policy.control.controllers import FeedForwardPid, PidController
@@ -28,6 +24,7 @@ from pneu_policy.control.pid import Gains
 from pneu_policy.task.ensembles import draw_rigs
 from pneu_policy.task.plants import ControlPlant
 from pneu_policy.task.targets import Target
+from pneu_policy.tune.search import Knob, seek
 from pneu_policy.tune.settings import TuneSettings
 from pneu_sim.models import kind_of
 from pneu_sim.rig import load_rig
@@ -38,48 +35,8 @@ Floats = NDArray[np.float64]
 TARGETS_WITHIN_S = 60.0
 """Targets are taken from a random place within this time of their start."""
 
-FACTOR = (0.4, 0.9)
-"""Range from which each generation draws the factor on differences of candidates."""
-CROSSING = 0.8
-"""Probability that a knob is taken from the mutant."""
-
 PREVIEW_S = 0.2
 """No term looks further ahead than this, which is what policies see (thesis 9.1.1)."""
-
-
-@dataclass(frozen=True)
-class Knob:
-    """A number that is tuned.
-
-    Attributes:
-        name: What it sets.
-        low: Least value.
-        high: Greatest value.
-        begin: Value of the first candidate.
-        log: Whether it is sought in its logarithm.
-    """
-
-    name: str
-    low: float
-    high: float
-    begin: float
-    log: bool = True
-
-    def value(self, share: float) -> float:
-        """The value at a share of the range.
-
-        Args:
-            share: 0 to 1.
-        """
-        if self.log:
-            return float(self.low * (self.high / self.low) ** share)
-        return self.low + (self.high - self.low) * share
-
-    def share(self) -> float:
-        """Where in the range it begins."""
-        if self.log:
-            return math.log(self.begin / self.low) / math.log(self.high / self.low)
-        return (self.begin - self.low) / (self.high - self.low)
 
 
 PID_KNOBS = (
@@ -260,10 +217,9 @@ def tune(settings: TuneSettings, progress: Callable[[int, float], None] | None =
     trials = Trials(s, rig)
     knobs = FORWARD_KNOBS if s.kind == "feed_forward" else PID_KNOBS
     rng = np.random.default_rng([s.seed, 2])
-    begin = np.array([knob.share() for knob in knobs])
     plain = _plain(s, rig)
     history: list[float] = []
-    least, best, square = math.inf, begin, np.empty(0)
+    least, best, square = math.inf, np.empty(0), np.empty(0)
 
     def of_generation(points: Floats) -> Floats:
         """(candidates,) mean squares of a (knobs, candidates) generation."""
@@ -278,21 +234,7 @@ def tune(settings: TuneSettings, progress: Callable[[int, float], None] | None =
             progress(len(history), history[-1])
         return np.asarray(values)
 
-    differential_evolution(
-        of_generation,
-        [(0.0, 1.0)] * len(knobs),
-        strategy="best1bin",
-        mutation=FACTOR,
-        recombination=CROSSING,
-        init=LatinHypercube(len(knobs), seed=rng).random(s.candidates),
-        x0=begin,
-        maxiter=s.generations - 1,
-        tol=0.0,  # as many generations as were asked for
-        polish=False,
-        updating="deferred",
-        vectorized=True,
-        seed=rng,
-    )
+    seek(of_generation, knobs, s.candidates, s.generations, rng)
     of_kind = {
         str(kind): float(np.sqrt(np.mean(square[[k == kind for k in trials.kinds]])))
         for kind in dict.fromkeys(trials.kinds)
