@@ -347,8 +347,8 @@ def page(rows: list[dict[str, Any]], path: Path) -> None:
         f"Targets span {math.degrees(TASKS.low):.0f} to {math.degrees(TASKS.high):.0f} degrees,"
         f" with {TASKS.period_s[0]:g} s (smooth) and {TASKS.period_s[1]:g} s (jagged) from one"
         " extreme to the next: about as fast as makes the PID of eq. 9.2 err as much as the thesis'"
-        " own does. Its gains, and those of the computed torque, are tuned for these very targets on"
-        " the fitted model (`policies/kokoro_*.yaml`).",
+        " own does. Its gains, and those of the computed torque, are tuned for these very targets"
+        " on the fitted model (`policies/kokoro_*.yaml`).",
         "",
         *_table(rows),
         "",
