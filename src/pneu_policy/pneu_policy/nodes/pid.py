@@ -68,7 +68,7 @@ class PidNode(ControlNode):
         self.add_on_set_parameters_callback(self._check_gains)
         self.add_post_set_parameters_callback(self._take_gains)
 
-    def _make(self) -> None:
+    def _make_one(self) -> None:
         self._taps = (self._tap,)
         self._period_s = 1.0 / self._params.rate_hz
 
@@ -87,7 +87,7 @@ class PidNode(ControlNode):
         return self._pid.step(target_pa, pressures_pa[self._tap], dt_s)
 
     def _figures(self) -> Mapping[str, object]:
-        return {"integral (V)": self._pid.integral_v}
+        return {**super()._figures(), "integral (V)": self._pid.integral_v}
 
     # ---- parameters ----------------------------------------------------------------------------
 

@@ -49,7 +49,7 @@ class PolicyNode(ControlNode):
         self._controller: Controller | None = None
         super().__init__("policy", **options)
 
-    def _make(self) -> None:
+    def _make_one(self) -> None:
         if not self._params.policy:
             raise InputError("parameter policy: found none, needed is the file of a controller")
         controller = load_controller(self._params.policy)

@@ -17,7 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from pneu_common.errors import InputError
 from pneu_common.log import LOG, hand_on
 from pneu_graph.nodes.common import EXIT_BAD_INPUT, say_ready
-from pneu_policy.nodes.control import ControlNode
+from pneu_policy.nodes.controlling import ControllingNode
 
 
 class _ToldToEndError(BaseException):
@@ -28,14 +28,14 @@ def _end(number: int, frame: FrameType | None) -> None:
     raise _ToldToEndError
 
 
-def run_controller(make: Callable[[], ControlNode], args: list[str] | None) -> None:
+def run_controller(make: Callable[[], ControllingNode], args: list[str] | None) -> None:
     """Runs one node until it is told to end. Bad input ends the process with one line and status 2.
 
     Args:
         make: Builds the node.
         args: Command line; None is the process's own.
     """
-    node: ControlNode | None = None
+    node: ControllingNode | None = None
     numbers = [signal.SIGINT, signal.SIGTERM]
     if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:  # else nohup wants it to go on
         numbers.append(signal.SIGHUP)
