@@ -33,6 +33,7 @@ ROS_PACKAGES = {
     "std_msgs",
     "std_srvs",
     "tf2_msgs",
+    "trajectory_msgs",
     "type_description_interfaces",
     "unique_identifier_msgs",
 }

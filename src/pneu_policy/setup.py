@@ -33,6 +33,8 @@ setup(
             "excite = pneu_policy.nodes.excite:main",
             "press = pneu_policy.nodes.press:main",
             "joint = pneu_policy.nodes.joint:main",
+            "joint_target = pneu_policy.nodes.joint_target:main",
+            "robot = pneu_policy.nodes.robot:main",
             "target = pneu_policy.nodes.target:main",
         ],
         "pneu.commands": ["5-policy = pneu_policy.commands:register"],
