@@ -4,6 +4,7 @@
 REALTIME = (
     "src/pneu_hw_bridge/test/",
     "src/pneu_policy/test/test_policy_nodes",
+    "src/pneu_policy/test/test_robot_node",
     "src/pneu_graph/test/test_recorder",
     "src/pneu_sim/test/test_simulator_node",
     "src/pneu_sim/test/test_view",

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def _curve(port: Port, valve: Valve) -> tuple[Floats, Floats]:
+def opening_table(port: Port, valve: Valve) -> tuple[Floats, Floats]:
     """An opening curve as a table over voltage, with the leakage of the closed port added."""
     null = valve.spool.null_v
     source = (
@@ -165,7 +165,7 @@ def _ports(rig: Rig, plan: Plan) -> tuple[Floats, Floats, Floats, Floats]:
                 p.laminar_widening,
                 p.laminar_share,
             )
-            curve[q], curve_v[q] = _curve(p, valve)
+            curve[q], curve_v[q] = opening_table(p, valve)
             q += 1
     for o in rig.orifices.values():
         port[q] = (
