@@ -14,7 +14,7 @@ GPU_VENV   := .venv-gpu
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-robot test test-long bench lint format gpu bags tosses hand-force hand-tables pushing kokoro folder-is-named exact calibration thinned \
+.PHONY: help demo demo-robot test test-long bench lint format gpu bags tosses hand-force hand-tables pushing kokoro simple-model folder-is-named exact calibration thinned \
 	confusion thresholds moved faults fuzz study-pressure clean clean-kernels
 
 help:  ## list the targets
@@ -62,6 +62,9 @@ pushing: $(VENV)/.ready-dev  ## slow: policies that push a cylinder, trained and
 
 kokoro: $(VENV)/.ready-dev  ## slow: table 9.2, controllers of a joint made and judged; STAGES=names
 	@$(RUN) -m studies.kokoro $(STAGES)
+
+simple-model: $(VENV)/.ready-dev  ## slow: thesis 7.5, a cart that learns in the full or in the simple model; ARGS=options
+	@$(RUN) -m studies.simple_model $(ARGS)
 
 tosses: $(BENCH_VENV)/.ready-bench  ## slow: objects really tossed, fitted, foretold, diagnosed; TOSSES=folder; PAGE=file
 	@test -n "$(TOSSES)" || { echo "which folder holds the tosses? make tosses TOSSES=folder" >&2; exit 2; }

@@ -44,7 +44,7 @@ DISTRIBUTION_OF = {
     "stable_baselines3": "stable-baselines3",
 }
 # Wanted by training alone, and brought by extras; nothing that runs on a rig may need them.
-TRAINING = ("learn", "tracking.py", "pushing.py", "task_env.py")
+TRAINING = ("learn", "tracking.py", "pushing.py", "robots.py", "task_env.py")
 # Likewise MuJoCo, which only mechanisms that rigs name as MJCF need.
 MECHANISMS = "mechanism"
 

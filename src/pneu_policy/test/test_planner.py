@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from pneu_common.errors import InputError
-from pneu_policy.control.planner import Planner, PlanSettings
+from pneu_policy.control.plan_settings import PlanSettings
+from pneu_policy.control.planner import Planner
 from pneu_sim.inverse import InverseDynamics
 from pneu_sim.plant import Plant
 from pneu_sim.rig.load import load_rig

@@ -22,7 +22,7 @@ from pneu_policy.learn.settings import NpgSettings, TrainSettings
 from pneu_policy.learn.trainer import Trainer
 from pneu_policy.task.goals import FLOOR_RAD, Motion, SwingUp, Walk
 from pneu_policy.task.make import make_env
-from pneu_policy.task.robot import Robots, RobotSettings
+from pneu_policy.task.robots import Robots, RobotSettings
 from pneu_sim.rig.load import load_rig
 
 RIGS = Path(__file__).parents[3] / "rigs"

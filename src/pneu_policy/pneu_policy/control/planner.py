@@ -7,39 +7,17 @@ with on the way, and where the pistons will then be.
 """
 
 import math
-from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from pneu_common.errors import InputError
-from pneu_common.validation import Settings
+from pneu_policy.control.plan_settings import PlanSettings
+from pneu_policy.control.robot_recipe import RobotRecipe
 from pneu_sim.inverse import InverseDynamics
 from pneu_sim.rig.schema import Rig
 
-if TYPE_CHECKING:
-    from pneu_policy.control.robot_recipe import RobotRecipe
-
 Floats = NDArray[np.float64]
-
-
-class PlanSettings(Settings):
-    """How a joint is led to its target.
-
-    Attributes:
-        joining_hz: Natural frequency of the spring and damper.
-        damping: Damping ratio.
-        most_rad_s2: Greatest acceleration, rad/s^2 or m/s^2.
-        smoothed_s: Speeds and accelerations of the target are means over so long to either side.
-        speed_hz: Cut-off of the first-order filter of the measured speed.
-    """
-
-    joining_hz: Annotated[float, Field(gt=0.0)] = 3.5
-    damping: Annotated[float, Field(gt=0.0)] = 0.7
-    most_rad_s2: Annotated[float, Field(gt=0.0)] = 200.0
-    smoothed_s: Annotated[float, Field(gt=0.0)] = 0.02
-    speed_hz: Annotated[float, Field(gt=0.0)] = 30.0
 
 
 class Planner:
@@ -87,7 +65,7 @@ class Planner:
         self._gone: Floats | None = None
 
     @classmethod
-    def of_recipe(cls, recipe: "RobotRecipe", rig: Rig) -> "Planner":
+    def of_recipe(cls, recipe: RobotRecipe, rig: Rig) -> "Planner":
         """The high level that tells a policy which forces are required.
 
         Args:

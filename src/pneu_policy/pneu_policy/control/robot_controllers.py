@@ -26,7 +26,8 @@ from pneu_common.documents import read_yaml
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
 from pneu_policy.control.joint import JointGains, JointPid
-from pneu_policy.control.planner import Planner, PlanSettings
+from pneu_policy.control.plan_settings import PlanSettings
+from pneu_policy.control.planner import Planner
 from pneu_policy.control.robot_policy import RobotPolicy
 from pneu_policy.control.robot_recipe import Moment, Push, RobotObserver
 from pneu_sim.rig.network import joined

@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from pneu_common.validation import Listed, Settings
 from pneu_policy.control.observations import DENSITY_KG_M3, GAS, VELOCITY_M_S, Points
-from pneu_policy.control.planner import PlanSettings
+from pneu_policy.control.plan_settings import PlanSettings
 from pneu_sim.rig.schema import Rig
 
 Floats = NDArray[np.float64]

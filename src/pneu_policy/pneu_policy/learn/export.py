@@ -18,7 +18,7 @@ from pneu_policy.control.robot_policy import RobotPolicy
 from pneu_policy.learn.history import Row
 from pneu_policy.learn.settings import TrainSettings
 from pneu_policy.task.pushing import Pushing
-from pneu_policy.task.robot import Robots
+from pneu_policy.task.robots import Robots
 from pneu_policy.task.task_env import TaskEnv
 from pneu_policy.task.tracking import PressureTracking
 

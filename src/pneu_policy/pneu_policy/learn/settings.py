@@ -85,6 +85,7 @@ class TrainSettings(Settings):
         evaluate_every: Iterations between evaluations without exploration.
         evaluation_seed: Seed of the episodes of these; the same for all runs that are compared.
         checkpoint_every: Iterations between checkpoints.
+        keep_every: Iterations between policies that are kept besides the last; 0 keeps none.
         average_decay: Weight that the average of past iterates keeps at each iteration; the
             average is what is evaluated and exported. 0 takes the latest iterate itself.
     """
@@ -98,6 +99,7 @@ class TrainSettings(Settings):
     evaluate_every: Annotated[int, Field(ge=1)] = 5
     evaluation_seed: Seed = 20_000
     checkpoint_every: Annotated[int, Field(ge=1)] = 20
+    keep_every: Annotated[int, Field(ge=0)] = 0
     average_decay: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
 
 

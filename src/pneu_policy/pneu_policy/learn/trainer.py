@@ -265,9 +265,17 @@ class Trainer:
                     report(row)
                 if self.done % self.settings.checkpoint_every == 0:
                     self._write(folder)
+                every = self.settings.keep_every
+                if every and self.done % every == 0:
+                    self._export(folder / f"policy_{self.done:04d}.npz")
             self._write(folder)
             if not self.finished:
                 raise KeyboardInterrupt
+        self._export(folder / POLICY)
+        return self.history()
+
+    def _export(self, path: Path) -> None:
+        """Writes the policy as it now is."""
         trained = Trained(
             self.env,
             self.settings,
@@ -277,8 +285,7 @@ class Trainer:
             self.weights(),
             float(self.policy.log_std.detach().cpu()[0]),
         )
-        export_policy(trained, folder / POLICY)
-        return self.history()
+        export_policy(trained, path)
 
     def _write(self, folder: Path) -> None:
         self.save(folder / CHECKPOINT)

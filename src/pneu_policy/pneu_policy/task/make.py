@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import Discriminator, Tag
 
 from pneu_policy.task.pushing import Pushing, PushSettings
-from pneu_policy.task.robot import Robots, RobotSettings
+from pneu_policy.task.robots import Robots, RobotSettings
 from pneu_policy.task.task_env import TaskEnv
 from pneu_policy.task.tracking import EnvSettings, PressureTracking
 

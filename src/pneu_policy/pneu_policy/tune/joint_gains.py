@@ -20,7 +20,7 @@ from pydantic import Field
 from pneu_common.errors import InputError
 from pneu_common.validation import Listed, Settings
 from pneu_policy.control.joint import JointGains
-from pneu_policy.control.planner import PlanSettings
+from pneu_policy.control.plan_settings import PlanSettings
 from pneu_policy.control.robot_controllers import (
     ComputedTorque,
     Drive,

@@ -25,7 +25,15 @@ Ints = NDArray[np.int64]
 
 
 def opening_table(port: Port, valve: Valve) -> tuple[Floats, Floats]:
-    """An opening curve as a table over voltage, with the leakage of the closed port added."""
+    """An opening curve as a table over voltage, with the leakage of the closed port added.
+
+    Args:
+        port: The port.
+        valve: Its valve.
+
+    Returns:
+        (CURVE_POINTS,) openings at even voltages, and (2,) the first and the last of these, V.
+    """
     null = valve.spool.null_v
     source = (
         port.opening if port.opening.mirror is None else valve.ports[port.opening.mirror].opening
