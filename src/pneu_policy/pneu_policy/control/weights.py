@@ -147,6 +147,23 @@ def read_weights(
         raise InputError(f"{path}: is no policy file ({what})") from None
 
 
+def kind_of(path: str | Path) -> str:
+    """Which kind of policy a file holds: the key of its version, such as ``pneu_policy``.
+
+    Args:
+        path: The file.
+
+    Raises:
+        InputError: It is missing, damaged, or no policy.
+    """
+    path = Path(path)
+    try:
+        about = json.loads(_arrays(path)["about"].tobytes())
+        return next(key for key in about if key.startswith("pneu_"))
+    except (KeyError, TypeError, ValueError, StopIteration):
+        raise InputError(f"{path}: is no policy file") from None
+
+
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
     """All arrays of an archive; reading an entry checks its sum."""
     found = {}

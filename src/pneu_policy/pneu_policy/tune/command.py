@@ -20,6 +20,7 @@ from pneu_policy.tune.settings import TuneSettings
 if TYPE_CHECKING:
     from pneu_policy.control.controllers import FeedForwardPid, PidController
     from pneu_policy.control.policy_file import PolicyFile
+    from pneu_policy.control.robot_policy import RobotPolicy
     from pneu_policy.tune.gains import Tuned
 
 ATM_PA = 101325.0
@@ -110,11 +111,18 @@ def show(
     ] = None,
 ) -> None:
     """Show what the file of a controller is: what it sees, its rig, its training."""
+    from pneu_policy.control import robot_policy
     from pneu_policy.control.controllers import FeedForwardPid, PidController, load_controller
     from pneu_policy.control.policy_file import PolicyFile
+    from pneu_policy.control.weights import kind_of
     from pneu_sim.rig import load_rig
 
-    if file.suffix == ".npz":
+    if file.suffix == ".npz" and kind_of(file) == robot_policy.KEY:
+        robot = robot_policy.RobotPolicy.load(file)
+        if rig is not None:
+            robot.check_rig(load_rig(rig))
+        rows = _rows_of_robot(robot)
+    elif file.suffix == ".npz":
         policy = PolicyFile.load(file)
         if rig is not None:
             policy.check_rig(load_rig(rig))
@@ -149,6 +157,30 @@ def _rows_of_policy(policy: "PolicyFile") -> list[tuple[str, str]]:
     ]
     lengths = ", ".join(f"{name} {length:g} m" for name, length in policy.rig["pipes"].items())
     rows.append(("its pipes", lengths))
+    return rows + _rows_of(policy.training, "training")
+
+
+def _rows_of_robot(policy: "RobotPolicy") -> list[tuple[str, str]]:
+    r = policy.recipe
+    widths = [str(policy.weights[0][0].shape[1]), *(str(len(b)) for _, b in policy.weights)]
+    told = [("sees encoders", ", ".join(r.measured))] if r.see_motion else []
+    if r.see_target:
+        told.append(("sees targets of", ", ".join(r.tracked)))
+    rows = [
+        ("controls", f"{', '.join(r.tracked) or 'forces'} by {', '.join(r.commands)}"),
+        ("every", f"{1e3 * r.period_s:g} ms"),
+        ("network", f"{' - '.join(widths)}, tanh"),
+        *told,
+        ("sees required forces of", ", ".join(r.forces) or "none"),
+        ("sees ways of pistons", "yes" if r.ways else "no"),
+        ("sees taps", ", ".join(r.taps)),
+        ("sees what lies ahead at", ", ".join(f"{1e3 * t:g}" for t in r.preview_s) + " ms"),
+        ("sees actions", f"the last {r.past}"),
+        ("positional encoding", f"{r.levels} levels of base {r.base:g}" if r.levels else "none"),
+        ("volts", f"{r.null_v:g} ± {r.half_v:g} V"),
+        ("runs on hardware", "yes" if r.hardware else "no: it sees what a model alone tells"),
+        ("rig", str(policy.rig["name"])),
+    ]
     return rows + _rows_of(policy.training, "training")
 
 
