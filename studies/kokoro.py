@@ -41,6 +41,7 @@ from pneu_policy.learn.sweep import Run, expand
 from pneu_policy.learn.trainer import POLICY
 from pneu_policy.tune.joint_gains import JointTuneSettings, tune_joint
 from pneu_sim.rig.load import load_rig
+from pneu_sim.rig.schema import AttachedEffect
 from studies.digest import digest_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -52,6 +53,11 @@ DX_M = 0.06
 """Cell length of the laboratory's robot, m; training takes four times that."""
 TASKS = JointTasks("elbow", -0.7, 0.7)
 EXCERPT_S = 4.0
+LOAD = AttachedEffect(
+    effect="payload", place="elbow", parameters={"mass_kg": 0.3, "distance_m": 0.2}
+)
+"""What the robot carries besides, for a second look: nothing that any controller was made with."""
+PLANTS = ("laboratory", "loaded")
 
 Cell = tuple[float, float, float] | None
 """RMSE and adjusted RMSE, degrees, and apparent latency, ms, in the thesis."""
@@ -188,8 +194,10 @@ def train(console: Console, workers: int) -> None:
             shutil.copyfile(run.folder / POLICY, _kept(line.name, run))
 
 
-def _judge(name: str, file: Path, runs: int, seconds: float) -> list[dict[str, Any]]:
+def _judge(name: str, file: Path, plant: str, runs: int, seconds: float) -> list[dict[str, Any]]:
     known, true = load_rig(ROOT / KNOWN), load_rig(ROOT / TRUE)
+    if plant == "loaded":
+        true = true.model_copy(update={"effects": [*true.effects, LOAD]})
     tasks = JointTasks(TASKS.encoder, TASKS.low, TASKS.high, runs=runs, seconds=seconds)
     rows = []
     for run in judge_joint(file, known, true, tasks, DX_M):
@@ -197,6 +205,7 @@ def _judge(name: str, file: Path, runs: int, seconds: float) -> list[dict[str, A
         rows.append(
             {
                 "line": name,
+                "plant": plant,
                 "file": file.name,
                 "kind": run.kind,
                 "run": run.run,
@@ -214,26 +223,34 @@ def _judge(name: str, file: Path, runs: int, seconds: float) -> list[dict[str, A
 
 
 def judge(workers: int, runs: int, seconds: float) -> list[dict[str, Any]]:
-    """Every controller on the laboratory's robot.
+    """Every controller on the laboratory's robot, as it is and loaded.
 
     Args:
         workers: At a time.
         runs: Runs of each kind of target.
         seconds: How long each is judged.
     """
-    asked = [(line.name, file) for line in LINES for file in files_of(line)]
+    asked = [
+        (line.name, file, plant) for line in LINES for file in files_of(line) for plant in PLANTS
+    ]
     found: list[dict[str, Any]] = []
     jobs = joblib.Parallel(workers, return_as="generator")(
-        joblib.delayed(_judge)(name, file, runs, seconds) for name, file in asked
+        joblib.delayed(_judge)(*one, runs, seconds) for one in asked
     )
     with progress("judged") as tell:
         for done, rows in enumerate(jobs, 1):
             found += rows
-            tell("controllers", done / len(asked), rows[0]["file"])
+            tell("controllers", done / len(asked), f"{rows[0]['file']}, {rows[0]['plant']}")
     return found
 
 
-def rms(rows: list[dict[str, Any]], name: str, kind: str, what: str = "rmse_deg") -> list[float]:
+def rms(
+    rows: list[dict[str, Any]],
+    name: str,
+    kind: str,
+    what: str = "rmse_deg",
+    plant: str = "laboratory",
+) -> list[float]:
     """A figure of a row, root mean square over its runs, for each of its files.
 
     Args:
@@ -241,10 +258,11 @@ def rms(rows: list[dict[str, Any]], name: str, kind: str, what: str = "rmse_deg"
         name: Of the row.
         kind: Kind of target.
         what: Which figure.
+        plant: Which of `PLANTS`.
     """
     own: dict[str, list[float]] = {}
     for row in rows:
-        if row["line"] == name and row["kind"] == kind:
+        if (row["line"], row["kind"], row["plant"]) == (name, kind, plant):
             own.setdefault(row["file"], []).append(row[what])
     if what == "latency_ms":
         return [float(np.mean(values)) for values in own.values()]
@@ -275,6 +293,21 @@ def _table(rows: list[dict[str, Any]]) -> list[str]:
                 f" | {_spread(rms(rows, line.name, kind, 'adjusted_deg'))}"
                 f" | {_spread(rms(rows, line.name, kind, 'effort_v'))} | {told} |"
             )
+    return lines
+
+
+def _loaded(rows: list[dict[str, Any]]) -> list[str]:
+    lines = [
+        "| controller | smooth: as it is | loaded | jagged: as it is | loaded |",
+        "|---|---|---|---|---|",
+    ]
+    for line in LINES:
+        told = [
+            _spread(rms(rows, line.name, kind, plant=plant))
+            for kind in TASKS.kinds
+            for plant in PLANTS
+        ]
+        lines.append(f"| {line.title} | {' | '.join(told)} |")
     return lines
 
 
@@ -361,6 +394,13 @@ def page(rows: list[dict[str, Any]], path: Path) -> None:
         + ".",
         "",
         "![excerpts of all controllers](figures/kokoro.png)",
+        "",
+        "## With a load that nobody knows",
+        "",
+        f"The same with {LOAD.parameters['mass_kg']:g} kg at {LOAD.parameters['distance_m']:g} m"
+        " from the joint, which neither plans nor policies were told; RMSE, degrees:",
+        "",
+        *_loaded(rows),
         "",
     ]
     write_whole(path, "\n".join(lines))
