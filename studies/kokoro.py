@@ -110,6 +110,9 @@ def tuning(kind: str) -> JointTuneSettings:
         high=TASKS.high,
         target_period_s=TASKS.period_s,
         dx_m=0.25,
+        trials=4,
+        candidates=16,
+        generations=15,
     )
 
 

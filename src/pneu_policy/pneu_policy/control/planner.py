@@ -3,7 +3,7 @@
 
 From where a joint is and how fast it goes, a critically damped spring and damper lead it to the
 target ahead, its acceleration limited; the inverse dynamics of the rig say what the gas must push
-with on the way, and where the pistons will then be.
+with on the way, as far as it can, and where the pistons will then be.
 """
 
 import math
@@ -59,6 +59,10 @@ class Planner:
             )
         self._on = [self._inverse.joints.index(name) for name in on]
         self._strokes = self._inverse.strokes()
+        sources = [source.pressure_pa for source in rig.reservoirs.values()]
+        low_pa, high_pa = min(*sources, rig.ambient.pressure_pa), max(sources)
+        least, most = self._inverse.strongest(high_pa, low_pa)
+        self._least, self._most = settings.strength * least, settings.strength * most
         self._before: Floats | None = None
         self._speed: Floats | None = None
         self._pace: Floats | None = None
@@ -172,6 +176,7 @@ class Planner:
         joints[:, :, self._on] = way.reshape(3, -1, tracked)
         force, extension = self._inverse.required(*joints)
         shape = (count, self.steps + 1, len(self.cylinders))
+        force = np.clip(force, self._least, self._most)
         share = np.clip(extension / self._strokes, 0.0, 1.0)
         return (
             force.reshape(shape).transpose(0, 2, 1),
