@@ -415,7 +415,7 @@ def main() -> int:
     parser.add_argument("stages", nargs="*", choices=("tune", "train", "judge", "page"))
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--seconds", type=float, default=12.0)
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "kokoro.md")
     asked = parser.parse_args()
     stages = asked.stages or ["tune", "train", "judge", "page"]
