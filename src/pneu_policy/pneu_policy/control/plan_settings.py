@@ -24,5 +24,5 @@ class PlanSettings(Settings):
     damping: Annotated[float, Field(gt=0.0)] = 0.7
     most_rad_s2: Annotated[float, Field(gt=0.0)] = 200.0
     strength: Annotated[float, Field(gt=0.0, le=1.0)] = 0.9
-    smoothed_s: Annotated[float, Field(gt=0.0)] = 0.02
+    smoothed_s: Annotated[float, Field(gt=0.0)] = 0.04
     speed_hz: Annotated[float, Field(gt=0.0)] = 30.0
