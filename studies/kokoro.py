@@ -407,10 +407,10 @@ def page(rows: list[dict[str, Any]], path: Path) -> None:
         *_loaded(rows),
         "",
         "The thesis has the rows in the other order: who knows positions does worse there, and the"
-        " uncorrelated hybrid best. It takes a policy's fit to a model that the robot is not for the"
-        " cause. Here the model is fitted to the robot; a load, which moves the robot away from the"
-        " model, leaves the order as it is: feedback of the position makes up for a plan that is"
-        " wrong. Whether a wrong model of the air turns the order round was not tried.",
+        " uncorrelated hybrid best. It takes a policy's fit to a model that is not the robot for"
+        " the cause. Here the model is fitted to the robot; a load, which moves the robot away from"
+        " the model, leaves the order as it is: feedback of the position makes up for a plan that"
+        " is wrong. Whether a wrong model of the air turns the order round was not tried.",
         "",
     ]
     write_whole(path, "\n".join(lines))
