@@ -59,7 +59,7 @@ def test_effect_of_the_readme_acts_and_vanishes_at_zero(rig, tmp_path):
 
 def test_commands_of_the_readme_exist_and_none_is_left_out():
     known = typer.main.get_command(build_app()).commands
-    told = dict(re.findall(r"^\| `pneu (\w+)([^`]*)`", README, flags=re.MULTILINE))
+    told = dict(re.findall(r"^\| `pneu ([\w-]+)([^`]*)`", README, flags=re.MULTILINE))
     row = re.search(r"^\| `pneu run`(.*)\| as their `ros2` namesakes", README, flags=re.MULTILINE)
     namesakes = {"run", *re.findall(r"`(\w+)`", row[1])}
     assert set(told) | namesakes == set(known)
