@@ -34,8 +34,7 @@ from pneu_policy.learn.settings import TrainSettings, load_document
 from pneu_policy.learn.sweep import Run, expand
 from pneu_policy.task.robots import Robots, RobotSettings
 from pneu_sim.lumped.match import Matched, match_thin_plate
-from pneu_sim.rig.document import save_rig
-from pneu_sim.rig.load import load_rig
+from pneu_sim.rig.load import load_rig, save_rig
 from studies.digest import digest_of
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -55,6 +55,10 @@ class Robot:
     def commanded(self):
         return any(self.lab.ask("status")["volts"].values())
 
+    def closed(self):
+        volts = self.lab.ask("status")["volts"].values()
+        return all(abs(one - 5.0) < 0.02 for one in volts)
+
     def watch(self):
         return Watch(self.lab, [self.lab.process.pid, *self.nodes.pids().values(), os.getpid()])
 
@@ -112,7 +116,9 @@ def test_without_targets_it_commands_the_safe_voltage(robot):
     robot.nodes.kill("joint_target")
     try:
         wait_for(lambda: "no target" in robot.graph.status("robot: control").message, 15.0)
-        wait_for(lambda: robot.resting_since() is not None, 10.0)
+        wait_for(robot.closed, 10.0)
+        time.sleep(0.3)
+        assert robot.closed()
     finally:
         robot.nodes.launch("joint_target")
     wait_for(robot.commanded, 40.0)
