@@ -23,8 +23,8 @@ Floats = NDArray[np.float64]
 
 BEGIN_S = 1.0
 """What comes before is the way to the target."""
-TICK_S = 2e-3
-"""The plant is looked at so often; control periods are whole multiples."""
+START_PA = 3.5e5
+"""Pressure of all gas behind valves at the start, Pa."""
 
 
 @dataclass(frozen=True)
@@ -137,11 +137,12 @@ def judge_joint(
     taps = [plant.taps.index(name) for name in first.taps]
     encoders = [plant.encoders.index(name) for name in first.encoders]
     valves = [plant.commands.index(name) for name in first.commands]
+    null = np.array([valve.spool.null_v for valve in true.valves.values()])
     tap_noise = np.array([true.taps[name].noise_pa for name in first.taps])
     noise = np.array([true.encoders[name].noise for name in first.encoders])
     quantum = np.array([true.encoders[name].quantum for name in first.encoders])
     start = np.array([wave.at(0.0) for wave in waves])
-    plant.reset(0.5 * (3.0e5 + 4.0e5), {plant.joints[joint]: start})
+    plant.reset(START_PA, {plant.joints[joint]: start})
     period_s = first.period_s
     steps = round((BEGIN_S + tasks.seconds + LATE_S + EARLY_S) / period_s)
     grid: Floats = np.arange(steps + first.reach + 1, dtype=np.float64) * period_s
@@ -157,7 +158,7 @@ def judge_joint(
         angles[:, coarse] = np.round(angles[:, coarse] / quantum[coarse]) * quantum[coarse]
         for n, one in enumerate(controllers):
             volts[k, n] = _asked(one, angles[n], pressures[n], targets[n, k : k + one.reach])
-        sent = np.full((count, len(plant.commands)), 5.0)
+        sent = np.tile(null, (count, 1))
         sent[:, valves] = volts[k]
         plant.step(sent)
         position[k + 1] = plant.motion()[0][:, joint]
@@ -177,7 +178,7 @@ def judge_joint(
                 rmse=rms(at, q - targets[n, : steps + 1][inside]),
                 latency_s=late,
                 adjusted_rmse=left,
-                effort_v=float(np.sqrt(np.mean((judged - 5.0) ** 2))),
+                effort_v=float(np.sqrt(np.mean((judged - null[valves]) ** 2))),
                 time_s=at,
                 position=q,
                 target=targets[n, : steps + 1][inside],
