@@ -38,6 +38,7 @@ from pneu_sysid.contacts.read import read_tracks
 from pneu_sysid.contacts.scene import Loaded, load_scene, save_scene
 from pneu_sysid.contacts.tables import cross, leave_out, spread
 from studies.digest import digest_of, sources_digest
+from studies.stages import add_stages
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "out" / "hand_tables"
@@ -347,8 +348,7 @@ def page(kept: dict[str, Any], path: Path) -> None:
 def main() -> int:
     """Runs the stages."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    stages = ("record", "cross", "without", "starts", "effects", "page")
-    parser.add_argument("stages", nargs="*", choices=stages)
+    add_stages(parser, ("record", "cross", "without", "starts", "effects", "page"))
     parser.add_argument(
         "--only", nargs="*", help="effects that are sought", default=list(effects())
     )
@@ -358,7 +358,7 @@ def main() -> int:
     console, physics = Console(width=140), Physics(asked.workers)
     sources = sources_digest()  # as they are imported now
     OUT.mkdir(parents=True, exist_ok=True)
-    chosen = asked.stages or list(stages)
+    chosen = asked.stages
     todo: list[tuple[str, Callable[[Tell], Any]]] = [
         (stage, lambda tell, stage=stage: tabled(physics, stage, tell))
         for stage in ("cross", "without", "starts")

@@ -43,6 +43,7 @@ from pneu_policy.tune.joint_gains import JointTuneSettings, tune_joint
 from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import AttachedEffect
 from studies.digest import digest_of
+from studies.stages import add_stages
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "out" / "kokoro"
@@ -419,13 +420,13 @@ def page(rows: list[dict[str, Any]], path: Path) -> None:
 def main() -> int:
     """Runs the stages."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("stages", nargs="*", choices=("tune", "train", "judge", "page"))
+    add_stages(parser, ("tune", "train", "judge", "page"))
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=12.0)
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "kokoro.md")
     asked = parser.parse_args()
-    stages = asked.stages or ["tune", "train", "judge", "page"]
+    stages = asked.stages
     console = Console()
     OUT.mkdir(parents=True, exist_ok=True)
     if "tune" in stages:

@@ -44,6 +44,7 @@ from pneu_policy.live.rig import LivePlant
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 from studies import pressure_page
+from studies.stages import add_stages
 
 ROOT = Path(__file__).resolve().parent.parent
 SETTINGS = ROOT / "studies" / "settings"
@@ -270,12 +271,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("stages", nargs="*", default=STAGES, metavar="stage", help="all without")
+    add_stages(parser, STAGES)
     parser.add_argument("--workers", type=int, default=2, help="processes of train, ppo and limit")
     options = parser.parse_args(arguments)
-    unknown = [stage for stage in options.stages if stage not in STAGES]
-    if unknown:
-        parser.error(f"stage: found {unknown[0]!r}, allowed are {', '.join(STAGES)}")
     console = Console(width=160)
     try:
         for stage in options.stages:

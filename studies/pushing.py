@@ -44,6 +44,7 @@ from pneu_policy.task.push_paths import PathKind, PushPath
 from pneu_sim.hand.loading import Hand
 from pneu_sim.hand.truth import Change, Truth
 from studies.digest import digest_of
+from studies.stages import add_stages
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "out" / "pushing"
@@ -377,11 +378,11 @@ def page(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
 def main() -> int:
     """Runs the stages."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("stages", nargs="*", choices=("train", "simulate", "live", "page"))
+    add_stages(parser, ("train", "simulate", "live", "page"))
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "pushing.md")
     asked = parser.parse_args()
-    stages = asked.stages or ["train", "simulate", "live", "page"]
+    stages = asked.stages
     console = Console()
     OUT.mkdir(parents=True, exist_ok=True)
     if "train" in stages:

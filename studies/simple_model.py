@@ -36,6 +36,7 @@ from pneu_policy.task.robots import Robots, RobotSettings
 from pneu_sim.lumped.match import Matched, match_thin_plate
 from pneu_sim.rig.load import load_rig, save_rig
 from studies.digest import digest_of
+from studies.stages import add_stages
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "out" / "simple_model"
@@ -310,13 +311,13 @@ def page(rows: list[dict[str, Any]], matched: dict[str, Any], path: Path) -> Non
 def main() -> int:
     """Runs the stages."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("stages", nargs="*", choices=("match", "train", "judge", "page"))
+    add_stages(parser, ("match", "train", "judge", "page"))
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--seeds", type=int)
     parser.add_argument("--iterations", type=int)
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "simple_model.md")
     asked = parser.parse_args()
-    stages = asked.stages or ["match", "train", "judge", "page"]
+    stages = asked.stages
     console = Console()
     OUT.mkdir(parents=True, exist_ok=True)
     files = {name: OUT / f"{name}.json" for name in ("match", "judge")}

@@ -68,6 +68,8 @@ LESS = 0.5
 TRIMMED = 0.2
 """Share of recordings on either side that a mean leaves out: a roll-out that tips over by a little
 tells nothing of what is missing."""
+VALLEYS = 2
+"""Better fits of the scene as it is that are taken from a candidate's, at most."""
 MOST = 64
 """Recordings that are looked at, evenly from those given: every second is kept aside."""
 
@@ -238,7 +240,59 @@ def diagnose_scene(
     said("the model as it is", 0.0)
     judge = _Judge(loaded, used, aside, values, physics)
     base, known = judge.base()
-    said("candidates", 0.15)
+    valleys = 0
+    while True:
+        begin = 0.15 + 0.85 * (1.0 - 0.5**valleys)
+        span = 0.85 * 0.5 ** (valleys + 1)
+        told = _within(said, begin, span)
+        scores, found, better = _round(judge, base, known, finalists, told, valleys < VALLEYS)
+        if better is None:
+            break
+        base, known = better
+        valleys += 1
+    by_falls = _order(found)
+    _tie(found, scores, by_falls)
+    verdict, sentence = _verdict(found)
+    return SceneDiagnosis(
+        verdict, sentence, base, scores, found, known.kinds,
+        [t.name for t in used], [t.name for t in aside],
+    )  # fmt: skip
+
+
+def _within(said: Tell, begin: float, span: float) -> Tell:
+    return lambda note, done: said(note, begin + span * done)
+
+
+def _order(found: list[Finalist]) -> bool:
+    """Puts the best first; returns whether they are told apart by what each leaves."""
+    by_falls = any(_good(f) and f.gain >= STRONG for f in found)
+    found.sort(key=lambda f: (not _good(f), -_mean(f.falls if by_falls else f.rise)[0]))
+    return by_falls
+
+
+def _round(
+    judge: "_Judge", base: SceneFit, known: Aside, finalists: int, tell: Tell, may_leave: bool
+) -> tuple[Scores, list[Finalist], tuple[SceneFit, Aside] | None]:
+    """Candidates scored and refitted about one fit of the scene as it is.
+
+    A candidate's other parameters may end in another valley than they began in, and what that
+    alone explains is not the candidate's: the scene without it is fitted from there as well. Where
+    that leaves less, it is what the scene is without, and all candidates are looked at anew.
+
+    Args:
+        judge: Fits and judges.
+        base: The scene as it is.
+        known: What it leaves aside.
+        finalists: How many candidates are refitted.
+        tell: Called with a note and the fraction done.
+        may_leave: Whether another valley is looked for.
+
+    Returns:
+        Scores, finalists in the order of their scores, and the scene as it is where another valley
+        leaves less, with what it leaves; the finalists are not complete then.
+    """
+    loaded, physics = judge.loaded, judge.physics
+    tell("candidates", 0.0)
     candidates = candidates_of(loaded, base.values, base.parameters)
     scores = scored(
         Problem(loaded, base.chains, base.values, base.parameters, physics),
@@ -252,17 +306,25 @@ def diagnose_scene(
         [s.parameter for s in chosen],
     )
     found: list[Finalist] = []
+    left: list[str] = []
+
+    def valley(finalist: Finalist) -> tuple[SceneFit, Aside] | None:
+        left.append(finalist.label)
+        tell(f"without {finalist.label}", (len(found) + 0.5) / (len(chosen) + 1))
+        return judge.without(base, known, finalist)
+
     for number, score in enumerate(chosen):
-        said(score.parameter.label, 0.2 + 0.8 * number / finalists)
+        tell(score.parameter.label, number / (len(chosen) + 1))
         found.append(_refitted(judge, base, score, known, _foretold(scores, others, score)))
-    by_falls = any(_good(f) and f.gain >= STRONG for f in found)
-    found.sort(key=lambda f: (not _good(f), -_mean(f.falls if by_falls else f.rise)[0]))
-    _tie(found, scores, by_falls)
-    verdict, sentence = _verdict(found)
-    return SceneDiagnosis(
-        verdict, sentence, base, scores, found, known.kinds,
-        [t.name for t in used], [t.name for t in aside],
-    )  # fmt: skip
+        if may_leave and base.parameters and not left and _good(found[-1]):  # the first that is
+            better = valley(found[-1])
+            if better is not None:
+                return scores, found, better
+    if may_leave and base.parameters:
+        _order(found)
+        if found and _good(found[0]) and found[0].label not in left:
+            return scores, found, valley(found[0])
+    return scores, found, None
 
 
 def candidates_of(
@@ -407,6 +469,30 @@ class _Judge:
         # anew may have gone astray
         there = self._fitted(chains, q, values, CANDIDATE_STEPS, candidate, base.scales)
         return min(fit, there, key=lambda f: f.estimated.cost)
+
+    def without(
+        self, base: SceneFit, known: Aside, found: Finalist
+    ) -> tuple[SceneFit, Aside] | None:
+        """The scene as it is, fitted again from where a candidate left its other parameters.
+
+        Args:
+            base: The scene as it is.
+            known: What it leaves.
+            found: The candidate.
+
+        Returns:
+            It, and what it leaves of each recording kept aside, where that is less; recordings
+            that judge choose for the scene as it is here, so no candidate is favoured.
+        """
+        key = (found.score.parameter.effect.name, found.score.parameter.place)
+        values = tuple(v for v in found.fit.values if (v.effect, v.at) != key)
+        anew = redrawn(self.loaded, base.chains, self.used, values, self.physics)
+        fit = self._fitted(base.chains, anew, values, scales=base.scales)
+        first, second = self.pair(base, known, fit)
+        mean, spread = _mean(np.nanmean(_falls(first.kinds, second.kinds), axis=1))
+        if mean <= spread or mean < -np.log1p(-WORTH):
+            return None
+        return fit, second
 
 
 def _foretold(scores: Scores, others: Seen, score: SceneScore) -> Floats:
