@@ -14,7 +14,7 @@ GPU_VENV   := .venv-gpu
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-robot test test-long bench lint format gpu bags tosses hand-force hand-tables pushing kokoro simple-model folder-is-named exact calibration thinned \
+.PHONY: help demo demo-robot test test-long bench lint format gpu bags tosses hand-force hand-tables pushing kokoro simple-model ablations configurations cell-sizes folder-is-named exact calibration thinned \
 	confusion thresholds moved faults fuzz study-pressure clean clean-kernels
 
 help:  ## list the targets
@@ -65,6 +65,15 @@ kokoro: $(VENV)/.ready-dev  ## slow: table 9.2, controllers of a joint made and 
 
 simple-model: $(VENV)/.ready-dev  ## slow: thesis 7.5, a cart that learns in the full or in the simple model; ARGS=options
 	@$(RUN) -m studies.simple_model $(ARGS)
+
+ablations: $(VENV)/.ready-dev  ## slow: thesis 7.6, the same as a cart's sizes change; ARGS=options
+	@$(RUN) -m studies.ablations $(ARGS)
+
+configurations: $(VENV)/.ready-dev  ## slow: thesis 7.7, poles, arms and a dog in either model; ARGS=options
+	@$(RUN) -m studies.configurations $(ARGS)
+
+cell-sizes: $(VENV)/.ready-dev  ## slow: thesis 6.1, policies with cells of other sizes; ARGS=options
+	@$(RUN) -m studies.cell_sizes $(ARGS)
 
 tosses: $(BENCH_VENV)/.ready-bench  ## slow: objects really tossed, fitted, foretold, diagnosed; TOSSES=folder; PAGE=file
 	@test -n "$(TOSSES)" || { echo "which folder holds the tosses? make tosses TOSSES=folder" >&2; exit 2; }

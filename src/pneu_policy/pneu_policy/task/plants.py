@@ -71,6 +71,11 @@ class SteppedPlant:
         """Longest time step of the physics that is stable, or the one that was set, s."""
         return self._plant.solver.step_s
 
+    @property
+    def cells(self) -> int:
+        """How many cells all lines have together."""
+        return sum(cells for _, cells in self._plant.plan.pipes.values())
+
     def set_step(self, step_s: float) -> None:
         """Sets the time step of the physics, from the next reset on.
 
