@@ -14,7 +14,7 @@ GPU_VENV   := .venv-gpu
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-robot test test-long bench lint format gpu bags tosses hand-force hand-tables pushing kokoro simple-model ablations configurations cell-sizes folder-is-named exact calibration thinned \
+.PHONY: help demo demo-robot test test-long bench lint format gpu bags tosses hand-force hand-tables pushing kokoro simple-model ablations configurations cell-sizes learning folder-is-named exact calibration thinned \
 	confusion thresholds moved faults fuzz study-pressure clean clean-kernels
 
 help:  ## list the targets
@@ -74,6 +74,9 @@ configurations: $(VENV)/.ready-dev  ## slow: thesis 7.7, poles, arms and a dog i
 
 cell-sizes: $(VENV)/.ready-dev  ## slow: thesis 6.1, policies with cells of other sizes; ARGS=options
 	@$(RUN) -m studies.cell_sizes $(ARGS)
+
+learning: $(VENV)/.ready-dev  ## slow: the natural policy gradient beside PPO, same samples; ARGS=options
+	@$(RUN) -m studies.learning $(ARGS)
 
 tosses: $(BENCH_VENV)/.ready-bench  ## slow: objects really tossed, fitted, foretold, diagnosed; TOSSES=folder; PAGE=file
 	@test -n "$(TOSSES)" || { echo "which folder holds the tosses? make tosses TOSSES=folder" >&2; exit 2; }

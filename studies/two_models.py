@@ -174,7 +174,7 @@ def train(cases: Sequence[Case], workers: Workers) -> None:
     failed = []
     with progress(f"training {len(runs)} policies") as tell:
         for done, outcome in enumerate(train_all(runs, workers), 1):
-            tell("policies", done / len(runs), str(outcome.run.folder.relative_to(Path.cwd())))
+            tell("policies", done / len(runs), str(outcome.run.folder))
             if outcome.fault:
                 failed.append(f"{outcome.run.folder}: {outcome.fault}")
     if failed:

@@ -2,11 +2,12 @@
 """The history of a training: one row per iteration, as JSON beside the policy it led to.
 
 Rows hold ``iteration`` (1 is the first), ``samples`` (control periods of all rigs so far),
-``simulated_s``, ``wall_s``, ``score`` (mean sum of rewards of an episode) and ``rmse`` of the
-episodes with exploration, ``eval_score`` and ``eval_rmse`` of those without it where one was made
-(else null), ``eval_success`` (share of its steps that were a success, where the task says what
-that is), ``std`` of the exploration, and what the algorithm adds. Errors are in the unit that
-the task is told in.
+``simulated_s``, ``wall_s``, ``cpu_s`` (what the process computed for, whatever else went on),
+``score`` (mean sum of rewards of an episode) and ``rmse`` of the episodes with exploration,
+``eval_score`` and ``eval_rmse`` of those without it where one was made (else null),
+``eval_success`` (share of its steps that were a success, where the task says what that is),
+``std`` of the exploration, and what the algorithm adds. Errors are in the unit that the task is
+told in.
 """
 
 import json

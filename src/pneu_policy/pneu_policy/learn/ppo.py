@@ -71,8 +71,16 @@ class Adapter(VecEnv):
 
         Returns:
             Observations, rewards, ends, and a dict per rig.
+
+        Raises:
+            InputError: An episode ended before the others, which go on with it.
         """
         observation, reward, terminated, truncated, info = self.env.step(self._actions)
+        if terminated.any() and not (terminated | truncated).all():
+            raise InputError(
+                "ppo: found an episode that ended before the others; the yardstick takes tasks"
+                " whose episodes last as long as the horizon"
+            )
         self.errors.append(np.array(info["error"]))
         done = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -147,7 +155,7 @@ class _Watch(BaseCallback):
         self._settings, self._adapter, self._judge = settings, adapter, judge
         self._report = report
         self._rewards = 0.0
-        self._started = time.perf_counter()
+        self._started, self._busy = time.perf_counter(), time.process_time()
 
     def _on_step(self) -> bool:
         rewards = self.training_env.get_original_reward()  # type: ignore[attr-defined]
@@ -181,6 +189,7 @@ class _Watch(BaseCallback):
             "samples": samples,
             "simulated_s": samples * self._adapter.env.period_s,
             "wall_s": time.perf_counter() - self._started,
+            "cpu_s": time.process_time() - self._busy,
             "score": score,
             "rmse": float(np.sqrt(np.mean(errors**2)) / self._adapter.env.unit[1]),
             "eval_score": judged.score if judged else None,

@@ -115,7 +115,7 @@ class Trainer:
         Raises:
             FloatingPointError: The environment or the policy left the finite numbers.
         """
-        started = time.perf_counter()
+        started, busy = time.perf_counter(), time.process_time()
         s, k = self.settings, self.done
         rng = generator(s.seed, _EXPLORATION, k)
         weights = self.policy.weights()
@@ -151,6 +151,7 @@ class Trainer:
             "samples": samples,
             "simulated_s": samples * self.env.period_s,
             "wall_s": time.perf_counter() - started + (before["wall_s"] if before else 0.0),
+            "cpu_s": time.process_time() - busy + (before.get("cpu_s", 0.0) if before else 0.0),
             "score": episodes.score,
             "rmse": episodes.rmse,
             "eval_score": judged.score if judged else None,
