@@ -5,6 +5,7 @@ Stages, each skipped where its result is there already:
 
   tune   the PID of eq. 9.2 and a computed torque -> ``policies/kokoro_*.yaml``
   train  policies by ``studies/settings/kokoro_*.yaml``, several seeds -> ``policies/``
+  wrong  some of these policies, trained on models that are not the robot
   judge  all of them on the laboratory's robot, in its own time
   page   ``docs/kokoro.md`` and its figures
 
@@ -37,7 +38,7 @@ from pneu_policy.control.robot_controllers import save_robot_controller
 from pneu_policy.control.robot_policy import RobotPolicy
 from pneu_policy.judge.robot import JointTasks, judge_joint
 from pneu_policy.learn.settings import load_document
-from pneu_policy.learn.sweep import Run, expand
+from pneu_policy.learn.sweep import Run, Workers, expand, train_all
 from pneu_policy.learn.trainer import POLICY
 from pneu_policy.tune.joint_gains import JointTuneSettings, tune_joint
 from pneu_sim.rig.load import load_rig
@@ -59,6 +60,13 @@ LOAD = AttachedEffect(
 )
 """What the robot carries besides, for a second look: nothing that any controller was made with."""
 PLANTS = ("laboratory", "loaded")
+WRONG = {
+    "datasheet": ("the robot as datasheets have it", {"rig": "rigs/kokoro.yaml"}),
+    "simple": ("the simple model of its air, parameters as fitted", {"model": "thin_plate"}),
+}
+"""Models that are not the robot, in words, and what is other in the training's environment."""
+SOUGHT = ("position", "both", "uncorrelated")
+"""Rows that are trained on them as well: what knows positions, and what does not."""
 
 Cell = tuple[float, float, float] | None
 """RMSE and adjusted RMSE, degrees, and apparent latency, ms, in the thesis."""
@@ -199,8 +207,39 @@ def train(console: Console, workers: int) -> None:
             shutil.copyfile(run.folder / POLICY, _kept(line.name, run))
 
 
-def _judge(name: str, file: Path, plant: str, runs: int, seconds: float) -> list[dict[str, Any]]:
-    known, true = load_rig(ROOT / KNOWN), load_rig(ROOT / TRUE)
+def wrong_runs(model: str, name: str) -> list[Run]:
+    """Trainings of a row on a model that is not the robot.
+
+    Args:
+        model: Which of `WRONG`.
+        name: Of the row.
+    """
+    document = load_document(ROOT / "studies" / "settings" / f"kokoro_{name}.yaml")
+    document["env"] |= WRONG[model][1]
+    return expand(document, OUT / "wrong" / model / name)
+
+
+def train_wrong(workers: int) -> None:
+    """Trains them.
+
+    Args:
+        workers: Trainings at a time.
+
+    Raises:
+        InputError: A training failed.
+    """
+    runs = [run for model in WRONG for name in SOUGHT for run in wrong_runs(model, name)]
+    with progress("on models that are not the robot") as tell:
+        for done, outcome in enumerate(train_all(runs, Workers("loky", workers)), 1):
+            if outcome.fault:
+                raise InputError(f"{outcome.run.folder}: {outcome.fault}")
+            tell("policies", done / len(runs), str(outcome.run.folder.relative_to(OUT)))
+
+
+def _judge(
+    name: str, file: Path, plant: str, runs: int, seconds: float, rig: str = KNOWN
+) -> list[dict[str, Any]]:
+    known, true = load_rig(ROOT / rig), load_rig(ROOT / TRUE)
     if plant == "loaded":
         true = true.model_copy(update={"effects": [*true.effects, LOAD]})
     tasks = JointTasks(TASKS.encoder, TASKS.low, TASKS.high, runs=runs, seconds=seconds)
@@ -211,7 +250,7 @@ def _judge(name: str, file: Path, plant: str, runs: int, seconds: float) -> list
             {
                 "line": name,
                 "plant": plant,
-                "file": file.name,
+                "file": str(file),
                 "kind": run.kind,
                 "run": run.run,
                 "rmse_deg": math.degrees(run.rmse),
@@ -236,16 +275,51 @@ def judge(workers: int, runs: int, seconds: float) -> list[dict[str, Any]]:
         seconds: How long each is judged.
     """
     asked = [
-        (line.name, file, plant) for line in LINES for file in files_of(line) for plant in PLANTS
+        (line.name, file, plant, runs, seconds)
+        for line in LINES
+        for file in files_of(line)
+        for plant in PLANTS
     ]
     found: list[dict[str, Any]] = []
     jobs = joblib.Parallel(workers, return_as="generator")(
-        joblib.delayed(_judge)(*one, runs, seconds) for one in asked
+        joblib.delayed(_judge)(*one) for one in asked
     )
     with progress("judged") as tell:
         for done, rows in enumerate(jobs, 1):
             found += rows
-            tell("controllers", done / len(asked), f"{rows[0]['file']}, {rows[0]['plant']}")
+            name = Path(rows[0]["file"]).name
+            tell("controllers", done / len(asked), f"{name}, {rows[0]['plant']}")
+    return found
+
+
+def judge_wrong(workers: int, runs: int, seconds: float) -> list[dict[str, Any]]:
+    """The policies of models that are not the robot, on the laboratory's robot.
+
+    Args:
+        workers: At a time.
+        runs: Runs of each kind of target.
+        seconds: How long each is judged.
+    """
+    asked = []
+    for model, (_, other) in WRONG.items():
+        for name in SOUGHT:
+            files = [run.folder / POLICY for run in wrong_runs(model, name)]
+            rig = str(other.get("rig", KNOWN))
+            asked += [(name, file, "laboratory", runs, seconds, rig) for file in files]
+    missing = [file for _, file, *_ in asked if not file.exists()]
+    if missing:
+        raise InputError(f"{missing[0]}: is missing; the stage wrong makes it")
+    jobs = joblib.Parallel(workers, return_as="generator")(
+        joblib.delayed(_judge)(*one) for one in asked
+    )
+    found: list[dict[str, Any]] = []
+    with progress("judged, models that are not the robot") as tell:
+        for done, ((_, file, *_), rows) in enumerate(zip(asked, jobs, strict=True), 1):
+            model = file.relative_to(OUT / "wrong").parts[0]
+            for row in rows:  # excerpts of these are not drawn
+                kept = ("line", "file", "kind", "run", "rmse_deg", "latency_ms", "adjusted_deg")
+                found.append({k: row[k] for k in kept} | {"plant": model})
+            tell("controllers", done / len(asked), f"{model}, {file.parent.name}")
     return found
 
 
@@ -316,6 +390,51 @@ def _loaded(rows: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
+def _least(means: dict[str, dict[str, float]]) -> dict[str, str]:
+    """The row with the least error, by kind of target."""
+
+    def row(kind: str) -> str:
+        return min(means, key=lambda name: means[name][kind])
+
+    return {kind: row(kind) for kind in TASKS.kinds}
+
+
+def _wrong(rows: list[dict[str, Any]]) -> list[str]:
+    """What models that are not the robot make of the order of rows."""
+    title = {line.name: line.title for line in LINES}
+    words = {"laboratory": "the model fitted to the robot"} | {k: w for k, (w, _) in WRONG.items()}
+    lines = [
+        "| trained on | controller | smooth, degrees | jagged |",
+        "|---|---|---|---|",
+    ]
+    first: dict[str, dict[str, str]] = {}
+    for model, told in words.items():
+        each = {
+            name: {kind: rms(rows, name, kind, plant=model) for kind in TASKS.kinds}
+            for name in SOUGHT
+        }
+        lines += [
+            f"| {told} | {title[name]} | {_spread(of['smooth'])} | {_spread(of['jagged'])} |"
+            for name, of in each.items()
+        ]
+        means = {n: {k: float(np.mean(v)) for k, v in of.items()} for n, of in each.items()}
+        first[model] = _least(means)
+    best = "; ".join(
+        f"{words[model]}: {', '.join(f'{kind} {title[name]}' for kind, name in of.items())}"
+        for model, of in first.items()
+    )
+    turned = all(name == "uncorrelated" for model in WRONG for name in first[model].values())
+    never = all(name != "uncorrelated" for of in first.values() for name in of.values())
+    verdict = (
+        "A model that is not the robot does turn the order round."
+        if turned
+        else "No such model turns the order round: the uncorrelated hybrid leads with none."
+        if never
+        else "The order depends on the model and on the target."
+    )
+    return [*lines, "", f"Least error, by what was trained on: {best}. {verdict}"]
+
+
 def draw(rows: list[dict[str, Any]], path: Path) -> None:
     """Excerpts of every controller, the first seed and run of each.
 
@@ -328,7 +447,9 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     for line, pair in zip(LINES, panels, strict=True):
         for kind, axes in zip(TASKS.kinds, pair, strict=True):
             own = [
-                r for r in rows if r["line"] == line.name and r["kind"] == kind and r["run"] == 0
+                r
+                for r in rows
+                if (r["line"], r["kind"], r["run"]) == (line.name, kind, 0) and "time_s" in r
             ]
             time = np.array(own[0]["time_s"]) - own[0]["time_s"][0]
             axes.plot(time, own[0]["target_deg"], color="black", linewidth=2.5, alpha=0.25)
@@ -366,7 +487,7 @@ def page(rows: list[dict[str, Any]], path: Path) -> None:
         line.name: {kind: float(np.mean(rms(rows, line.name, kind))) for kind in TASKS.kinds}
         for line in LEARNED
     }
-    best = {kind: min(means, key=lambda name, k=kind: means[name][k]) for kind in TASKS.kinds}
+    best = _least(means)
     title = {line.name: line.title for line in LINES}
     lines = [
         "# A joint of Kokoro: table 9.2",
@@ -407,11 +528,14 @@ def page(rows: list[dict[str, Any]], path: Path) -> None:
         "",
         *_loaded(rows),
         "",
+        "## On models that are not the robot",
+        "",
         "The thesis has the rows in the other order: who knows positions does worse there, and the"
-        " uncorrelated hybrid best. It takes a policy's fit to a model that is not the robot for"
-        " the cause. Here the model is fitted to the robot; a load, which moves the robot away from"
-        " the model, leaves the order as it is: feedback of the position makes up for a plan that"
-        " is wrong. Whether a wrong model of the air turns the order round was not tried.",
+        " uncorrelated hybrid best; it takes for the cause that policies fit themselves to a model"
+        " that is not the robot. Here the model is fitted to the robot. So the same policies are"
+        " trained on models that are not, and judged on the laboratory's robot, seeds as above:",
+        "",
+        *_wrong(rows),
         "",
     ]
     write_whole(path, "\n".join(lines))
@@ -420,33 +544,36 @@ def page(rows: list[dict[str, Any]], path: Path) -> None:
 def main() -> int:
     """Runs the stages."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    add_stages(parser, ("tune", "train", "judge", "page"))
+    add_stages(parser, ("tune", "train", "wrong", "judge", "page"))
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=12.0)
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "kokoro.md")
     asked = parser.parse_args()
-    stages = asked.stages
     console = Console()
     OUT.mkdir(parents=True, exist_ok=True)
-    if "tune" in stages:
+    if "tune" in asked.stages:
         tune(console, asked.workers)
-    if "train" in stages:
+    if "train" in asked.stages:
         train(console, asked.workers)
-    file = OUT / "judge.json"
-    if "judge" in stages:
-        write_whole(file, json.dumps(judge(asked.workers, asked.runs, asked.seconds)))
-    if not file.exists():
-        raise InputError("page: there are no runs yet; the stage judge makes them")
-    rows = json.loads(file.read_text(encoding="utf-8"))
+    if "wrong" in asked.stages:
+        train_wrong(asked.workers)
+    files = [OUT / "judge.json", OUT / "judge_wrong.json"]
+    if "judge" in asked.stages:
+        for file, way in zip(files, (judge, judge_wrong), strict=True):
+            write_whole(file, json.dumps(way(asked.workers, asked.runs, asked.seconds)))
+    missing = [file for file in files if not file.exists()]
+    if missing:
+        raise InputError(f"{missing[0]}: there are no runs yet; the stage judge makes them")
+    rows = [row for file in files for row in json.loads(file.read_text(encoding="utf-8"))]
     for line in LINES:
         told = ", ".join(f"{kind} {_spread(rms(rows, line.name, kind))}" for kind in TASKS.kinds)
         console.print(f"{line.title}: {told} degrees")
-    if "page" in stages:
+    if "page" in asked.stages:
         page(rows, asked.page)
         console.print(f"{asked.page} is written")
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())
