@@ -390,7 +390,7 @@ def _loaded(rows: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def _least(means: dict[str, dict[str, float]]) -> dict[str, str]:
+def _least(means: dict[str, dict[Any, float]]) -> dict[str, str]:
     """The row with the least error, by kind of target."""
 
     def row(kind: str) -> str:
