@@ -27,9 +27,9 @@ from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_sim import topics
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.nodes.process import TaskProcess
-from pneu_sysid.nodes.tasks import Outcome, Request, check
 from pneu_sysid.sensor_units import encoder_units
+from pneu_sysid.tasks.process import TaskProcess
+from pneu_sysid.tasks.request import Outcome, Request, check
 from pneu_sysid.watch import Verdict, Watch, Window
 
 RESIDUALS_TOPIC = "taps/residuals"

@@ -11,8 +11,8 @@ import pytest
 
 from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
-from pneu_sysid.nodes.process import TaskProcess
-from pneu_sysid.nodes.tasks import Outcome, Request, check
+from pneu_sysid.tasks.process import TaskProcess
+from pneu_sysid.tasks.request import Outcome, Request, check
 
 ROOT = Path(__file__).parents[3]
 BAG = str(ROOT / "data/bags/a_healthy_2")

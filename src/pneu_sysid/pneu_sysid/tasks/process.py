@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import asdict
 
-from pneu_sysid.nodes.tasks import Outcome, Request, Tell
+from pneu_sysid.tasks.request import Outcome, Request, Tell
 
 GRACE_S = 2.0
 
@@ -17,20 +17,28 @@ GRACE_S = 2.0
 class TaskProcess:
     """A running task."""
 
-    def __init__(self, request: Request, tell: Tell, done: Callable[[Outcome], object]) -> None:
+    def __init__(
+        self,
+        request: Request,
+        tell: Tell,
+        done: Callable[[Outcome], object],
+        errors: Callable[[dict[str, float]], object] | None = None,
+    ) -> None:
         """Starts it.
 
         Args:
             request: What to do.
             tell: Called from a thread with stage and fraction done.
             done: Called once from that thread with the outcome, also after `end`.
+            errors: Called from it with the error of each sensor, in noise units, as it falls.
         """
+        self._errors = errors or (lambda told: None)
         self._request = request
         self._tell = tell
         self._done = done
         self._ended = False
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "pneu_sysid.nodes.tasks"],
+            [sys.executable, "-m", "pneu_sysid.tasks"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -70,7 +78,11 @@ class TaskProcess:
                 continue
             if "success" in values:
                 outcome = Outcome(**values)
-            elif not self._ended:
+            elif self._ended:
+                continue
+            elif "errors" in values:
+                self._errors(values["errors"])
+            else:
                 self._tell(values["stage"], float(values["progress"]))
         try:
             status = self._process.wait(GRACE_S)

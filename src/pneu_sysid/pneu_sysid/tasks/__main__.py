@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One task as a process of its own, so that it can be ended at any time.
+
+The process reads one request from its standard input (JSON, the fields of `Request`) and writes
+one JSON object per line to its standard output: ``{"stage": …, "progress": …}`` while it works,
+``{"errors": {sensor: …}}`` as they fall, then ``{"success": …, "message": …, "verdict": …,
+"result_file": …}``. When its standard input closes, the process that asked is gone: it clears up
+and ends.
+"""
+
+import json
+import os
+import shutil
+import sys
+import threading
+from dataclasses import asdict
+from typing import Any, TextIO
+
+from pneu_common.errors import InputError
+from pneu_common.log import hand_on
+from pneu_sysid.tasks.perform import perform
+from pneu_sysid.tasks.request import Outcome, Request
+
+
+def main() -> None:
+    """Serves the one request that this process was started for."""
+    request = Request(**json.loads(sys.stdin.readline()))
+    answers = sys.stdout
+    sys.stdout = sys.stderr  # what a library prints must not come between the answers
+    threading.Thread(target=_end_with_asker, args=(request,), daemon=True).start()
+
+    def tell(stage: str, done: float) -> None:
+        _say(answers, stage=stage, progress=done)
+
+    hand_on(lambda text: tell(text, 0.0))
+    try:
+        outcome = perform(request, tell, lambda errors: _say(answers, errors=errors))
+    except InputError as error:
+        outcome = Outcome(False, str(error))
+    except OSError as error:
+        outcome = Outcome(False, f"{error.filename}: {error.strerror}")
+    _say(answers, **asdict(outcome))
+
+
+def _say(stream: TextIO, **values: Any) -> None:
+    print(json.dumps(values), file=stream, flush=True)
+
+
+def _end_with_asker(request: Request) -> None:
+    sys.stdin.read()
+    shutil.rmtree(request.aside, ignore_errors=True)
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    main()
