@@ -9,4 +9,5 @@ PACKAGES = (
     "pneu_hw_bridge",
     "pneu_sysid",
     "pneu_policy",
+    "pneu_workbench",
 )

@@ -181,6 +181,7 @@ def _refitted(problem: Problem, rig: Rig, added: int, tell: Tell, errors: Errors
         return float(np.sqrt(np.mean(np.square(list(times.values())))))
 
     indices = list(range(len(rig.effects) - added, len(rig.effects)))
+    told(rig.model_copy(update={"effects": rig.effects[:-1]}))
     before = told(rig)
     for k in range(ADD_ITERATIONS):
         tell("fitting what was added", k / ADD_ITERATIONS)

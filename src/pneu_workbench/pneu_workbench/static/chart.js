@@ -1,0 +1,187 @@
+// SPDX-License-Identifier: Apache-2.0
+// Measured and model of every sensor, what is left of it, and the commands: one range for all.
+import uPlot from "uplot";
+
+const MEASURED = { light: "#1a1a1a", dark: "#e8e8e8" };
+const MODEL = { light: "#b3261e", dark: "#ff8a80" };
+const LEFT = { light: "#1f5fa8", dark: "#8ab4f8" };
+const FORETOLD = { light: "#9a5b00", dark: "#ffca6b" };
+const GRID = { light: "#d7d7d7", dark: "#3c4043" };
+const WORDS = { light: "#333333", dark: "#d0d0d0" };
+
+export default {
+  template: `
+    <div class="pneu-chart" tabindex="0" role="group" :aria-label="label" @keydown="key">
+      <div ref="plots"></div>
+    </div>`,
+  props: { sensors: Array, commands: Array, span: Array, token: String, candidate: Number, dark: Boolean },
+  data() {
+    return { label: "Signals" };
+  },
+  mounted() {
+    this.sequence = 0;
+    this.range = this.span.slice();
+    this.build();
+    this.observer = new ResizeObserver(() => this.resize());
+    this.observer.observe(this.$el);
+  },
+  beforeUnmount() {
+    this.observer.disconnect();
+    this.plots.forEach((plot) => plot.destroy());
+  },
+  watch: {
+    dark() {
+      this.build();
+    },
+    candidate() {
+      this.build();
+    },
+    token() {
+      this.show(...this.range);
+    },
+    span(now) {
+      this.range = now.slice();
+      this.build();
+    },
+  },
+  methods: {
+    build() {
+      (this.plots || []).forEach((plot) => plot.destroy());
+      this.plots = [];
+      const of = (colours) => colours[this.dark ? "dark" : "light"];
+      const width = Math.max(this.$el.clientWidth, 200);
+      const axis = (label, size) => ({
+        label, size: 58, labelSize: 14, font: "11px sans-serif", labelFont: "11px sans-serif",
+        stroke: of(WORDS), grid: { stroke: of(GRID), width: 1 }, ticks: { stroke: of(GRID), width: 1 },
+        space: size,
+      });
+      const plot = (title, height, y, series) => {
+        const made = new uPlot(
+          {
+            width, height, title,
+            scales: { x: { time: false, auto: false } },
+            legend: { show: false },
+            cursor: { sync: { key: "pneu" }, drag: { x: true, y: false, setScale: false } },
+            axes: [{ ...axis("", 60), label: undefined, size: 24 }, axis(y, 28)],
+            hooks: { setSelect: [(u) => this.selected(u)] },
+            series: [{}, ...series],
+          },
+          [[], ...series.map(() => [])],
+          this.$refs.plots,
+        );
+        made.root.setAttribute("role", "img");
+        made.root.setAttribute("aria-label", title);
+        this.plots.push(made);
+      };
+      const line = (label, colours, width) => ({
+        label, stroke: of(colours), width, points: { show: false }, spanGaps: false,
+      });
+      for (const sensor of this.sensors) {
+        plot(`${sensor.name}: measured and model`, 150, sensor.shown, [
+          line("measured", MEASURED, 1.6),
+          line("model", MODEL, 1.2),
+        ]);
+        const left = [line("measured minus model", LEFT, 1)];
+        if (this.candidate >= 0) left.push(line("what it would explain", FORETOLD, 1.6));
+        plot(`${sensor.name}: what is left, in noise`, 90, "noise", left);
+      }
+      for (const name of this.commands) plot(`command ${name}`, 90, "V", [line(name, MEASURED, 1.2)]);
+      this.show(...this.range);
+    },
+    resize() {
+      const width = Math.max(this.$el.clientWidth, 200);
+      if (this.plots.length && this.plots[0].width !== width) {
+        this.plots.forEach((plot) => plot.setSize({ width, height: plot.height }));
+        this.show(...this.range);
+      }
+    },
+    selected(u) {
+      if (u.select.width > 3) {
+        const begin = u.posToVal(u.select.left, "x");
+        this.show(begin, u.posToVal(u.select.left + u.select.width, "x"));
+      }
+      u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+    },
+    key(event) {
+      const [begin, end] = this.range;
+      const wide = end - begin;
+      const moves = {
+        ArrowLeft: () => this.show(begin - 0.2 * wide, end - 0.2 * wide),
+        ArrowRight: () => this.show(begin + 0.2 * wide, end + 0.2 * wide),
+        "+": () => this.zoom(0.5),
+        "=": () => this.zoom(0.5),
+        "-": () => this.zoom(2),
+        Home: () => this.show(...this.span),
+      };
+      if (event.key in moves) {
+        event.preventDefault();
+        moves[event.key]();
+      }
+    },
+    zoom(by) {
+      const [begin, end] = this.range;
+      const middle = 0.5 * (begin + end);
+      this.show(middle - 0.5 * by * (end - begin), middle + 0.5 * by * (end - begin));
+    },
+    whole() {
+      this.show(...this.span);
+    },
+    async show(begin, end) {
+      const [first, last] = this.span;
+      const wide = Math.min(Math.max(end - begin, 1e-3), last - first);
+      begin = Math.min(Math.max(begin, first), last - wide);
+      end = begin + wide;
+      this.range = [begin, end];
+      const own = ++this.sequence;
+      const started = performance.now();
+      if (this.asked) this.asked.abort();
+      this.asked = new AbortController();
+      const columns = Math.min(Math.round(this.$el.clientWidth * (window.devicePixelRatio || 1)), 4000);
+      const query = new URLSearchParams({ begin, end, columns, candidate: this.candidate });
+      let buffer;
+      try {
+        const answer = await fetch(`signals?${query}`, { signal: this.asked.signal });
+        if (!answer.ok) return;
+        buffer = await answer.arrayBuffer();
+      } catch {
+        return; // a later range was asked for, or the server is gone
+      }
+      if (own !== this.sequence) return;
+      this.paint(buffer, begin, end);
+      this.label = `Signals from ${begin.toFixed(3)} to ${end.toFixed(3)} seconds. Arrow keys move, plus and minus zoom, Home shows all.`;
+      this.took = performance.now() - started;
+      this.$el.dataset.shown = String(own);
+      this.$el.dataset.took = this.took.toFixed(1);
+      this.$emit("range", { begin, end });
+    },
+    paint(buffer, begin, end) {
+      const head = new DataView(buffer);
+      const parts = [];
+      let at = 4;
+      for (let k = head.getUint32(0, true); k > 0; k--) {
+        const n = head.getUint32(at, true);
+        const time = new Float32Array(buffer.slice(at + 4, at + 4 + 4 * n));
+        const values = new Float32Array(buffer.slice(at + 4 + 4 * n, at + 4 + 8 * n));
+        parts.push([Float64Array.from(time, (t) => t + begin), Array.from(values, (v) => (Number.isNaN(v) ? null : v))]);
+        at += 4 + 8 * n;
+      }
+      const next = () => parts.shift();
+      const put = (plot, data) =>
+        plot.batch(() => {
+          plot.setData(data, false);
+          plot.setScale("x", { min: begin, max: end });
+        });
+      let p = 0;
+      for (const sensor of this.sensors) {
+        const measured = next();
+        const model = next();
+        const scaled = (of) => of.map((v) => (v === null ? null : v * sensor.scale));
+        put(this.plots[p++], [measured[0], scaled(measured[1]), scaled(model[1])]);
+        const left = next();
+        const data = this.candidate >= 0 ? uPlot.join([left, next()]) : left;
+        put(this.plots[p++], data);
+      }
+      for (let c = 0; c < this.commands.length; c++) put(this.plots[p++], next());
+    },
+  },
+};

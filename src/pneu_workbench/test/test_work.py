@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A session without a page: versions, what is kept and refused; and one on a real recording."""
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pneu_workbench.versions import Version, Versions
+from pneu_workbench.work import SESSION, Work
+
+from pneu_common.errors import InputError
+
+ROOT = Path(__file__).resolve().parents[3]
+BAG = str(ROOT / "data" / "bags" / "a_leak")
+RIG = str(ROOT / "rigs" / "rig_a_fitted.yaml")
+
+
+def _version(title: str) -> Version:
+    return Version(0, None, title, f"folder_{title}", f"{title}.yaml")
+
+
+def test_versions_are_a_tree() -> None:
+    v = Versions()
+    for title in ("base", "leak", "lag"):
+        v.add(_version(title))
+    assert v.undo() and v.undo() and not v.undo()
+    assert v.now is not None and v.now.title == "base"
+    assert v.redo() and v.redo() and not v.redo()
+    assert v.now.title == "lag"
+    v.go(0)
+    v.add(_version("friction"))  # a second branch
+    assert not v.redo()
+    assert [(depth, one.title) for depth, one in v.tree()] == [
+        (0, "base"), (1, "leak"), (2, "lag"), (1, "friction")
+    ]  # fmt: skip
+    assert v.before is not None and v.before.title == "base"
+    with pytest.raises(IndexError):
+        v.go(4)
+
+
+def _until_done(work: Work, seconds: float = 240.0) -> None:
+    end = time.monotonic() + seconds
+    while work.task is not None and work.task.running:
+        assert time.monotonic() < end, "the task did not end"
+        time.sleep(0.05)
+
+
+def test_what_cannot_be_done_is_said(tmp_path: Path) -> None:
+    work = Work(tmp_path / "session")
+    with pytest.raises(InputError, match="none was chosen"):
+        work.open([], RIG)
+    for what in (work.suspect, work.report, work.rig_text):
+        with pytest.raises(InputError, match="nothing is open yet"):
+            what()
+    with pytest.raises(InputError, match="found 0, there are 0 to add"):
+        work.add(0)
+    work.undo()
+    work.cancel()  # nothing goes on
+    assert work.comparison() is None and work.sensors() == [] and work.span_s() == (0.0, 0.0)
+
+
+def test_a_session_that_is_none_is_refused(tmp_path: Path) -> None:
+    for text in ("", "{}", '{"pneu_workbench": 99}', '{"pneu_workbench": 1, "versions": 3}'):
+        (tmp_path / SESSION).write_text(text)
+        with pytest.raises(InputError, match="is no session of the workbench"):
+            Work(tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be made a folder"):
+        Work(tmp_path / "file")
+
+
+def test_a_recording_is_opened_kept_and_come_back_to(tmp_path: Path) -> None:
+    work = Work(tmp_path / "session", workers=1)
+    work.open([BAG], str(tmp_path / "no.yaml"))
+    _until_done(work)
+    assert work.task is not None and "there is no such file" in work.task.fault
+    assert work.versions.now is None
+    work.open([BAG], RIG)
+    with pytest.raises(InputError, match="is still going on; cancel it, or wait"):
+        work.open([BAG], RIG)
+    _until_done(work)
+    assert work.task.fault == ""
+    now = work.versions.now
+    assert now is not None and now.title == "rig_a_fitted"
+    assert [name for name, *_ in work.sensors()] == list(now.times_noise)
+    begin, end = work.span_s()
+    measured, model, residual = (
+        work.pyramid(kind, "end").shown(begin, end, 100_000)  # type: ignore[arg-type]
+        for kind in ("measured", "model", "residual")
+    )
+    noise = next(n for name, _, n in work.sensors() if name == "end")
+    np.testing.assert_array_equal(measured[0], model[0])
+    expected = (measured[1].astype(float) - model[1]) / noise
+    np.testing.assert_allclose(residual[1], expected, atol=0.05)
+    # what is drawn is what the table says: 46 times the noise at the closed end
+    assert np.sqrt(np.mean(residual[1] ** 2)) == pytest.approx(now.times_noise["end"], rel=0.02)
+    volts = work.pyramid("command", "voltage").shown(begin, end, 100_000)
+    assert 0.0 <= volts[1].min() < volts[1].max() <= 10.0
+    with pytest.raises(KeyError):
+        work.pyramid("candidate", "end", 0)
+    assert work.report().read_text(encoding="utf-8").startswith("<!doctype html>")
+    again = Work(tmp_path / "session")
+    assert again.versions == work.versions and again.bags == [BAG]
+    assert again.span_s() == work.span_s()
+    work.close()
+
+
+def test_a_task_that_is_cancelled_leaves_nothing(tmp_path: Path) -> None:
+    work = Work(tmp_path / "session", workers=1)
+    work.open([BAG], RIG)
+    end = time.monotonic() + 60.0
+    while work.task is not None and work.task.stage == "starting" and time.monotonic() < end:
+        time.sleep(0.02)
+    work.cancel()
+    _until_done(work, 20.0)
+    assert work.task is not None and work.task.fault == "cancelled"
+    assert work.versions.now is None
+    left = [p.name for p in (tmp_path / "session").iterdir() if p.name != SESSION]
+    assert left == []
+    state = json.loads((tmp_path / "session" / SESSION).read_text(encoding="utf-8"))
+    assert state["bags"] == []
