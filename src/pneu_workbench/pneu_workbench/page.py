@@ -33,11 +33,9 @@ COLOURS = {"primary": "#1f5fa8", "secondary": "#44546a", "accent": "#6a3d9a", "p
            "negative": "#b3261e", "info": "#1f5fa8", "warning": "#8a4b00"}  # fmt: skip
 """Dark enough for white words on them."""
 STYLE = """
-.body--dark .q-btn--flat.text-primary, .body--dark .q-btn--outline.text-primary {
-  color: #8ab4f8 !important;
-}
-.body--dark .text-warning { color: #ffca6b !important; }
-.body--dark .text-negative { color: #ff8a80 !important; }
+.body--dark .q-btn--flat, .body--dark .q-btn--outline { --q-primary: #8ab4f8; }
+.body--dark .text-warning { --q-warning: #ffca6b; }
+.body--dark .text-negative { --q-negative: #ff8a80; }
 .pneu-chart:focus-visible { outline: 3px solid #1f5fa8; outline-offset: 2px; }
 .pneu-chart .u-title { font: 12px sans-serif; text-align: left; padding-left: 58px; }
 .body--dark .pneu-chart .u-title { color: #d0d0d0; }

@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The workbench in a real browser: from nothing to the leak named, added and exported, by clicks.
+
+Every page is watched: no script may fail, nothing may be asked for beyond the loopback.
+"""
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneu_sim.rig.load import load_rig
+
+ROOT = Path(__file__).resolve().parents[1]
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+BROWSER = next((path for name in NAMES if (path := shutil.which(name))), None)
+if BROWSER is None:
+    pytest.skip(
+        "no Chromium is installed, so the workbench was not opened in a browser:"
+        " `apt-get install chromium` brings one",
+        allow_module_level=True,
+    )
+
+from axe_playwright_python.sync_playwright import Axe  # noqa: E402
+from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright  # noqa: E402
+
+QUIET = [
+    "--no-sandbox", "--disable-gpu", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--no-first-run",
+]  # fmt: skip
+LONG_MS = 300_000
+"""A machine may be busy."""
+BAG, RIG = "bags/a_leak", "rig_a_fitted.yaml"
+
+
+class Server:
+    """`pneu workbench` as its user starts it."""
+
+    def __init__(self, folder: Path, session: Path) -> None:
+        words = [sys.executable, "-m", "pneu_common.cli", "workbench"]
+        words += ["--folder", str(folder), "--session", str(session), "--workers", "2"]
+        # NiceGUI takes a server that a test starts for its own test
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
+        self.process = subprocess.Popen(
+            words, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            text=True,
+        )  # fmt: skip
+        self.said: list[str] = []
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.said.append(line)
+            if found := re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", line):
+                self.address = found.group(0)
+                break
+        else:
+            pytest.fail(f"the workbench did not start: {''.join(self.said)}")
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def _listen(self) -> None:
+        assert self.process.stdout is not None
+        self.said += list(self.process.stdout)
+
+    def stop(self) -> int:
+        self.process.send_signal(signal.SIGINT)
+        try:
+            return self.process.wait(20.0)
+        finally:
+            self.process.kill()
+
+
+class Watch:
+    """What a page should not do."""
+
+    def __init__(self, page: Page) -> None:
+        self.faults: list[str] = []
+        page.on("pageerror", lambda error: self.faults.append(str(error)))
+        page.on("console", lambda m: self.faults.append(m.text) if m.type == "error" else None)
+        page.on("request", self._asked)
+
+    def _asked(self, request: Any) -> None:
+        if not re.match(r"(https?|wss?)://127\.0\.0\.1[:/]|data:|blob:", request.url):
+            self.faults.append(f"asked for {request.url}")
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder as a user has it, with a recording that is cut short besides."""
+    lab = tmp_path_factory.mktemp("lab")
+    shutil.copytree(ROOT / "data" / "bags" / "a_leak", lab / BAG)
+    shutil.copy(ROOT / "rigs" / RIG, lab / RIG)
+    whole = next((lab / BAG).glob("*.mcap")).read_bytes()
+    (lab / "cut.mcap").write_bytes(whole[: len(whole) // 3])
+    (lab / "<img src=x onerror=alert(1)>.csv").write_text("time\n1\n")
+    return lab
+
+
+@pytest.fixture(scope="module")
+def server(lab: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    server = Server(lab, tmp_path_factory.mktemp("work") / "session")
+    yield server
+    assert server.stop() in (0, -signal.SIGINT, 130), "".join(server.said)
+    assert "Traceback" not in "".join(server.said)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=BROWSER, args=QUIET)
+        yield browser
+        browser.close()
+
+
+def _open(browser: Browser, server: Server, width: int = 1600, **how: Any) -> tuple[Page, Watch]:
+    context = browser.new_context(viewport={"width": width, "height": 1000}, **how)
+    context.set_default_timeout(30_000)
+    page = context.new_page()
+    watch = Watch(page)
+    page.goto(server.address)
+    expect(page.get_by_role("button", name="Open", exact=True)).to_be_visible()
+    assert "token" not in page.url
+    return page, watch
+
+
+def _pick(page: Page, label: str, name: str) -> None:
+    box = page.get_by_label(label)
+    box.click()
+    box.fill(name)
+    page.get_by_role("option", name=name, exact=True).click()
+    page.keyboard.press("Escape")
+
+
+def _button(page: Page, name: str) -> Locator:
+    return page.get_by_role("button", name=name, exact=True)
+
+
+def _drawn(page: Page) -> int:
+    """How many times the chart was painted."""
+    page.wait_for_function("document.querySelector('.pneu-chart')?.dataset.shown")
+    return int(page.locator(".pneu-chart").get_attribute("data-shown") or 0)
+
+
+def _serious(page: Page) -> list[str]:
+    found = Axe().run(page).response["violations"]
+    return [
+        f"{one['id']}: {one['nodes'][0]['html'][:200]}"
+        for one in found
+        if one["impact"] in ("serious", "critical")
+    ]
+
+
+def _too_wide(page: Page) -> list[str]:
+    """Elements that stick out of the page."""
+    return list(
+        page.evaluate(
+            "() => [...document.querySelectorAll('body *')].filter((e) => {"
+            " const r = e.getBoundingClientRect();"
+            " return r.width > 0 && getComputedStyle(e).visibility !== 'hidden'"
+            " && r.right > document.documentElement.clientWidth + 1; })"
+            ".map((e) => e.outerHTML.slice(0, 120))"
+        )
+    )
+
+
+def test_from_nothing_to_a_leak_named_added_and_exported(
+    browser: Browser, server: Server, tmp_path: Path
+) -> None:
+    page, watch = _open(browser, server)
+    # a name with markup is words, and what cannot be read says why
+    _pick(page, "Recordings", "<img src=x onerror=alert(1)>.csv")
+    _pick(page, "Rig file", RIG)
+    _button(page, "Open").click()
+    expect(page.get_by_role("alert").filter(has_text="onerror=alert(1)")).to_be_visible(
+        timeout=LONG_MS
+    )
+    page.get_by_label("Recordings").press("Backspace")
+    # a recording that was cut short, dropped onto the page
+    page.get_by_text("A recording from elsewhere").click()
+    lab = Path(server.process.args[server.process.args.index("--folder") + 1])  # type: ignore
+    with page.expect_file_chooser() as chooser:
+        page.locator(".q-uploader").get_by_role("button").last.click()
+    chooser.value.set_files(lab / "cut.mcap")
+    expect(page.get_by_text("cut.mcap").first).to_be_visible()
+    _button(page, "Open").click()
+    expect(page.get_by_role("alert").filter(has_text="cut")).to_be_visible(timeout=LONG_MS)
+    page.reload()
+    # the true one
+    _pick(page, "Recordings", BAG)
+    _pick(page, "Rig file", RIG)
+    _button(page, "Open").click()
+    expect(page.get_by_text("rig_a_fitted: 35", exact=False).first).to_be_visible(timeout=LONG_MS)
+    first = _drawn(page)
+    page.get_by_role("button", name=re.compile(r"^end, .* x noise")).first.click()
+    page.wait_for_function(f"document.querySelector('.pneu-chart').dataset.shown > {first}")
+    page.locator(".pneu-chart").focus()
+    page.keyboard.press("Home")
+    page.keyboard.press("+")
+    expect(page.locator(".pneu-chart")).to_have_attribute(
+        "aria-label", re.compile(r"^Signals from")
+    )
+    # cancelled, begun again, and found running by a page that is loaded anew and by another
+    _button(page, "Find what is missing").click()
+    expect(_button(page, "Cancel")).to_be_visible()
+    _button(page, "Cancel").click()
+    expect(page.get_by_role("alert").filter(has_text="cancelled")).to_be_visible()
+    _button(page, "Find what is missing").click()
+    expect(_button(page, "Cancel")).to_be_visible()
+    page.reload()
+    expect(page.get_by_role("status").filter(has_text="what is missing")).to_be_visible()
+    other, other_watch = _open(browser, server, 420, color_scheme="dark")
+    expect(other.get_by_role("status").filter(has_text="what is missing")).to_be_visible()
+    for one in (page, other):
+        expect(one.get_by_text("Missing: leak of a line to the room")).to_be_visible(
+            timeout=LONG_MS
+        )
+    # what it would explain, drawn before it is added; added, undone, done again
+    before = _drawn(page)
+    _button(page, "Draw 1").click()
+    page.wait_for_function(f"document.querySelector('.pneu-chart').dataset.shown > {before}")
+    _button(page, "Add 1").click()
+    expect(page.get_by_text(re.compile(r"^before: 35"))).to_be_visible(timeout=LONG_MS)
+    fallen = page.get_by_text(re.compile(r"^error over noise: .*end 4\d\.\d to 1\.\d")).first
+    expect(fallen).to_be_visible()
+    _button(page, "Undo").click()
+    expect(page.get_by_text(re.compile(r"^before:"))).to_have_count(0)
+    expect(page.get_by_text("Missing: leak of a line to the room")).to_be_visible()
+    _button(page, "Redo").click()
+    expect(page.get_by_text(re.compile(r"^before: 35"))).to_be_visible()
+    with page.expect_download() as download:
+        _button(page, "Rig file").click()
+    download.value.save_as(tmp_path / "rig.yaml")
+    (leak,) = load_rig(tmp_path / "rig.yaml").effects
+    assert leak.place == "tube"
+    assert leak.parameters["position_m"] == pytest.approx(2.4, abs=0.2)
+    with page.expect_download() as download:
+        _button(page, "Report").click()
+    assert "leak" in Path(download.value.path()).read_text(encoding="utf-8")
+    # on a telephone and in the dark as well
+    expect(other.get_by_text(re.compile(r"^before: 35"))).to_be_visible()
+    for one in (page, other):
+        _drawn(one)
+        assert _serious(one) == []
+        assert _too_wide(one) == []
+    assert watch.faults == [] and other_watch.faults == []
+    if folder := os.environ.get("PNEU_PICTURES"):
+        page.screenshot(path=f"{folder}/workbench.png", full_page=True)
+        other.screenshot(path=f"{folder}/workbench_small.png", full_page=True)
+
+
+def test_without_the_token_there_is_nothing(server: Server) -> None:
+    address = server.address.partition("?")[0]
+    for path in ("", "signals?begin=0&end=1&columns=10", "uplot.css", "?token=guessed"):
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            urllib.request.urlopen(address + path, timeout=10.0)
+        assert refused.value.code == 403
