@@ -26,7 +26,6 @@ class Chart(Element, component="static/chart.js", esm={"uplot": "static/uplot"})
         sensors: Sequence[tuple[str, str, float]],
         commands: Sequence[str],
         span_s: tuple[float, float],
-        dark: bool,
     ) -> None:
         """Makes it.
 
@@ -34,25 +33,24 @@ class Chart(Element, component="static/chart.js", esm={"uplot": "static/uplot"})
             sensors: Names, units and noise floors.
             commands: Their names.
             span_s: First and last time, s.
-            dark: Whether the page is.
         """
         super().__init__()
         self._props["sensors"] = [
             {"name": name, "shown": SHOWN[unit][0], "scale": SHOWN[unit][1]}
             for name, unit, _ in sensors
         ]
-        self._props |= {"commands": list(commands), "span": list(span_s), "dark": dark}
-        self._props |= {"candidate": -1, "token": ""}
+        self._props |= {"commands": list(commands), "span": list(span_s)}
+        self._props |= {"candidate": -1, "before": False, "token": ""}
 
-    def look(self, candidate: int, dark: bool, token: str) -> None:
-        """Shows another candidate, other colours, or what has changed.
+    def look(self, candidate: int, before: bool, token: str) -> None:
+        """Shows another candidate, or what has changed.
 
         Args:
             candidate: Whose predicted residual is drawn; -1 is none's.
-            dark: Whether the page is.
+            before: Whether the version before is drawn as well.
             token: Says which state is shown; another one reads the signals again.
         """
-        told = {"candidate": candidate, "dark": dark, "token": token}
+        told = {"candidate": candidate, "before": before, "token": token}
         if any(self._props[name] != value for name, value in told.items()):
             self._props |= told
             self.update()
@@ -67,12 +65,16 @@ def serve_signals(app: FastAPI, work: Work) -> None:
     """
 
     def signals(
-        begin: float, end: float, columns: int = Query(ge=1, le=COLUMNS), candidate: int = -1
+        begin: float,
+        end: float,
+        columns: int = Query(ge=1, le=COLUMNS),
+        candidate: int = -1,
+        before: bool = False,
     ) -> Response:
         parts: list[Any] = []
         try:
             for name, _, _ in work.sensors():
-                kinds = ("measured", "model", "residual")
+                kinds = ["measured", "model", *(["before"] if before else []), "residual"]
                 parts += [work.pyramid(k, name).shown(begin, end, columns) for k in kinds]  # type: ignore[arg-type]
                 if candidate >= 0:
                     one = work.pyramid("candidate", name, candidate)

@@ -14,8 +14,10 @@ from typing import Any
 from nicegui import events, run, ui
 
 from pneu_common.errors import InputError
-from pneu_workbench.chart import Chart
+from pneu_workbench.chart import SHOWN, Chart
 from pneu_workbench.files import LARGEST, RECORDINGS, Folder, dropped_name
+from pneu_workbench.schematic import STYLE as SCHEMATIC
+from pneu_workbench.schematic import schematic
 from pneu_workbench.work import Work
 
 POLL_S = 0.25
@@ -102,7 +104,7 @@ class Page:
         self._chart: Chart | None = None
         self._shape: tuple[Any, ...] = ()
         ui.colors(**COLOURS)
-        ui.add_css(STYLE)
+        ui.add_css(STYLE + SCHEMATIC)
         ui.add_head_html('<link rel="stylesheet" href="uplot.css">')
         self._head()
         with ui.column().classes("w-full"):
@@ -110,8 +112,10 @@ class Page:
             self._progress()
             with ui.element("div").classes("pneu-columns"):
                 with ui.column().classes("w-full min-w-0"):
+                    self._drawing = ui.card().classes("pneu-card")
                     self._signals = ui.card().classes("pneu-card")
                 with ui.column().classes("w-full min-w-0"):
+                    self._check = ui.card().classes("pneu-card")
                     self._errors = ui.card().classes("pneu-card")
                     self._missing = ui.card().classes("pneu-card")
                     self._history = ui.card().classes("pneu-card")
@@ -132,10 +136,10 @@ class Page:
             shade = ui.button(icon="contrast", on_click=self._shade)
             shade.props('flat color=white aria-label="Light or dark"')
 
-    def _shade(self) -> None:
-        self._dark.value = not self._dark.value
-        self._seen = ()
-        self._look()
+    async def _shade(self) -> None:
+        # as long as nobody chose, it is the browser's word
+        dark = await ui.run_javascript("document.body.classList.contains('body--dark')")
+        self._dark.value = not dark
 
     def _opening(self) -> None:
         names, rigs = self._folder.recordings(), self._folder.rigs()
@@ -228,7 +232,7 @@ class Page:
         found = work.diagnosis["folder"] if work.diagnosis is not None else ""
         seen = (
             None if now is None else now.folder, found, running, self._candidate,
-            len(work.versions.all), bool(self._dark.value),
+            len(work.versions.all),
         )  # fmt: skip
         if seen != self._seen:
             self._seen = seen
@@ -251,6 +255,8 @@ class Page:
         self._show_signals()
         told = work.comparison()
         for card, show in (
+            (self._drawing, self._show_drawing),
+            (self._check, self._show_check),
             (self._errors, self._show_errors),
             (self._missing, self._show_missing),
             (self._history, self._show_history),
@@ -287,11 +293,13 @@ class Page:
                     ):
                         self._zoomer(icon, word, what, by)
                 ui.label(
-                    "Black or white: measured. Red: model. Blue: what is left. Drag to zoom."
+                    "Black or white: measured. Red: model; grey and dashed: that of the version"
+                    " before. Blue: what is left; amber: what a candidate would explain of it."
+                    " Drag to zoom."
                 ).classes("text-sm")
-                self._chart = Chart(*shape, dark=bool(self._dark.value)).classes("w-full")
+                self._chart = Chart(*shape).classes("w-full")
         assert self._chart is not None
-        self._chart.look(self._candidate, bool(self._dark.value), now.folder)
+        self._chart.look(self._candidate, self._work.versions.before is not None, now.folder)
 
     def _zoomer(self, icon: str, word: str, what: str, by: float | None) -> None:
         def turn() -> None:
@@ -307,6 +315,44 @@ class Page:
                 self._chart.run_method("show", begin - edge, end + edge)
 
         return go
+
+    def _show_drawing(self, told_of: dict[str, Any], running: bool) -> None:
+        rig = self._work.rig()
+        self._heading("Rig")
+        if rig is None:
+            ui.label("Its file is gone.")
+            return
+        tried = self._work.candidates()
+        one = tried[self._candidate] if 0 <= self._candidate < len(tried) else None
+        place, at = (None, None) if one is None else (one["place"], one.get("position_m"))
+        if one is None and rig.effects:  # what was added last
+            last = rig.effects[-1]
+            place, at = last.place, last.parameters.get("position_m")
+        ui.html(schematic(rig, place, at), sanitize=False).classes("w-full")
+
+    def _show_check(self, told_of: dict[str, Any], running: bool) -> None:
+        self._heading("What these recordings tell")
+        found = self._work.visited() or {}
+        aside = f"{found['kept_aside']} of {found['stretches']} stretches are kept for judging"
+        ui.label(f"{found['seconds']:.1f} s; {aside}.")
+        if found["words"]:
+            ui.label(f"They {found['words']}.").classes("text-sm text-warning")
+        units = {name: unit for name, unit, _ in self._work.sensors()}
+        with ui.expansion("Where they have been").classes("w-full"):
+            self._table(
+                ["sensor", "least", "most"],
+                [
+                    [
+                        name,
+                        *(f"{SHOWN[units[name]][1] * x:.3g} {SHOWN[units[name]][0]}" for x in of),
+                    ]
+                    for name, of in found["ranges"].items()
+                ],
+            )
+            self._table(
+                ["port", "opened to"],
+                [[name, f"{100 * part:.0f} %"] for name, part in found["openings"].items()],
+            )
 
     def _show_errors(self, told_of: dict[str, Any], running: bool) -> None:
         now, before = self._work.versions.now, self._work.versions.before

@@ -17,6 +17,8 @@ from typing import Any, Literal
 
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
+from pneu_sim.rig import load_rig
+from pneu_sim.rig.schema import Rig
 from pneu_sysid.report import write_report
 from pneu_sysid.tasks.process import TaskProcess
 from pneu_sysid.tasks.request import Outcome, Request
@@ -29,7 +31,7 @@ VERSION = 1
 KEPT = 4
 """Models whose signals are held in memory."""
 
-Kind = Literal["measured", "model", "residual", "candidate", "command"]
+Kind = Literal["measured", "model", "before", "residual", "candidate", "command"]
 
 
 @dataclass
@@ -214,6 +216,22 @@ class Work:
         path = self.folder / now.folder / "compare.json"
         return dict(json.loads(path.read_text(encoding="utf-8")))
 
+    def visited(self) -> dict[str, Any] | None:
+        """Where the recordings have been, and what is kept aside of them; None without any."""
+        now = self.versions.now
+        if now is None:
+            return None
+        path = self.folder / now.folder / "visited.json"
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+
+    def rig(self) -> Rig | None:
+        """The present version's rig; None without one, or where its file is gone."""
+        now = self.versions.now
+        try:
+            return None if now is None else load_rig(now.rig)
+        except InputError:
+            return None
+
     def candidates(self) -> list[dict[str, Any]]:
         """Candidates that were tried, best first, of the diagnosis of the present version."""
         found, now = self.diagnosis, self.versions.now
@@ -257,6 +275,13 @@ class Work:
         if held is None:
             raise KeyError(name)
         signals, known = held
+        if kind == "before":
+            before = self.versions.before
+            if before is None:
+                raise KeyError(name)
+            former, own = self._load(before.folder)
+            was = former.sensors[name]
+            return self._once(own, ("model", name), lambda: Pyramid(was.time_s, was.model))
         if kind == "command":
             return self._once(known, ("command", name), lambda: _held(signals, name))
         trace = signals.sensors[name]

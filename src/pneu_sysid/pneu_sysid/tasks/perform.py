@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """What tasks do: results are written to a folder aside and moved to their place in one go."""
 
+import json
 import math
 import os
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from pneu_common.files import write_whole
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.commands import fit_result, read_findings
@@ -24,6 +27,7 @@ from pneu_sysid.report import write_report
 from pneu_sysid.results import write_json
 from pneu_sysid.tasks.request import Outcome, Request, Tell, check
 from pneu_sysid.tasks.signals import save_signals, signals_of
+from pneu_sysid.visited import opened_to, words_on_openings
 
 FIT_ITERATIONS = 8
 ADD_ITERATIONS = 4
@@ -144,7 +148,25 @@ def _look(
         progress=lambda done: tell("comparing", done),
     )
     write_json(folder / "compare.json", compared)
+    write_whole(folder / "visited.json", json.dumps(_visited(problem, rig)))
     tell("comparing", 1.0)
+
+
+def _visited(problem: Problem, rig: Rig) -> dict[str, Any]:
+    """Where recordings have been, and what is kept aside of them."""
+    measured = problem.measured
+    return {
+        "seconds": sum(r.end_s - r.start_s for r in problem.recordings),
+        "openings": opened_to(rig, problem.recordings),
+        "ranges": {
+            name: [float(np.nanmin(measured[:, :, k])), float(np.nanmax(measured[:, :, k]))]
+            for k, name in enumerate(problem.taps)
+            if np.isfinite(measured[:, :, k]).any()
+        },
+        "words": words_on_openings(rig, problem.recordings),
+        "stretches": problem.stretches,
+        "kept_aside": int(problem.held_out.sum()),
+    }
 
 
 def _suspect(

@@ -4,6 +4,7 @@ import uPlot from "uplot";
 
 const MEASURED = { light: "#1a1a1a", dark: "#e8e8e8" };
 const MODEL = { light: "#b3261e", dark: "#ff8a80" };
+const BEFORE = { light: "#6b6b6b", dark: "#a8a8a8" };
 const LEFT = { light: "#1f5fa8", dark: "#8ab4f8" };
 const FORETOLD = { light: "#9a5b00", dark: "#ffca6b" };
 const GRID = { light: "#d7d7d7", dark: "#3c4043" };
@@ -14,26 +15,32 @@ export default {
     <div class="pneu-chart" tabindex="0" role="group" :aria-label="label" @keydown="key">
       <div ref="plots"></div>
     </div>`,
-  props: { sensors: Array, commands: Array, span: Array, token: String, candidate: Number, dark: Boolean },
+  props: { sensors: Array, commands: Array, span: Array, token: String, candidate: Number, before: Boolean },
   data() {
     return { label: "Signals" };
   },
   mounted() {
     this.sequence = 0;
     this.range = this.span.slice();
+    // light or dark is the browser's word, or the reader's: the page's body tells
+    this.shade = new MutationObserver(() => {
+      if (this.isDark() !== this.dark) this.build();
+    });
+    this.shade.observe(document.body, { attributes: true, attributeFilter: ["class"] });
     this.build();
     this.observer = new ResizeObserver(() => this.resize());
     this.observer.observe(this.$el);
   },
   beforeUnmount() {
     this.observer.disconnect();
+    this.shade.disconnect();
     this.plots.forEach((plot) => plot.destroy());
   },
   watch: {
-    dark() {
+    candidate() {
       this.build();
     },
-    candidate() {
+    before() {
       this.build();
     },
     token() {
@@ -45,7 +52,11 @@ export default {
     },
   },
   methods: {
+    isDark() {
+      return document.body.classList.contains("body--dark");
+    },
     build() {
+      this.dark = this.isDark();
       (this.plots || []).forEach((plot) => plot.destroy());
       this.plots = [];
       const of = (colours) => colours[this.dark ? "dark" : "light"];
@@ -80,6 +91,7 @@ export default {
         plot(`${sensor.name}: measured and model`, 150, sensor.shown, [
           line("measured", MEASURED, 1.6),
           line("model", MODEL, 1.2),
+          ...(this.before ? [{ ...line("model before", BEFORE, 1), dash: [6, 4] }] : []),
         ]);
         const left = [line("measured minus model", LEFT, 1)];
         if (this.candidate >= 0) left.push(line("what it would explain", FORETOLD, 1.6));
@@ -137,7 +149,7 @@ export default {
       if (this.asked) this.asked.abort();
       this.asked = new AbortController();
       const columns = Math.min(Math.round(this.$el.clientWidth * (window.devicePixelRatio || 1)), 4000);
-      const query = new URLSearchParams({ begin, end, columns, candidate: this.candidate });
+      const query = new URLSearchParams({ begin, end, columns, candidate: this.candidate, before: this.before });
       let buffer;
       try {
         const answer = await fetch(`signals?${query}`, { signal: this.asked.signal });
@@ -176,7 +188,11 @@ export default {
         const measured = next();
         const model = next();
         const scaled = (of) => of.map((v) => (v === null ? null : v * sensor.scale));
-        put(this.plots[p++], [measured[0], scaled(measured[1]), scaled(model[1])]);
+        const lines = [measured[0], scaled(measured[1]), scaled(model[1])];
+        if (this.before) {
+          const was = next();
+          put(this.plots[p++], uPlot.join([lines, [was[0], scaled(was[1])]]));
+        } else put(this.plots[p++], lines);
         const left = next();
         const data = this.candidate >= 0 ? uPlot.join([left, next()]) : left;
         put(this.plots[p++], data);
