@@ -140,13 +140,17 @@ def test_ament_marker_is_there(package):
     assert (ROOT / "src" / package / package / "py.typed").is_file()
 
 
+OTHERS = ("figures.py", "pneu_workbench")
+"""What does without the rest of an extra, and the package that is one."""
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_what_the_package_imports_is_declared(package):
     declared = {distribution(requirement) for requirement in PROJECT["dependencies"]}
     extras = PROJECT["optional-dependencies"]
     of_extras = declared | {
         distribution(one)
-        for name in ("figures", "learn", "study", "cluster", "robots")
+        for name in ("figures", "learn", "study", "cluster", "robots", "workbench")
         for one in extras[name]
     }
     undeclared = {
@@ -157,7 +161,7 @@ def test_what_the_package_imports_is_declared(package):
         and module not in PACKAGES
         and module not in ROS_PACKAGES
         and DISTRIBUTION_OF.get(module, module)
-        not in (of_extras if {*TRAINING, MECHANISMS, "figures.py"} & set(path.parts) else declared)
+        not in (of_extras if {*TRAINING, MECHANISMS, *OTHERS} & set(path.parts) else declared)
     }
     assert not undeclared, "\n".join(sorted(undeclared))
 

@@ -4,6 +4,7 @@
 Every page is watched: no script may fail, nothing may be asked for beyond the loopback.
 """
 
+import io
 import os
 import re
 import shutil
@@ -149,6 +150,33 @@ def _drawn(page: Page) -> int:
     return int(page.locator(".pneu-chart").get_attribute("data-shown") or 0)
 
 
+PICTURES = os.environ.get("PNEU_PICTURES")
+"""A folder that receives the story as one picture, as docs/workbench.md shows it."""
+
+
+def _picture(page: Page, pictures: list[bytes]) -> None:
+    if PICTURES:
+        page.mouse.move(0, 0)
+        page.evaluate("window.scrollTo(0, 0)")
+        pictures.append(page.screenshot())
+
+
+def _strip(pictures: list[bytes]) -> None:
+    """Puts the pictures into one, two beside each other."""
+    if not PICTURES:
+        return
+    from PIL import Image
+
+    parts = [Image.open(io.BytesIO(one)).convert("RGB") for one in pictures]
+    w, h = (int(0.6 * x) for x in parts[0].size)
+    whole = Image.new("RGB", (2 * w + 10, -(-len(parts) // 2) * (h + 10) - 10), "#888888")
+    for k, part in enumerate(parts):
+        whole.paste(
+            part.resize((w, h), Image.Resampling.LANCZOS), (k % 2 * (w + 10), k // 2 * (h + 10))
+        )
+    whole.quantize(64).save(f"{PICTURES}/workbench.png", optimize=True)
+
+
 def _serious(page: Page) -> list[str]:
     found = Axe().run(page).response["violations"]
     return [
@@ -175,6 +203,7 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
     browser: Browser, server: Server, tmp_path: Path
 ) -> None:
     page, watch = _open(browser, server)
+    pictures: list[bytes] = []
     # a name with markup is words, and what cannot be read says why
     _pick(page, "Recordings", "<img src=x onerror=alert(1)>.csv")
     _pick(page, "Rig file", RIG)
@@ -199,6 +228,7 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
     _button(page, "Open").click()
     expect(page.get_by_text("rig_a_fitted: 35", exact=False).first).to_be_visible(timeout=LONG_MS)
     first = _drawn(page)
+    _picture(page, pictures)
     page.get_by_role("button", name=re.compile(r"^end, .* x noise")).first.click()
     page.wait_for_function(f"document.querySelector('.pneu-chart').dataset.shown > {first}")
     page.locator(".pneu-chart").focus()
@@ -226,10 +256,16 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
     before = _drawn(page)
     _button(page, "Draw 1").click()
     page.wait_for_function(f"document.querySelector('.pneu-chart').dataset.shown > {before}")
+    _picture(page, pictures)
     _button(page, "Add 1").click()
+    expect(page.get_by_role("status").filter(has_text="fitting what was added")).to_be_visible(
+        timeout=LONG_MS
+    )
+    _picture(page, pictures)
     expect(page.get_by_text(re.compile(r"^before: 35"))).to_be_visible(timeout=LONG_MS)
     fallen = page.get_by_text(re.compile(r"^error over noise: .*end 4\d\.\d to 1\.\d")).first
     expect(fallen).to_be_visible()
+    _picture(page, pictures)
     _button(page, "Undo").click()
     expect(page.get_by_text(re.compile(r"^before:"))).to_have_count(0)
     expect(page.get_by_text("Missing: leak of a line to the room")).to_be_visible()
@@ -251,9 +287,7 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
         assert _serious(one) == []
         assert _too_wide(one) == []
     assert watch.faults == [] and other_watch.faults == []
-    if folder := os.environ.get("PNEU_PICTURES"):
-        page.screenshot(path=f"{folder}/workbench.png", full_page=True)
-        other.screenshot(path=f"{folder}/workbench_small.png", full_page=True)
+    _strip(pictures)
 
 
 def test_without_the_token_there_is_nothing(server: Server) -> None:

@@ -5,9 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from fastapi import FastAPI, Query
+from fastapi import FastAPI, Query, Response
 from nicegui.element import Element
-from starlette.responses import Response
 
 from pneu_workbench.traces import packed
 from pneu_workbench.work import Work
