@@ -271,6 +271,15 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
     expect(page.get_by_text("Missing: leak of a line to the room")).to_be_visible()
     _button(page, "Redo").click()
     expect(page.get_by_text(re.compile(r"^before: 35"))).to_be_visible()
+    # the model run at another strength, as the slider moves
+    _button(page, "Try other strengths").click()
+    slider = page.get_by_role("slider")
+    expect(slider).to_be_visible(timeout=LONG_MS)
+    for _ in range(8):  # down to no leak at all
+        slider.press("PageDown")
+    expect(page.get_by_text(re.compile(r"^0: .*end 4\d\.\d"))).to_be_visible(timeout=LONG_MS)
+    _button(page, "Leave it").click()
+    expect(_button(page, "Try other strengths")).to_be_visible()
     with page.expect_download() as download:
         _button(page, "Rig file").click()
     download.value.save_as(tmp_path / "rig.yaml")

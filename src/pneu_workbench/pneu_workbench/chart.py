@@ -39,17 +39,18 @@ class Chart(Element, component="static/chart.js", esm={"uplot": "static/uplot"})
             for name, unit, _ in sensors
         ]
         self._props |= {"commands": list(commands), "span": list(span_s)}
-        self._props |= {"candidate": -1, "before": False, "token": ""}
+        self._props |= {"candidate": -1, "before": False, "trial": False, "token": ""}
 
-    def look(self, candidate: int, before: bool, token: str) -> None:
+    def look(self, candidate: int, before: bool, trial: bool, token: str) -> None:
         """Shows another candidate, or what has changed.
 
         Args:
             candidate: Whose predicted residual is drawn; -1 is none's.
             before: Whether the version before is drawn as well.
+            trial: Whether the model at the strength that is tried is.
             token: Says which state is shown; another one reads the signals again.
         """
-        told = {"candidate": candidate, "before": before, "token": token}
+        told = {"candidate": candidate, "before": before, "trial": trial, "token": token}
         if any(self._props[name] != value for name, value in told.items()):
             self._props |= told
             self.update()
@@ -69,11 +70,13 @@ def serve_signals(app: FastAPI, work: Work) -> None:
         columns: int = Query(ge=1, le=COLUMNS),
         candidate: int = -1,
         before: bool = False,
+        trial: bool = False,
     ) -> Response:
         parts: list[Any] = []
         try:
             for name, _, _ in work.sensors():
-                kinds = ["measured", "model", *(["before"] if before else []), "residual"]
+                others = [*(["before"] if before else []), *(["trial"] if trial else [])]
+                kinds = ["measured", "model", *others, "residual"]
                 parts += [work.pyramid(k, name).shown(begin, end, columns) for k in kinds]  # type: ignore[arg-type]
                 if candidate >= 0:
                     one = work.pyramid("candidate", name, candidate)

@@ -16,8 +16,8 @@ MOST = 500
 """Files of a kind that are offered."""
 RECORDINGS = (".mcap", ".csv")
 RIGS = (".yaml", ".yml")
-HEADS = ("pneu_rig", "pneu_scene")
-"""Keys one of which a rig file begins with, after its comments."""
+HEAD = "pneu_rig"
+"""Key that a rig file begins with, after its comments."""
 LARGEST = 4 * 1024**3
 """Bytes of a file that is dropped."""
 LEFT_OUT = {"node_modules", "__pycache__", "build", "install", "log"}
@@ -95,7 +95,7 @@ def _is_rig(path: Path) -> bool:
             for line in file:
                 word = line.partition(":")[0].strip()
                 if word and not word.startswith(("#", "---", "%")):
-                    return word in HEADS
+                    return word == HEAD
     except (OSError, UnicodeDecodeError):
         pass
     return False

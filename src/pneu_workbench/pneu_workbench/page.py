@@ -25,6 +25,8 @@ POLL_S = 0.25
 WORST = 8
 REGIMES = 8
 CARDS = 6
+NOTCHES = 200
+"""Of the slider of a strength."""
 VERDICTS = {
     "effect": ("Missing", "positive"),
     "ambiguous": ("Not to be told apart", "warning"),
@@ -99,6 +101,7 @@ class Page:
         self._work, self._folder = work, folder
         self._dark = ui.dark_mode(None)
         self._candidate = -1
+        self._tries: ui.label | None = None
         self._seen: tuple[Any, ...] = ()
         self._changes = -1
         self._chart: Chart | None = None
@@ -118,6 +121,7 @@ class Page:
                     self._check = ui.card().classes("pneu-card")
                     self._errors = ui.card().classes("pneu-card")
                     self._missing = ui.card().classes("pneu-card")
+                    self._strength = ui.card().classes("pneu-card")
                     self._history = ui.card().classes("pneu-card")
                     self._keep = ui.card().classes("pneu-card")
         self._look()
@@ -228,12 +232,15 @@ class Page:
             self._bar.value = 0.0 if task is None or task.done is None else task.done
             self._fault.set_text(task.fault if task is not None else "")
             self._falling.set_text(self._fallen())
+            if self._tries is not None and work.trial is not None:
+                self._tries.set_text(self._tried_words())
+                self._kept.set_enabled(bool(work.trial.errors) and not running)
+                self._show_signals()
         now = work.versions.now
         found = work.diagnosis["folder"] if work.diagnosis is not None else ""
-        seen = (
-            None if now is None else now.folder, found, running, self._candidate,
-            len(work.versions.all),
-        )  # fmt: skip
+        tried = None if work.trial is None else (work.trial.ready, work.trial.fault)
+        shown = None if now is None else now.folder
+        seen = (shown, found, running, self._candidate, len(work.versions.all), tried)
         if seen != self._seen:
             self._seen = seen
             self._show(running)
@@ -259,6 +266,7 @@ class Page:
             (self._check, self._show_check),
             (self._errors, self._show_errors),
             (self._missing, self._show_missing),
+            (self._strength, self._show_strength),
             (self._history, self._show_history),
             (self._keep, self._show_keep),
         ):
@@ -299,7 +307,10 @@ class Page:
                 ).classes("text-sm")
                 self._chart = Chart(*shape).classes("w-full")
         assert self._chart is not None
-        self._chart.look(self._candidate, self._work.versions.before is not None, now.folder)
+        before, trial = self._work.versions.before is not None, self._work.trial
+        tried = trial is not None and bool(trial.errors)
+        token = f"{now.folder} {trial.strength if trial is not None and tried else ''}"
+        self._chart.look(self._candidate, before, tried, token)
 
     def _zoomer(self, icon: str, word: str, what: str, by: float | None) -> None:
         def turn() -> None:
@@ -462,6 +473,45 @@ class Page:
                 add = ui.button("Add", on_click=self._tried(partial(self._work.add, number)))
                 add.props(f'dense aria-label="Add {number + 1}"').mark(f"add-{number}")
                 add.set_enabled(not running)
+
+    def _show_strength(self, told_of: dict[str, Any], running: bool) -> None:
+        """A slider for the strength of what was added last."""
+        work, self._tries = self._work, None
+        now, trial = work.versions.now, work.trial
+        if now is None or not now.added:
+            self._strength.set_visibility(False)
+            return
+        self._heading("How strong")
+        if trial is None:
+            ask = ui.button("Try other strengths", on_click=self._tried(work.begin_trial))
+            ask.set_enabled(not running)
+            return
+        if not trial.ready:
+            ui.label(trial.fault or "The model is being made ready.").props("role=status")
+            return
+        ui.label(f"{trial.title}, {trial.unit}" if trial.unit not in ("", "1") else trial.title)
+        wide = trial.upper - trial.lower
+        now_at = round(NOTCHES * ((trial.strength or 0.0) - trial.lower) / wide)
+        # in whole notches: the slider of the page's library rounds what is as small as an area
+        slider = ui.slider(min=0, max=NOTCHES, step=1, value=now_at)
+        slider.props('aria-label="Strength"').mark("strength")
+        slider.on(
+            "update:model-value",
+            lambda event: work.try_strength(trial.lower + wide * float(event.args) / NOTCHES),
+            throttle=0.2,
+        )
+        self._tries = ui.label(self._tried_words()).props("aria-live=polite")
+        with ui.row():
+            self._kept = ui.button("Keep this strength", on_click=self._tried(work.keep_trial))
+            self._kept.set_enabled(bool(trial.errors) and not running)
+            ui.button("Leave it", on_click=self._tried(work.end_trial)).props("outline")
+
+    def _tried_words(self) -> str:
+        trial = self._work.trial
+        if trial is None or trial.strength is None:
+            return ""
+        parts = [f"{name} {value:.1f}" for name, value in trial.errors.items()]
+        return f"{trial.strength:.3g}: {', '.join(parts) + ' x noise' if parts else 'as it is'}"
 
     def _show_history(self, told_of: dict[str, Any], running: bool) -> None:
         self._heading("Versions")

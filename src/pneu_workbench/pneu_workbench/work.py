@@ -17,21 +17,25 @@ from typing import Any, Literal
 
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
-from pneu_sim.rig import load_rig
+from pneu_sim.rig import load_rig, save_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.report import write_report
 from pneu_sysid.tasks.process import TaskProcess
 from pneu_sysid.tasks.request import Outcome, Request
 from pneu_sysid.tasks.signals import Signals, load_signals
+from pneu_sysid.tasks.trial import with_strength
+from pneu_sysid.tasks.trial_process import TrialProcess
 from pneu_workbench.traces import Pyramid
 from pneu_workbench.versions import Version, Versions
 
 SESSION = "session.json"
 VERSION = 1
+TRIED = "tried"
+"""Folder of the signals of a strength that is tried."""
 KEPT = 4
 """Models whose signals are held in memory."""
 
-Kind = Literal["measured", "model", "before", "residual", "candidate", "command"]
+Kind = Literal["measured", "model", "before", "trial", "residual", "candidate", "command"]
 
 
 @dataclass
@@ -57,6 +61,33 @@ class Task:
     errors: list[dict[str, float]] = field(default_factory=list)
 
 
+@dataclass
+class Trial:
+    """The present version run with another strength of what was added last.
+
+    Attributes:
+        of: Number of the version.
+        strength: How strong it was tried; None is not yet.
+        lower: Least strength that may be.
+        upper: Most.
+        unit: Of all three.
+        title: What was added.
+        errors: Of each sensor over its noise, at that strength.
+        ready: Whether the model is ready to be run.
+        fault: Why not; empty where it is.
+    """
+
+    of: int
+    strength: float | None = None
+    lower: float = 0.0
+    upper: float = 0.0
+    unit: str = ""
+    title: str = ""
+    errors: dict[str, float] = field(default_factory=dict)
+    ready: bool = False
+    fault: str = ""
+
+
 class Work:
     """A session. Its methods may be called from any thread.
 
@@ -66,6 +97,7 @@ class Work:
         versions: Of the model.
         task: Long work, or the last that was.
         diagnosis: What was found missing in the version of that number.
+        trial: The present version at another strength; None where none is tried.
     """
 
     def __init__(self, folder: Path, workers: int = 0) -> None:
@@ -87,6 +119,8 @@ class Work:
         self.versions = Versions()
         self.task: Task | None = None
         self.diagnosis: dict[str, Any] | None = None
+        self.trial: Trial | None = None
+        self._trying: TrialProcess | None = None
         self._workers = workers
         self._lock = threading.RLock()
         self._process: TaskProcess | None = None
@@ -167,6 +201,82 @@ class Work:
 
         self._begin(self._request("add", str(rig), folder, added), f"adding {label}", fitted)
 
+    def begin_trial(self) -> None:
+        """Makes the present version ready to be run at other strengths of what was added last.
+
+        Raises:
+            InputError: Nothing was added.
+        """
+        now = self._present()
+        if not now.added:
+            raise InputError("strength: nothing was added yet whose strength could be tried")
+        self.end_trial()
+        with self._lock:
+            trial = self.trial = Trial(now.number)
+            self._changes += 1
+
+            def heard(told: dict[str, Any]) -> None:
+                with self._lock:
+                    if "fault" in told:
+                        trial.fault, trial.ready = told["fault"], False
+                    elif "errors" in told:
+                        trial.strength, trial.errors = told["strength"], told["errors"]
+                        self._loaded.pop(TRIED, None)
+                    else:
+                        trial.lower, trial.upper = told["lower"], told["upper"]
+                        trial.unit, trial.title = told["unit"] or "", told["title"]
+                        trial.strength, trial.ready = told["strength"], True
+                    self._changes += 1
+
+            self._trying = TrialProcess(self.bags, now.rig, self._workers, heard)
+
+    def try_strength(self, strength: float) -> None:
+        """Runs the present version at another strength; `trial` tells what came of it.
+
+        Args:
+            strength: How strong; beyond what may be it is cut off.
+
+        Raises:
+            InputError: No trial was begun, or it is not ready.
+        """
+        trial, process = self.trial, self._trying
+        if trial is None or process is None or not trial.ready:
+            raise InputError("strength: the model is not ready to be run at another")
+        folder = self.folder / TRIED
+        folder.mkdir(exist_ok=True)
+        strength = min(max(strength, trial.lower), trial.upper)
+        process.run(strength, str(folder / "signals.npz"))
+
+    def keep_trial(self) -> None:
+        """Makes a version of the strength that was tried.
+
+        Raises:
+            InputError: None was tried, or other work is going on.
+        """
+        trial = self.trial
+        if trial is None or trial.strength is None or not trial.errors:
+            raise InputError("strength: none was tried that could be kept")
+        was = self.versions.all[trial.of]
+        folder = self._fresh("look")
+        rig = self.folder / f"{folder.name}.yaml"  # its folder is not there yet
+        save_rig(with_strength(load_rig(was.rig), trial.strength), rig)
+        title = f"{trial.title} fixed at {trial.strength:.3g} {trial.unit}".strip()
+
+        def looked(outcome: Outcome) -> None:
+            self.versions.at = was.number
+            self._looked(folder, title, str(rig), was.added)
+
+        self._begin(self._request("look", str(rig), folder), title, looked)
+
+    def end_trial(self) -> None:
+        """Tries no more strengths."""
+        with self._lock:
+            process, self._trying, self.trial = self._trying, None, None
+            self._loaded.pop(TRIED, None)
+            self._changes += 1
+        if process is not None:
+            process.end()
+
     def cancel(self) -> None:
         """Ends long work; nothing of it is kept."""
         with self._lock:
@@ -176,6 +286,7 @@ class Work:
 
     def close(self) -> None:
         """Ends what goes on, and waits until it is gone."""
+        self.end_trial()
         with self._lock:
             process = self._process
         if process is not None:
@@ -186,12 +297,14 @@ class Work:
 
     def undo(self) -> None:
         """Goes back to where the present version came from."""
+        self.end_trial()
         with self._lock:
             self.versions.undo()
             self._changed()
 
     def redo(self) -> None:
         """Takes that back."""
+        self.end_trial()
         with self._lock:
             self.versions.redo()
             self._changed()
@@ -202,6 +315,7 @@ class Work:
         Args:
             number: Which.
         """
+        self.end_trial()
         with self._lock:
             self.versions.go(number)
             self._changed()
@@ -275,6 +389,12 @@ class Work:
         if held is None:
             raise KeyError(name)
         signals, known = held
+        if kind == "trial":
+            if self.trial is None or not self.trial.errors:
+                raise KeyError(name)
+            tried, its = self._load(TRIED)
+            at = tried.sensors[name]
+            return self._once(its, ("model", name), lambda: Pyramid(at.time_s, at.model))
         if kind == "before":
             before = self.versions.before
             if before is None:
@@ -354,6 +474,8 @@ class Work:
         return self.folder / f"{name}_{self._count}_{uuid.uuid4().hex[:6]}"
 
     def _begin(self, request: Request, title: str, then: Callable[[Outcome], None]) -> None:
+        if request.task != "suspect":  # which leaves the version as it is
+            self.end_trial()
         with self._lock:
             if self.task is not None and self.task.running:
                 raise InputError(f"{self.task.title}: is still going on; cancel it, or wait")

@@ -29,7 +29,7 @@ def root(tmp_path: Path) -> Path:
 def test_recordings_and_rigs_are_found(root: Path) -> None:
     folder = Folder(root)
     assert folder.recordings() == ["bags/one", "lone.mcap", "table.CSV"]
-    assert folder.rigs() == ["rig.yaml", "scene.yml"]
+    assert folder.rigs() == ["rig.yaml"]
     assert folder.path("bags/one") == root / "bags" / "one"
 
 

@@ -15,7 +15,7 @@ export default {
     <div class="pneu-chart" tabindex="0" role="group" :aria-label="label" @keydown="key">
       <div ref="plots"></div>
     </div>`,
-  props: { sensors: Array, commands: Array, span: Array, token: String, candidate: Number, before: Boolean },
+  props: { sensors: Array, commands: Array, span: Array, token: String, candidate: Number, before: Boolean, trial: Boolean },
   data() {
     return { label: "Signals" };
   },
@@ -41,6 +41,9 @@ export default {
       this.build();
     },
     before() {
+      this.build();
+    },
+    trial() {
       this.build();
     },
     token() {
@@ -92,6 +95,7 @@ export default {
           line("measured", MEASURED, 1.6),
           line("model", MODEL, 1.2),
           ...(this.before ? [{ ...line("model before", BEFORE, 1), dash: [6, 4] }] : []),
+          ...(this.trial ? [line("model at the strength tried", FORETOLD, 1.4)] : []),
         ]);
         const left = [line("measured minus model", LEFT, 1)];
         if (this.candidate >= 0) left.push(line("what it would explain", FORETOLD, 1.6));
@@ -149,7 +153,7 @@ export default {
       if (this.asked) this.asked.abort();
       this.asked = new AbortController();
       const columns = Math.min(Math.round(this.$el.clientWidth * (window.devicePixelRatio || 1)), 4000);
-      const query = new URLSearchParams({ begin, end, columns, candidate: this.candidate, before: this.before });
+      const query = new URLSearchParams({ begin, end, columns, candidate: this.candidate, before: this.before, trial: this.trial });
       let buffer;
       try {
         const answer = await fetch(`signals?${query}`, { signal: this.asked.signal });
@@ -189,10 +193,9 @@ export default {
         const model = next();
         const scaled = (of) => of.map((v) => (v === null ? null : v * sensor.scale));
         const lines = [measured[0], scaled(measured[1]), scaled(model[1])];
-        if (this.before) {
-          const was = next();
-          put(this.plots[p++], uPlot.join([lines, [was[0], scaled(was[1])]]));
-        } else put(this.plots[p++], lines);
+        const others = [this.before, this.trial].filter(Boolean).map(next);
+        const joined = others.map((of) => [of[0], scaled(of[1])]);
+        put(this.plots[p++], joined.length ? uPlot.join([lines, ...joined]) : lines);
         const left = next();
         const data = this.candidate >= 0 ? uPlot.join([left, next()]) : left;
         put(this.plots[p++], data);

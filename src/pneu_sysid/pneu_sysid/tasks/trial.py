@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A model run again and again with other strengths of the effect that was added last.
+
+A process of its own, because it holds the recordings and compiled models ready. It reads one line
+of JSON, ``{"bags": […], "rig": …, "workers": …}``, and answers with the strength that the rig has
+and the range in which it may be tried, or with ``{"fault": …}``. Then every line ``{"strength": …,
+"file": …}`` is answered with the error of each sensor over its noise once the signals are in the
+file; of several lines that wait, the last alone. It ends with its standard input.
+"""
+
+import json
+import os
+import sys
+import threading
+from pathlib import Path
+from typing import Any, TextIO
+
+from pneu_common.errors import InputError
+from pneu_sim.effects import find_effect
+from pneu_sim.rig import load_rig
+from pneu_sim.rig.schema import Rig
+from pneu_sysid.fit import sensor_rmse
+from pneu_sysid.parameter_units import strength_unit
+from pneu_sysid.problem import Problem, make_problem, record_for
+from pneu_sysid.tasks.signals import save_signals, signals_of
+
+REACH = 3.0
+"""Strengths are tried up to so many times as far from where the effect vanishes."""
+
+
+def range_of(rig: Rig) -> dict[str, Any]:
+    """Strength of a rig's last effect, and the range in which it may be tried.
+
+    Args:
+        rig: The rig.
+
+    Raises:
+        InputError: It has no effect.
+    """
+    if not rig.effects:
+        raise InputError(f"rig {rig.name!r}: effects: found none, one is tried at other strengths")
+    added = rig.effects[-1]
+    effect = find_effect(added.effect)
+    strength = effect.strength
+    low, high = effect.limits(strength, rig, added.place)
+    now = added.parameters.get(strength.name, strength.absent)
+    reach = REACH * (abs(now - strength.absent) or strength.typical)
+    return {
+        "strength": now,
+        "lower": max(low, strength.absent - reach),
+        "upper": min(high, strength.absent + reach),
+        "absent": strength.absent,
+        "title": effect.title,
+        "unit": strength_unit(rig, effect, added.place),
+    }
+
+
+def with_strength(rig: Rig, strength: float) -> Rig:
+    """A rig whose last effect is as strong as is said.
+
+    Args:
+        rig: The rig; it has an effect.
+        strength: How strong.
+    """
+    last = rig.effects[-1]
+    name = find_effect(last.effect).strength.name
+    other = last.model_copy(update={"parameters": {**last.parameters, name: strength}})
+    return rig.model_copy(update={"effects": [*rig.effects[:-1], other]})
+
+
+class _Latest:
+    """The last line that was read and not taken yet."""
+
+    def __init__(self, source: TextIO) -> None:
+        self._source = source
+        self._line: str | None = None
+        self._news = threading.Condition()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        for line in self._source:
+            with self._news:
+                self._line = line
+                self._news.notify()
+        os._exit(0)  # whoever asked is gone
+
+    def take(self) -> str:
+        with self._news:
+            while self._line is None:
+                self._news.wait()
+            line, self._line = self._line, None
+            return line
+
+
+def _tried(problem: Problem, rig: Rig, asked: dict[str, Any]) -> dict[str, Any]:
+    other = with_strength(rig, float(asked["strength"]))
+    readings = problem.predict([other])[0]
+    save_signals(signals_of(problem, other, readings), Path(asked["file"]))
+    noise = dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True))
+    everything = problem.held_out | ~problem.held_out
+    rmse = sensor_rmse(problem, readings, everything)
+    return {**asked, "errors": {name: value / noise[name] for name, value in rmse.items()}}
+
+
+def main() -> None:
+    """Serves whoever started this process."""
+    answers = sys.stdout
+    sys.stdout = sys.stderr  # what a library prints must not come between the answers
+
+    def say(told: dict[str, Any]) -> None:
+        print(json.dumps(told), file=answers, flush=True)
+
+    asked = json.loads(sys.stdin.readline())
+    latest = _Latest(sys.stdin)
+    try:
+        rig = load_rig(asked["rig"])
+        told = range_of(rig)
+        recordings = [record_for(rig, bag) for bag in asked["bags"]]
+        problem = make_problem(rig, recordings, workers=asked["workers"] or None)
+        say(told)
+        while True:
+            say(_tried(problem, rig, json.loads(latest.take())))
+    except InputError as error:
+        say({"fault": str(error)})
+
+
+if __name__ == "__main__":
+    main()
