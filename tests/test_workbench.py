@@ -156,9 +156,14 @@ PICTURES = os.environ.get("PNEU_PICTURES")
 
 def _picture(page: Page, pictures: list[bytes]) -> None:
     if PICTURES:
+        size = page.viewport_size
+        page.set_viewport_size({"width": 1600, "height": 1500})
         page.mouse.move(0, 0)
         page.evaluate("window.scrollTo(0, 0)")
+        page.wait_for_timeout(1500)  # signals are read anew for another width
         pictures.append(page.screenshot())
+        if size is not None:
+            page.set_viewport_size(size)
 
 
 def _strip(pictures: list[bytes]) -> None:

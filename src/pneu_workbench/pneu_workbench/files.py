@@ -101,15 +101,18 @@ def _is_rig(path: Path) -> bool:
     return False
 
 
-def dropped_name(given: str) -> str:
+def dropped_name(given: str, size: int = 0) -> str:
     """A name under which a dropped file is kept.
 
     Args:
         given: What the browser says it is called.
+        size: Bytes of it.
 
     Raises:
-        InputError: It is no recording by its ending.
+        InputError: It is no recording by its ending, or is too large.
     """
+    if size > LARGEST:
+        raise InputError(f"file: found {size / 1024**3:.1f} GiB, allowed are {LARGEST >> 30} GiB")
     name = re.sub(r"[^A-Za-z0-9._-]", "_", re.split(r"[/\\]", given)[-1]).lstrip(".")[-120:]
     if not name.lower().endswith(RECORDINGS) or name.lower() in RECORDINGS:
         raise InputError(f"file: found {given!r}, allowed are {', '.join(RECORDINGS)}")

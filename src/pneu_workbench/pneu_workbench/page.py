@@ -156,6 +156,7 @@ class Page:
                 self._rig = ui.select(rigs, label="Rig file", with_input=True)
                 self._rig.classes("grow min-w-[16rem]").mark("rig")
                 ui.button("Open", on_click=self._tried(self._open)).mark("open")
+            self._opened = ui.label().classes("text-sm")
             with ui.expansion("A recording from elsewhere").classes("w-full"):
                 ui.upload(
                     label=f"Drop {' or '.join(RECORDINGS)} here",
@@ -200,7 +201,7 @@ class Page:
 
     async def _dropped(self, event: events.UploadEventArguments) -> None:
         try:
-            name = dropped_name(event.file.name)
+            name = dropped_name(event.file.name, event.file.size())
             into = self._work.folder / "dropped"
             into.mkdir(exist_ok=True)
             aside = into / f".{name}.part"
@@ -232,6 +233,8 @@ class Page:
             self._bar.value = 0.0 if task is None or task.done is None else task.done
             self._fault.set_text(task.fault if task is not None else "")
             self._falling.set_text(self._fallen())
+            names = ", ".join(Path(bag).name for bag in work.bags)
+            self._opened.set_text(f"Open: {names}" if names else "")
             if self._tries is not None and work.trial is not None:
                 self._tries.set_text(self._tried_words())
                 self._kept.set_enabled(bool(work.trial.errors) and not running)

@@ -4,7 +4,7 @@
 from pathlib import Path
 
 import pytest
-from pneu_workbench.files import Folder, dropped_name
+from pneu_workbench.files import LARGEST, Folder, dropped_name
 
 from pneu_common.errors import InputError
 
@@ -57,6 +57,9 @@ def test_dropped_files_get_harmless_names() -> None:
     assert dropped_name("C:\\lab\\run.MCAP") == "run.MCAP"
     assert dropped_name("<img src=x onerror=alert(1)>.csv") == "_img_src_x_onerror_alert_1__.csv"
     assert len(dropped_name("a" * 500 + ".csv")) == 120
+    assert dropped_name("a.mcap", LARGEST) == "a.mcap"
+    with pytest.raises(InputError, match=r"found 4\.5 GiB, allowed are 4 GiB"):
+        dropped_name("a.mcap", LARGEST + 2**29)
     for name in ("run.exe", "", ".mcap", "a.mcap.sh"):
         with pytest.raises(InputError, match=r"allowed are \.mcap, \.csv"):
             dropped_name(name)
