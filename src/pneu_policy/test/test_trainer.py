@@ -64,7 +64,9 @@ def settings(**changes):
 
 
 def untimed(rows):
-    return [{key: value for key, value in row.items() if key not in ("wall_s", "cpu_s")} for row in rows]
+    return [
+        {key: value for key, value in row.items() if key not in ("wall_s", "cpu_s")} for row in rows
+    ]
 
 
 def test_a_resumed_run_is_bit_for_bit_the_uninterrupted_one(tmp_path, env):
