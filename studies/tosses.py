@@ -31,6 +31,10 @@ from studies.digest import sources_digest
 ROOT = Path(__file__).resolve().parent.parent
 
 
+KEPT = ROOT / "out" / "tosses"
+"""Sections that are done, so that a run that was ended goes on from there."""
+
+
 @dataclass(frozen=True)
 class Object:
     """An object that was tossed.
@@ -246,9 +250,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--page", type=Path, help="file that receives the page")
     parser.add_argument("--workers", type=int)
     options = parser.parse_args(arguments)
-    console = Console(width=140)
+    console, sources = Console(width=140), sources_digest()
     lines = ["# Tosses", "", "Made by `make tosses TOSSES=folder`.",
-             f"Made from the sources {sources_digest()}.", ""]  # fmt: skip
+             f"Made from the sources {sources}.", ""]  # fmt: skip
+    KEPT.mkdir(parents=True, exist_ok=True)
     for name in options.only:
         thing = OBJECTS[name]
         folder = options.folder / name
@@ -257,7 +262,11 @@ def main(arguments: list[str] | None = None) -> int:
             files = [files[int(k)] for k in np.linspace(0, len(files) - 1, options.most).round()]
         tracks = read_tracks(files, load_scene(ROOT / thing.scene))
         lines[3] += f" {name}: {digest(folder)}."
-        lines += section(name, thing, tracks, console, options.workers)
+        kept = KEPT / f"{name}_{options.most}_{sources}_{digest(folder)}.md"
+        if not kept.exists():
+            found = section(name, thing, tracks, console, options.workers)
+            write_whole(kept, "\n".join(found))
+        lines += kept.read_text(encoding="utf-8").split("\n")
     text = "\n".join(lines)
     console.print(text, soft_wrap=True)
     if options.page is not None:
