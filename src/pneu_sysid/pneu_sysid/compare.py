@@ -28,7 +28,7 @@ from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import TICK_S, Prediction
 from pneu_sysid.problem import Problem, Rollouts, make_problem
-from pneu_sysid.records import Recording
+from pneu_sysid.records import Recording, begins_of
 from pneu_sysid.regimes import FEWEST, Operation, frequency_shares, operation
 from pneu_sysid.results import (
     CompareResult,
@@ -547,10 +547,7 @@ def _series(
     The recordings follow one another, each as long after the one before as ``begins_s`` says.
     """
     first = problems[0]
-    begins, at = [], 0.0
-    for recording in first.recordings:
-        begins.append(round(at, 9))
-        at += np.ceil(recording.end_s + 1.0)
+    begins = begins_of(first.recordings)
     since = np.array(begins)[first.of][:, None]
     share = SERIES_POINTS // len(taps)
     times: list[Floats] = []

@@ -117,6 +117,19 @@ def sensor_rmse(problem: Problem, readings: Floats, chosen: Mask) -> dict[str, f
     }
 
 
+def sensor_times_noise(problem: Problem, readings: Floats, chosen: Mask) -> dict[str, float]:
+    """The same over the noise of each.
+
+    Args:
+        problem: The problem.
+        readings: (n_stretches, horizon, n_taps) predictions.
+        chosen: (n_stretches,) stretches to count.
+    """
+    noise = dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True))
+    rmse = sensor_rmse(problem, readings, chosen)
+    return {name: value / noise[name] for name, value in rmse.items()}
+
+
 def fit_rig(
     rig: Rig,
     recording: Recording | Sequence[Recording],

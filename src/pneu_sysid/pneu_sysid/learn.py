@@ -20,7 +20,7 @@ from pneu_sysid.candidates import best_per_place, residual_matrix, scores_of, se
 from pneu_sysid.compare import findings_of
 from pneu_sysid.diagnose import Diagnosis, diagnose_apart, look
 from pneu_sysid.evidence import lead
-from pneu_sysid.fit import fit_rig, sensor_rmse
+from pneu_sysid.fit import fit_rig, sensor_rmse, sensor_times_noise
 from pneu_sysid.gauss_newton import Estimate
 from pneu_sysid.heading import heading
 from pneu_sysid.parameter_units import strength_unit
@@ -39,6 +39,10 @@ Progress = Callable[[str, float], None]
 
 SOMEWHERE_M = 10.0
 """A place that is known no better is not told with its error."""
+ADDED_ITERATIONS = 4
+ADDED_ENOUGH = 5e-3
+"""Effects that were added are fitted for so many iterations at most, as long as the error falls by
+such a share."""
 MATES = 3
 """Look-alikes of an added effect that are tried again in its place after the next addition."""
 
@@ -142,6 +146,45 @@ def add_effect(
     after, rmse, held = _errors(problem, better)
     second = _step(1, problem, better, after, rmse, held, better.effects[-1], estimate.std_errors)
     return better, first, second
+
+
+def refit_added(
+    problem: Problem,
+    rig: Rig,
+    added: int,
+    told: Callable[[float, dict[str, float]], object],
+) -> Rig:
+    """Fits the effects that were added last together.
+
+    Args:
+        problem: The problem.
+        rig: Rig with the effects; they begin as strong as it has them.
+        added: How many of its effects, from the last.
+        told: Called with the fraction done and the error of each sensor over its noise, on the
+            part that is used: first without the last effect, then with it, then as it falls.
+
+    Returns:
+        The fitted rig.
+    """
+    used = ~problem.held_out
+
+    def error(of: Rig, done: float) -> float:
+        times = sensor_times_noise(problem, problem.predict([of])[0], used)
+        told(done, times)
+        return float(np.sqrt(np.mean(np.square(list(times.values())))))
+
+    error(rig.model_copy(update={"effects": rig.effects[:-1]}), 0.0)
+    before = error(rig, 0.0)
+    indices = list(range(len(rig.effects) - added, len(rig.effects)))
+    for k in range(ADDED_ITERATIONS):
+        better, _ = refit_effects(problem, rig, indices, 1)
+        after = error(better, (k + 1) / ADDED_ITERATIONS)
+        if not after < before:
+            break
+        rig, gone, before = better, 1.0 - after / before, after
+        if gone < ADDED_ENOUGH:
+            break
+    return rig
 
 
 def _step(

@@ -2,6 +2,7 @@
 """How far recordings open the ports of a rig: beyond that a calibration rests on the rig file."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulate import TICK_S
 from pneu_sim.valve import evenly_open
+from pneu_sysid.problem import Problem
 from pneu_sysid.records import Recording
 
 WIDE = 0.75
@@ -42,6 +44,28 @@ def opened_to(rig: Rig, recordings: Sequence[Recording]) -> dict[str, float]:
     parts = -np.sort(-np.concatenate(seen), axis=0)
     rank = min(round(SOON_S / TICK_S), len(parts) - 1)
     return {name: float(part) for name, part in zip(plan.port_names, parts[rank], strict=True)}
+
+
+def visited(rig: Rig, problem: Problem) -> dict[str, Any]:
+    """Where recordings have been, and what is kept aside of them, as plain data.
+
+    Args:
+        rig: The rig.
+        problem: The recordings.
+    """
+    measured = problem.measured
+    return {
+        "seconds": sum(r.end_s - r.start_s for r in problem.recordings),
+        "openings": opened_to(rig, problem.recordings),
+        "ranges": {
+            name: [float(np.nanmin(measured[:, :, k])), float(np.nanmax(measured[:, :, k]))]
+            for k, name in enumerate(problem.taps)
+            if np.isfinite(measured[:, :, k]).any()
+        },
+        "words": words_on_openings(rig, problem.recordings),
+        "stretches": problem.stretches,
+        "kept_aside": int(problem.held_out.sum()),
+    }
 
 
 def never_wide(rig: Rig, recordings: Sequence[Recording]) -> dict[str, float]:

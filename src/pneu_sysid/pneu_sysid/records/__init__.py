@@ -5,7 +5,7 @@ from pneu_sim.signals import Signal
 from pneu_sysid.records.bag import bag_topics
 from pneu_sysid.records.noise import NoiseFloor, noise_floor
 from pneu_sysid.records.read import read_recording
-from pneu_sysid.records.recording import Finding, Recording, even_recording
+from pneu_sysid.records.recording import Finding, Recording, begins_of, even_recording
 
 __all__ = [
     "Finding",
@@ -13,6 +13,7 @@ __all__ = [
     "Recording",
     "Signal",
     "bag_topics",
+    "begins_of",
     "even_recording",
     "noise_floor",
     "read_recording",

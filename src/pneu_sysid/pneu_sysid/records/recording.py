@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recording: every signal at its own times, and the findings made while it was read."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pneu_sim.signals import Signal
+
+BETWEEN_S = 1.0
+"""Recordings that follow one another are this far apart, to the next whole second."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,19 @@ class Recording:
             positions={n: s.within(0.0, end_s) for n, s in self.positions.items()},
             encoders={n: s.within(0.0, end_s) for n, s in self.encoders.items()},
         )
+
+
+def begins_of(recordings: Sequence[Recording]) -> list[float]:
+    """When each recording begins if one follows the other, a second apart at least, s.
+
+    Args:
+        recordings: The recordings.
+    """
+    begins, at = [], 0.0
+    for recording in recordings:
+        begins.append(at)
+        at += float(np.ceil(recording.end_s + BETWEEN_S))
+    return begins
 
 
 def even_recording(

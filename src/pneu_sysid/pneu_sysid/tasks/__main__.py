@@ -14,36 +14,30 @@ import shutil
 import sys
 import threading
 from dataclasses import asdict
-from typing import Any, TextIO
 
 from pneu_common.errors import InputError
 from pneu_common.log import hand_on
+from pneu_sysid.tasks.child import answering
 from pneu_sysid.tasks.perform import perform
 from pneu_sysid.tasks.request import Outcome, Request
 
 
 def main() -> None:
     """Serves the one request that this process was started for."""
-    request = Request(**json.loads(sys.stdin.readline()))
-    answers = sys.stdout
-    sys.stdout = sys.stderr  # what a library prints must not come between the answers
+    request, say = Request(**json.loads(sys.stdin.readline())), answering()
     threading.Thread(target=_end_with_asker, args=(request,), daemon=True).start()
 
     def tell(stage: str, done: float) -> None:
-        _say(answers, stage=stage, progress=done)
+        say({"stage": stage, "progress": done})
 
     hand_on(lambda text: tell(text, 0.0))
     try:
-        outcome = perform(request, tell, lambda errors: _say(answers, errors=errors))
+        outcome = perform(request, tell, lambda errors: say({"errors": errors}))
     except InputError as error:
         outcome = Outcome(False, str(error))
     except OSError as error:
         outcome = Outcome(False, f"{error.filename}: {error.strerror}")
-    _say(answers, **asdict(outcome))
-
-
-def _say(stream: TextIO, **values: Any) -> None:
-    print(json.dumps(values), file=stream, flush=True)
+    say(asdict(outcome))
 
 
 def _end_with_asker(request: Request) -> None:

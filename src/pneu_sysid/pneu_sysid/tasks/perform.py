@@ -5,11 +5,9 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from pneu_common.files import write_whole
 from pneu_sim.rig import load_rig, save_rig
@@ -17,25 +15,56 @@ from pneu_sim.rig.schema import Rig
 from pneu_sysid.commands import fit_result, read_findings
 from pneu_sysid.compare import compare
 from pneu_sysid.diagnose import diagnose_apart, result_of_diagnosis
-from pneu_sysid.fit import fit_rig, sensor_rmse
+from pneu_sysid.fit import fit_rig
 from pneu_sysid.gross import refuse_gross_errors
-from pneu_sysid.learn import learn, result_of_learning
+from pneu_sysid.learn import learn, refit_added, result_of_learning
 from pneu_sysid.problem import Problem, make_problem, record_for
 from pneu_sysid.records import Recording
-from pneu_sysid.refits import refit_effects
 from pneu_sysid.report import write_report
 from pneu_sysid.results import write_json
 from pneu_sysid.tasks.request import Outcome, Request, Tell, check
 from pneu_sysid.tasks.signals import save_signals, signals_of
-from pneu_sysid.visited import opened_to, words_on_openings
+from pneu_sysid.visited import visited
 
 FIT_ITERATIONS = 8
-ADD_ITERATIONS = 4
-ENOUGH = 5e-3
-"""A share of the error that is not worth another iteration when an effect is added."""
 
-Errors = Callable[[dict[str, float]], None]
+Errors = Callable[[dict[str, float]], object]
 """Told the error of each sensor in noise units, as it falls."""
+
+
+@dataclass(frozen=True)
+class _Job:
+    """A request with what it is about.
+
+    Attributes:
+        request: It.
+        rig: The rig.
+        recordings: The recordings.
+        findings: What was found while they were read.
+        written: Where the output goes for now.
+        beside: Where a result beside it goes for now.
+        tell: Called with a stage and the fraction done, NaN where it is not known.
+        errors: Called with the error of each sensor, in noise units.
+    """
+
+    request: Request
+    rig: Rig
+    recordings: list[Recording]
+    findings: list[str]
+    written: Path
+    beside: Path
+    tell: Tell
+    errors: Errors
+
+    @property
+    def title(self) -> str:
+        """Names of the recordings."""
+        return ", ".join(recording.name for recording in self.recordings)
+
+    @property
+    def workers(self) -> int | None:
+        """Threads; None is all cores."""
+        return self.request.workers or None
 
 
 def perform(request: Request, tell: Tell, errors: Errors | None = None) -> Outcome:
@@ -50,169 +79,141 @@ def perform(request: Request, tell: Tell, errors: Errors | None = None) -> Outco
         InputError: The recording, the rig file or the output is wrong.
     """
     check(request)
-    aside = Path(request.aside)
+    aside, output = Path(request.aside), Path(request.output)
+    work, inside = TASKS[request.task]
+    result_file = output / inside if inside else output.with_suffix(".json")
     aside.mkdir()
     try:
         rig = load_rig(request.rig)
         tell("reading the recording", math.nan)
         recordings = [record_for(rig, bag) for bag in (request.bag, *request.more_bags)]
-        title = ", ".join(recording.name for recording in recordings)
-        findings = read_findings(recordings)
-        output = Path(request.output)
-        result_file = output.with_suffix(".json")
-        workers = request.workers or None
-        verdict = ""
-        written, result = aside / output.name, aside / result_file.name
-        if request.task == "fit":
-            tell("looking for gross errors", math.nan)
-            refuse_gross_errors(rig, recordings, workers)
-            fitted = fit_rig(
-                rig,
-                recordings,
-                iterations=FIT_ITERATIONS,
-                workers=workers,
-                progress=lambda stage, fraction=None, note="": tell(
-                    f"{stage} ({note})", math.nan if fraction is None else fraction
-                ),
-            )
-            save_rig(fitted.rig, written)
-            write_json(result, fit_result(request.rig, request.output, recordings, fitted))
-        elif request.task == "compare":
-            models = [(Path(request.rig).stem, rig, request.rig)]
-            compared = compare(recordings, models, progress=lambda done: tell("comparing", done))
-            write_json(result, compared)
-            write_report(written, title=title, compare=compared.as_dict())
-        elif request.task == "diagnose":
-            found = diagnose_apart(rig, recordings, workers=workers, progress=tell)
-            diagnosed = result_of_diagnosis(rig.name, found, findings)
-            verdict = found.verdict
-            write_json(result, diagnosed)
-            write_report(written, title=title, diagnose=diagnosed.as_dict())
-        elif request.task == "look":
-            written.mkdir()
-            _look(written, rig, request.rig, recordings, workers, tell)
-            result_file = output / "compare.json"
-        elif request.task == "suspect":
-            written.mkdir()
-            verdict = _suspect(written, rig, recordings, findings, workers, tell)
-            result_file = output / "diagnose.json"
-        elif request.task == "add":
-            written.mkdir()
-            tell("adding", 0.0)
-            problem = make_problem(rig, recordings, workers=workers)
-            better = _refitted(problem, rig, request.added, tell, errors or (lambda told: None))
-            save_rig(better, written / "rig.yaml")
-            _look(written, better, str(output / "rig.yaml"), recordings, workers, tell)
-            result_file = output / "compare.json"
-        else:
-            written.mkdir()
-            learned = learn(rig, recordings, out=written, workers=workers, progress=tell)
-            verdict = learned.verdict
-            problem = make_problem(learned.rig, recordings)
-            outcome = result_of_learning(rig.name, learned, problem, findings, request.output)
-            save_rig(learned.rig, written / "rig.yaml")
-            write_json(written / "learn.json", outcome)
-            first = result_of_diagnosis(rig.name, learned.diagnoses[0], findings)
-            write_report(
-                written / "report.html",
-                title=f"{rig.name}: {title}",
-                diagnose=first.as_dict(),
-                learn=outcome.as_dict(),
-            )
-            result_file = output / "learn.json"
-        if result.exists():
-            os.replace(result, result_file)
-        os.replace(written, output)
+        job = _Job(
+            request, rig, recordings, read_findings(recordings), aside / output.name,
+            aside / result_file.name, tell, errors or (lambda told: None),
+        )  # fmt: skip
+        if inside:
+            job.written.mkdir()
+        verdict = work(job)
+        if not inside:
+            os.replace(job.beside, result_file)
+        os.replace(job.written, output)
     finally:
         shutil.rmtree(aside, ignore_errors=True)
     return Outcome(True, verdict=verdict, result_file=str(result_file))
 
 
-def _look(
-    folder: Path,
-    rig: Rig,
-    file: str,
-    recordings: Sequence[Recording],
-    workers: int | None,
-    tell: Tell,
-) -> None:
+def _fit(job: _Job) -> str:
+    job.tell("looking for gross errors", math.nan)
+    refuse_gross_errors(job.rig, job.recordings, job.workers)
+    fitted = fit_rig(
+        job.rig,
+        job.recordings,
+        iterations=FIT_ITERATIONS,
+        workers=job.workers,
+        progress=lambda stage, fraction=None, note="": job.tell(
+            f"{stage} ({note})", math.nan if fraction is None else fraction
+        ),
+    )
+    save_rig(fitted.rig, job.written)
+    asked = job.request
+    write_json(job.beside, fit_result(asked.rig, asked.output, job.recordings, fitted))
+    return ""
+
+
+def _compare(job: _Job) -> str:
+    models = [(Path(job.request.rig).stem, job.rig, job.request.rig)]
+    compared = compare(job.recordings, models, progress=lambda done: job.tell("comparing", done))
+    write_json(job.beside, compared)
+    write_report(job.written, title=job.title, compare=compared.as_dict())
+    return ""
+
+
+def _diagnose(job: _Job) -> str:
+    found = diagnose_apart(job.rig, job.recordings, workers=job.workers, progress=job.tell)
+    diagnosed = result_of_diagnosis(job.rig.name, found, job.findings)
+    write_json(job.beside, diagnosed)
+    write_report(job.written, title=job.title, diagnose=diagnosed.as_dict())
+    return found.verdict
+
+
+def _learn(job: _Job) -> str:
+    learned = learn(
+        job.rig, job.recordings, out=job.written, workers=job.workers, progress=job.tell
+    )
+    problem = make_problem(learned.rig, job.recordings)
+    name, to = job.rig.name, job.request.output
+    outcome = result_of_learning(name, learned, problem, job.findings, to)
+    save_rig(learned.rig, job.written / "rig.yaml")
+    write_json(job.written / "learn.json", outcome)
+    first = result_of_diagnosis(name, learned.diagnoses[0], job.findings)
+    write_report(
+        job.written / "report.html",
+        title=f"{name}: {job.title}",
+        diagnose=first.as_dict(),
+        learn=outcome.as_dict(),
+    )
+    return learned.verdict
+
+
+def _look(job: _Job) -> str:
     """Errors of a rig, and every reading beside what it predicts."""
-    problem = make_problem(rig, recordings, workers=workers)
-    tell("predicting", 0.0)
+    _looked(job, make_problem(job.rig, job.recordings, workers=job.workers), job.rig)
+    return ""
+
+
+def _add(job: _Job) -> str:
+    """The effects that were added last fitted together, and what that leaves."""
+    job.tell("fitting what was added", 0.0)
+    problem = make_problem(job.rig, job.recordings, workers=job.workers)
+
+    def told(done: float, errors: dict[str, float]) -> None:
+        job.tell("fitting what was added", done)
+        job.errors(errors)
+
+    _looked(job, problem, refit_added(problem, job.rig, job.request.added, told))
+    return ""
+
+
+def _looked(job: _Job, problem: Problem, rig: Rig) -> None:
+    job.tell("predicting", 0.0)
+    save_rig(rig, job.written / "rig.yaml")
+    file = str(Path(job.request.output) / "rig.yaml")
     readings = problem.predict([rig])[0]
-    save_signals(signals_of(problem, rig, readings), folder / "signals.npz")
+    save_signals(signals_of(problem, rig, readings), job.written / "signals.npz")
     compared = compare(
         problem,
         [(rig.name, rig, file)],
         refine=False,
-        progress=lambda done: tell("comparing", done),
+        progress=lambda done: job.tell("comparing", done),
     )
-    write_json(folder / "compare.json", compared)
-    write_whole(folder / "visited.json", json.dumps(_visited(problem, rig)))
-    tell("comparing", 1.0)
+    write_json(job.written / "compare.json", compared)
+    write_whole(job.written / "visited.json", json.dumps(visited(rig, problem)))
 
 
-def _visited(problem: Problem, rig: Rig) -> dict[str, Any]:
-    """Where recordings have been, and what is kept aside of them."""
-    measured = problem.measured
-    return {
-        "seconds": sum(r.end_s - r.start_s for r in problem.recordings),
-        "openings": opened_to(rig, problem.recordings),
-        "ranges": {
-            name: [float(np.nanmin(measured[:, :, k])), float(np.nanmax(measured[:, :, k]))]
-            for k, name in enumerate(problem.taps)
-            if np.isfinite(measured[:, :, k]).any()
-        },
-        "words": words_on_openings(rig, problem.recordings),
-        "stretches": problem.stretches,
-        "kept_aside": int(problem.held_out.sum()),
-    }
-
-
-def _suspect(
-    folder: Path,
-    rig: Rig,
-    recordings: Sequence[Recording],
-    findings: list[str],
-    workers: int | None,
-    tell: Tell,
-) -> str:
+def _suspect(job: _Job) -> str:
     """What is missing: the verdict, the rig with each candidate, and what it would change."""
-    found = diagnose_apart(rig, recordings, workers=workers, progress=tell)
-    write_json(folder / "diagnose.json", result_of_diagnosis(rig.name, found, findings))
+    found = diagnose_apart(job.rig, job.recordings, workers=job.workers, progress=job.tell)
+    diagnosed = result_of_diagnosis(job.rig.name, found, job.findings)
+    write_json(job.written / "diagnose.json", diagnosed)
     problem = found.problem
     shape = problem.measured.shape
     changes = {}
     for k, one in enumerate(found.finalists):
-        save_rig(one.rig, folder / f"candidate_{k}.yaml")
+        save_rig(one.rig, job.written / f"candidate_{k}.yaml")
         changes[f"candidate_{k}"] = one.change.reshape(shape) * problem.noise_pa
-    told = signals_of(problem, rig, found.bench.readings, changes)
-    save_signals(told, folder / "signals.npz")
+    told = signals_of(problem, job.rig, found.bench.readings, changes)
+    save_signals(told, job.written / "signals.npz")
     return found.verdict
 
 
-def _refitted(problem: Problem, rig: Rig, added: int, tell: Tell, errors: Errors) -> Rig:
-    """A rig with its last effects fitted together, the errors told after every iteration."""
-    noise = dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True))
-    used = ~problem.held_out
-
-    def told(of: Rig) -> float:
-        rmse = sensor_rmse(problem, problem.predict([of])[0], used)
-        times = {name: value / noise[name] for name, value in rmse.items()}
-        errors(times)
-        return float(np.sqrt(np.mean(np.square(list(times.values())))))
-
-    indices = list(range(len(rig.effects) - added, len(rig.effects)))
-    told(rig.model_copy(update={"effects": rig.effects[:-1]}))
-    before = told(rig)
-    for k in range(ADD_ITERATIONS):
-        tell("fitting what was added", k / ADD_ITERATIONS)
-        better, _ = refit_effects(problem, rig, indices, 1)
-        after = told(better)
-        if not after < before:
-            break
-        rig, gone = better, 1.0 - after / before
-        before = after
-        if gone < ENOUGH:
-            break
-    return rig
+TASKS: dict[str, tuple[Callable[[_Job], str], str]] = {
+    "fit": (_fit, ""),
+    "compare": (_compare, ""),
+    "diagnose": (_diagnose, ""),
+    "learn": (_learn, "learn.json"),
+    "look": (_look, "compare.json"),
+    "suspect": (_suspect, "diagnose.json"),
+    "add": (_add, "compare.json"),
+}
+"""What does a task and returns the verdict, and the result in the folder that it writes; nothing
+where its output is a file, beside which the result is put."""

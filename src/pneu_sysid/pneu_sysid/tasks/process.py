@@ -1,17 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Starts a task of the identification in a process, follows it, and ends it when told to."""
 
-import json
 import shutil
-import subprocess
-import sys
-import threading
 from collections.abc import Callable
 from dataclasses import asdict
+from typing import Any
 
+from pneu_sysid.tasks.child import Child
 from pneu_sysid.tasks.request import Outcome, Request, Tell
-
-GRACE_S = 2.0
 
 
 class TaskProcess:
@@ -32,67 +28,38 @@ class TaskProcess:
             done: Called once from that thread with the outcome, also after `end`.
             errors: Called from it with the error of each sensor, in noise units, as it falls.
         """
+        self._aside = request.aside
+        self._tell, self._done = tell, done
         self._errors = errors or (lambda told: None)
-        self._request = request
-        self._tell = tell
-        self._done = done
+        self._outcome: Outcome | None = None
         self._ended = False
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "pneu_sysid.tasks"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            # A Ctrl-C meant for the node reaches the task through `end`, not by itself.
-            start_new_session=True,
-        )
-        assert self._process.stdin is not None
-        try:
-            self._process.stdin.write(json.dumps(asdict(request)) + "\n")
-            self._process.stdin.flush()
-        except BrokenPipeError:  # it died at once; the thread finds out how
-            pass
-        self._thread = threading.Thread(target=self._follow, name="task", daemon=True)
-        self._thread.start()
+        self._child = Child("pneu_sysid.tasks", asdict(request), self._heard, self._gone)
 
     @property
     def pid(self) -> int:
         """Number of the process."""
-        return self._process.pid
+        return self._child.pid
 
     def end(self) -> None:
         """Ends the task; `done` hears of it. Does not wait."""
         self._ended = True
-        self._process.terminate()
+        self._child.end()
 
     def wait(self) -> None:
         """Waits until all is over."""
-        self._thread.join()
+        self._child.wait()
 
-    def _follow(self) -> None:
-        assert self._process.stdin is not None and self._process.stdout is not None
-        outcome: Outcome | None = None
-        for line in self._process.stdout:
-            try:
-                values = json.loads(line)
-            except json.JSONDecodeError:  # cut off by `end`
-                continue
-            if "success" in values:
-                outcome = Outcome(**values)
-            elif self._ended:
-                continue
-            elif "errors" in values:
-                self._errors(values["errors"])
-            else:
-                self._tell(values["stage"], float(values["progress"]))
-        try:
-            status = self._process.wait(GRACE_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            status = self._process.wait()
-        self._process.stdin.close()
-        self._process.stdout.close()
-        shutil.rmtree(self._request.aside, ignore_errors=True)
-        if outcome is None:
-            reason = "cancelled" if self._ended else f"the process ended with status {status}"
-            outcome = Outcome(False, reason)
-        self._done(outcome)
+    def _heard(self, answer: dict[str, Any]) -> None:
+        if "success" in answer:
+            self._outcome = Outcome(**answer)
+        elif self._ended:
+            return
+        elif "errors" in answer:
+            self._errors(answer["errors"])
+        else:
+            self._tell(answer["stage"], float(answer["progress"]))
+
+    def _gone(self, status: int, told: bool) -> None:
+        shutil.rmtree(self._aside, ignore_errors=True)
+        reason = "cancelled" if told else f"the process ended with status {status}"
+        self._done(self._outcome or Outcome(False, reason))

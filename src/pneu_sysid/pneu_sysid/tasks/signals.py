@@ -14,12 +14,10 @@ from pneu_common.errors import InputError
 from pneu_common.files import whole
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.problem import Problem
+from pneu_sysid.records import begins_of
 from pneu_sysid.sensor_units import encoder_units, unit_of
 
 Floats = NDArray[np.float64]
-
-BETWEEN_S = 1.0
-"""Recordings follow one another this far apart, to the next whole second."""
 
 
 @dataclass(frozen=True)
@@ -71,19 +69,6 @@ class Signals:
     about: About
 
 
-def begins_of(problem: Problem) -> Floats:
-    """When each recording begins if one follows the other, s.
-
-    Args:
-        problem: The recordings.
-    """
-    begins, at = [], 0.0
-    for recording in problem.recordings:
-        begins.append(at)
-        at += float(np.ceil(recording.end_s + BETWEEN_S))
-    return np.array(begins)
-
-
 def signals_of(
     problem: Problem, rig: Rig, readings: Floats, changes: Mapping[str, Floats] | None = None
 ) -> Signals:
@@ -95,7 +80,7 @@ def signals_of(
         readings: (n_stretches, horizon, n_sensors) what it predicts.
         changes: By candidate the same of what it changes.
     """
-    begins = begins_of(problem)
+    begins = np.array(begins_of(problem.recordings))
     since = begins[problem.of][:, None]
     units = encoder_units(rig)
     sensors = {}

@@ -15,13 +15,16 @@ import threading
 from pathlib import Path
 from typing import Any, TextIO
 
+import numpy as np
+
 from pneu_common.errors import InputError
 from pneu_sim.effects import find_effect
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.fit import sensor_rmse
+from pneu_sysid.fit import sensor_times_noise
 from pneu_sysid.parameter_units import strength_unit
 from pneu_sysid.problem import Problem, make_problem, record_for
+from pneu_sysid.tasks.child import answering
 from pneu_sysid.tasks.signals import save_signals, signals_of
 
 REACH = 3.0
@@ -96,20 +99,13 @@ def _tried(problem: Problem, rig: Rig, asked: dict[str, Any]) -> dict[str, Any]:
     other = with_strength(rig, float(asked["strength"]))
     readings = problem.predict([other])[0]
     save_signals(signals_of(problem, other, readings), Path(asked["file"]))
-    noise = dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True))
-    everything = problem.held_out | ~problem.held_out
-    rmse = sensor_rmse(problem, readings, everything)
-    return {**asked, "errors": {name: value / noise[name] for name, value in rmse.items()}}
+    every = np.ones(problem.stretches, dtype=bool)
+    return {**asked, "errors": sensor_times_noise(problem, readings, every)}
 
 
 def main() -> None:
     """Serves whoever started this process."""
-    answers = sys.stdout
-    sys.stdout = sys.stderr  # what a library prints must not come between the answers
-
-    def say(told: dict[str, Any]) -> None:
-        print(json.dumps(told), file=answers, flush=True)
-
+    say = answering()
     asked = json.loads(sys.stdin.readline())
     latest = _Latest(sys.stdin)
     try:
