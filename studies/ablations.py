@@ -13,7 +13,6 @@ matched, and policies learn in either. Stages, each of which goes on where it en
 """
 
 import argparse
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +29,7 @@ from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import Rig
 from studies.digest import digest_of
 from studies.stages import add_stages
+from studies.training import add_workers
 from studies.two_models import Case, best, judge, last, match, train, written
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -323,8 +323,7 @@ def main() -> int:
     parser.add_argument("--size", choices=tuple(SIZES), default="small")
     names = tuple(ablations(load_rig(ROOT / BASE)))
     parser.add_argument("--only", nargs="+", choices=names, default=names)
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--backend", choices=("loky", "ray"), default="loky")
+    add_workers(parser)
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "ablations.md")
     asked = parser.parse_args()
     console = Console()

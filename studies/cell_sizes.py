@@ -13,9 +13,7 @@ them for the last two.
 """
 
 import argparse
-import hashlib
 import json
-import os
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -34,12 +32,13 @@ from pneu_policy.control.robot_policy import RobotPolicy
 from pneu_policy.learn.networks import mean_action
 from pneu_policy.learn.rollout import roll_out
 from pneu_policy.learn.settings import load_document
-from pneu_policy.learn.sweep import Run, Workers, expand, train_all
+from pneu_policy.learn.sweep import Run, Workers, expand
 from pneu_policy.learn.trainer import POLICY
 from pneu_policy.task.robots import Robots, RobotSettings
 from pneu_sim.rig.load import load_rig
 from studies.digest import digest_of
 from studies.stages import add_stages
+from studies.training import add_workers, train_runs
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = Path("out") / "cell_sizes"
@@ -115,14 +114,7 @@ def train(size: Size, workers: Workers) -> None:
     """
     # those that take longest first, so that no core is left with one of them at the end
     asked = [run for cells in sorted(size.cells, reverse=True) for run in runs(size)[cells]]
-    failed = []
-    with progress(f"training {len(asked)} policies") as tell:
-        for done, outcome in enumerate(train_all(asked, workers), 1):
-            tell("policies", done / len(asked), str(outcome.run.folder))
-            if outcome.fault:
-                failed.append(f"{outcome.run.folder}: {outcome.fault}")
-    if failed:
-        raise InputError("; ".join(failed))
+    train_runs(asked, workers)
 
 
 def _judge(files: list[Path], cells: int) -> tuple[list[float], int, float]:
@@ -146,7 +138,7 @@ def judge(size: Size, workers: int) -> None:
     missing = [file for file in files if not file.exists()]
     if missing:
         raise InputError(f"{missing[0]}: is missing; the stage train makes it")
-    of = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+    of = digest_of(files)
     path = OUT / "judge.json"
     if path.exists() and json.loads(path.read_text(encoding="utf-8"))["of"] == of:
         return
@@ -262,8 +254,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     add_stages(parser, ("train", "judge", "page"))
     parser.add_argument("--size", choices=tuple(SIZES), default="small")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--backend", choices=("loky", "ray"), default="loky")
+    add_workers(parser)
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "cell_sizes.md")
     asked = parser.parse_args()
     size = SIZES[asked.size]

@@ -16,7 +16,6 @@ the dog, as in the thesis. ``--tasks`` takes some of the tasks alone.
 
 import argparse
 import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +37,7 @@ from pneu_sim.rig.schema import Rig
 from studies.digest import digest_of
 from studies.poses import draw_strip, film
 from studies.stages import add_stages
+from studies.training import add_workers
 from studies.two_models import SEED, Case, judge, match, told, train, written
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -389,8 +389,7 @@ def main() -> int:
     add_stages(parser, ("match", "train", "judge", "page"))
     parser.add_argument("--size", choices=tuple(SIZES), default="small")
     parser.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS)
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--backend", choices=("loky", "ray"), default="loky")
+    add_workers(parser)
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "configurations.md")
     asked = parser.parse_args()
     found = cases(SIZES[asked.size], tuple(asked.tasks))

@@ -38,13 +38,14 @@ from pneu_policy.control.robot_controllers import save_robot_controller
 from pneu_policy.control.robot_policy import RobotPolicy
 from pneu_policy.judge.robot import JointTasks, judge_joint
 from pneu_policy.learn.settings import load_document
-from pneu_policy.learn.sweep import Run, Workers, expand, train_all
+from pneu_policy.learn.sweep import Run, Workers, expand
 from pneu_policy.learn.trainer import POLICY
 from pneu_policy.tune.joint_gains import JointTuneSettings, tune_joint
 from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import AttachedEffect
 from studies.digest import digest_of
 from studies.stages import add_stages
+from studies.training import train_runs
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "out" / "kokoro"
@@ -229,11 +230,7 @@ def train_wrong(workers: int) -> None:
         InputError: A training failed.
     """
     runs = [run for model in WRONG for name in SOUGHT for run in wrong_runs(model, name)]
-    with progress("on models that are not the robot") as tell:
-        for done, outcome in enumerate(train_all(runs, Workers("loky", workers)), 1):
-            if outcome.fault:
-                raise InputError(f"{outcome.run.folder}: {outcome.fault}")
-            tell("policies", done / len(runs), str(outcome.run.folder.relative_to(OUT)))
+    train_runs(runs, Workers("loky", workers))
 
 
 def _judge(

@@ -12,7 +12,6 @@ Time is what a process computed for, so that it is the same beside other work.
 """
 
 import argparse
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -27,10 +26,11 @@ from pneu_common.files import whole, write_whole
 from pneu_common.progress import progress
 from pneu_policy.learn.history import History
 from pneu_policy.learn.settings import load_document
-from pneu_policy.learn.sweep import Run, Workers, expand, train_all
+from pneu_policy.learn.sweep import Run, Workers, expand
 from pneu_policy.learn.trainer import HISTORY
 from studies.digest import digest_of
 from studies.stages import add_stages
+from studies.training import add_workers, train_runs
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = Path("out") / "learning"
@@ -54,23 +54,6 @@ def runs(task: str, way: str, seeds: int, iterations: int | None) -> list[Run]:
     if iterations is not None:
         document["iterations"] = iterations
     return expand(document, OUT / task / way)
-
-
-def by_npg(asked: list[Run], workers: Workers) -> None:
-    """Trains what is not trained yet.
-
-    Args:
-        asked: The trainings.
-        workers: Where.
-
-    Raises:
-        InputError: A training failed.
-    """
-    with progress("npg") as tell:
-        for done, outcome in enumerate(train_all(asked, workers), 1):
-            if outcome.fault:
-                raise InputError(f"{outcome.run.folder}: {outcome.fault}")
-            tell("trainings", done / len(asked), str(outcome.run.folder))
 
 
 def _ppo(run: Run) -> str:
@@ -208,14 +191,13 @@ def main() -> int:
     parser.add_argument("--tasks", nargs="+", choices=tuple(TASKS), default=tuple(TASKS))
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--iterations", type=int, help="of each training; 400 is the thesis'")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--backend", choices=("loky", "ray"), default="loky")
+    add_workers(parser)
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "learning.md")
     asked = parser.parse_args()
     each = (asked.seeds, asked.iterations)
     if "npg" in asked.stages:
         of = [run for task in asked.tasks for run in runs(task, "npg", *each)]
-        by_npg(of, Workers(asked.backend, asked.workers))
+        train_runs(of, Workers(asked.backend, asked.workers))
     if "ppo" in asked.stages:
         by_ppo([run for task in asked.tasks for run in runs(task, "ppo", *each)], asked.workers)
     if "page" in asked.stages:

@@ -12,7 +12,6 @@ The thesis trains 10 policies of each for 400 iterations; ``--seeds 10 --iterati
 """
 
 import argparse
-import os
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from pneu_policy.learn.sweep import Workers
 from pneu_policy.task.robots import Robots
 from studies.digest import digest_of
 from studies.stages import add_stages
+from studies.training import add_workers
 from studies.two_models import SEED, TITLES, Case, best, judge, last, match, told, train
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -183,8 +183,7 @@ def main() -> int:
     """Runs the stages."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     add_stages(parser, ("match", "train", "judge", "page"))
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--backend", choices=("loky", "ray"), default="loky")
+    add_workers(parser)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--iterations", type=int)
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "simple_model.md")

@@ -6,7 +6,6 @@ one, policies are trained in either with several seeds, one is kept every few it
 them are judged. What is there already is not made again, so that a study goes on where it ended.
 """
 
-import hashlib
 import json
 from collections.abc import Callable, Sequence
 from copy import deepcopy
@@ -24,11 +23,13 @@ from pneu_common.progress import progress
 from pneu_policy.control.robot_policy import RobotPolicy
 from pneu_policy.learn.networks import mean_action
 from pneu_policy.learn.rollout import roll_out
-from pneu_policy.learn.sweep import Run, Workers, expand, train_all
+from pneu_policy.learn.sweep import Run, Workers, expand
 from pneu_policy.task.robots import Robots, RobotSettings
 from pneu_sim.lumped.match import Matched, match_thin_plate
 from pneu_sim.rig.load import load_rig, save_rig
 from pneu_sim.rig.schema import Rig
+from studies.digest import digest_of
+from studies.training import train_runs
 
 KINDS = ("pde", "plate")
 TITLES = {"pde": "the full model", "plate": "the simple model"}
@@ -125,14 +126,10 @@ def match(cases: Sequence[Case], workers: int = 1, levels: int = 5) -> None:
             tell("cases", done / len(todo), name)
 
 
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
 def _stands(case: Case) -> bool:
     """Whether the match is of the rig as it is."""
     try:
-        return bool(case.matched["rig_sha256"] == _digest(case.rig)) and case.plate.exists()
+        return bool(case.matched["rig"] == digest_of([case.rig])) and case.plate.exists()
     except (OSError, KeyError, ValueError):
         return False
 
@@ -149,7 +146,7 @@ def _match(case: Case, levels: int) -> str:
     )
     save_rig(told, case.plate)
     figures = {
-        "rig_sha256": _digest(case.rig),
+        "rig": digest_of([case.rig]),
         "volts": found.volts.tolist(),
         "scales": {name: of.tolist() for name, of in found.scales.items()},
         "rmse_pa": {name: of.tolist() for name, of in found.rmse_pa.items()},
@@ -170,15 +167,7 @@ def train(cases: Sequence[Case], workers: Workers) -> None:
     Raises:
         InputError: A training failed.
     """
-    runs = [run for case in cases for kind in KINDS for run in case.runs(kind)]
-    failed = []
-    with progress(f"training {len(runs)} policies") as tell:
-        for done, outcome in enumerate(train_all(runs, workers), 1):
-            tell("policies", done / len(runs), str(outcome.run.folder))
-            if outcome.fault:
-                failed.append(f"{outcome.run.folder}: {outcome.fault}")
-    if failed:
-        raise InputError("; ".join(failed))
+    train_runs([run for case in cases for kind in KINDS for run in case.runs(kind)], workers)
 
 
 def judged_on(case: Case, kind: str, model: str) -> RobotSettings:
@@ -225,12 +214,9 @@ def judge(
 
 def _made_of(case: Case) -> str:
     """Digest of the policies that are judged, and of the rigs."""
-    sha = hashlib.sha256(case.rig.read_bytes() + case.plate.read_bytes())
-    for kind in KINDS:
-        for run in case.runs(kind):
-            for file in sorted(run.folder.glob("policy_*.npz")):
-                sha.update(file.read_bytes())
-    return sha.hexdigest()
+    folders = [run.folder for kind in KINDS for run in case.runs(kind)]
+    files = [file for folder in folders for file in sorted(folder.glob("policy_*.npz"))]
+    return digest_of([case.rig, case.plate, *files])
 
 
 def _judged(case: Case) -> bool:

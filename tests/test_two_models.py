@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from studies import ablations, cell_sizes, configurations, two_models
 
+from pneu_common.errors import InputError
 from pneu_policy.learn.settings import TrainSettings
 from pneu_policy.learn.sweep import Workers
 from pneu_sim.bodies.arm import Arm
@@ -92,7 +93,7 @@ def test_a_case_is_matched_trained_and_judged_once(tmp_path: Path) -> None:
     one = _case(tmp_path / "case", load_rig(RAIL))
     two_models.match([one], levels=1)
     assert load_rig(one.plate).model == "thin_plate"
-    with pytest.raises(Exception, match=r"judge\.json: is missing; the stage judge makes it"):
+    with pytest.raises(InputError, match=r"judge\.json: is missing; the stage judge makes it"):
         _ = one.rows
     two_models.train([one], Workers("loky", 1))
     two_models.judge([one], 1)
@@ -116,4 +117,4 @@ def test_a_case_is_matched_trained_and_judged_once(tmp_path: Path) -> None:
     told = json.loads((one.folder / "match.json").read_text(encoding="utf-8"))
     two_models.match([one], levels=1)
     again = json.loads((one.folder / "match.json").read_text(encoding="utf-8"))
-    assert told["rig_sha256"] != again["rig_sha256"]
+    assert told["rig"] != again["rig"]

@@ -5,7 +5,6 @@ import base64
 import copy
 import json
 import re
-import shutil
 import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from tests.browsers import BROWSER, WITHOUT
 
 from pneu_common.errors import InputError
 from pneu_sysid.report import quantities, write_report
@@ -20,7 +20,6 @@ from pneu_sysid.report import quantities, write_report
 TAPS = ("supply", "valve_out", "middle", "end", "exhaust")
 HOSTILE = "</script><img src=x onerror=\"document.title='owned'\"><!--"
 MAX_BYTES = 3_000_000
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 
 # ---- Results as the commands give them, from first-order responses with known errors
@@ -575,12 +574,9 @@ def test_quantities_carry_the_digits_their_error_leaves(text, wanted):
 
 @pytest.fixture(scope="module")
 def browser() -> str:
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if found is None:
-        pytest.skip(
-            f"none of {', '.join(BROWSERS)} is here: the report was not opened in a browser"
-        )
-    return found
+    if BROWSER is None:
+        pytest.skip(f"the report was not opened in a browser: {WITHOUT}")
+    return BROWSER
 
 
 def opened(browser: str, page: Path) -> tuple[str, dict[str, str]]:

@@ -11,8 +11,9 @@ import pytest
 
 from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
+from pneu_sysid.tasks import perform
 from pneu_sysid.tasks.process import TaskProcess
-from pneu_sysid.tasks.request import Outcome, Request, check
+from pneu_sysid.tasks.request import FOLDERS, TASKS, Outcome, Request, check
 
 ROOT = Path(__file__).parents[3]
 BAG = str(ROOT / "data/bags/a_healthy_2")
@@ -101,3 +102,8 @@ def test_what_must_fail_is_refused_beforehand(tmp_path, changed, told):
 
 def test_the_rig_of_the_tasks_is_one_that_is_read():
     assert load_rig(RIG).name == "rig_a"
+
+
+def test_every_task_that_may_be_asked_for_is_done():
+    assert set(perform.TASKS) == set(TASKS)
+    assert {name for name, (_, inside) in perform.TASKS.items() if inside} == set(FOLDERS)

@@ -7,6 +7,7 @@ process of its own and ends with the server, or when it is told to, not with a p
 
 import json
 import math
+import shlex
 import shutil
 import threading
 import uuid
@@ -20,21 +21,22 @@ from pneu_common.files import write_whole
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.report import write_report
+from pneu_sysid.results import Candidate, CompareResult, DiagnoseResult
 from pneu_sysid.tasks.process import TaskProcess
 from pneu_sysid.tasks.request import Outcome, Request
-from pneu_sysid.tasks.signals import Signals, load_signals
+from pneu_sysid.tasks.signals import Signals
 from pneu_sysid.tasks.trial import with_strength
-from pneu_sysid.tasks.trial_process import TrialProcess
-from pneu_workbench.traces import Pyramid
+from pneu_workbench.store import Store, as_steps
+from pneu_workbench.traces import Floats, Pyramid
+from pneu_workbench.trial import Trial, Trying
 from pneu_workbench.versions import Version, Versions
 
 SESSION = "session.json"
 VERSION = 1
 TRIED = "tried"
 """Folder of the signals of a strength that is tried."""
-KEPT = 4
-"""Models whose signals are held in memory."""
-
+OF_VERSION = ("measured", "model", "residual", "command")
+"""Kinds of signals that each version has of its own."""
 Kind = Literal["measured", "model", "before", "trial", "residual", "candidate", "command"]
 
 
@@ -61,33 +63,6 @@ class Task:
     errors: list[dict[str, float]] = field(default_factory=list)
 
 
-@dataclass
-class Trial:
-    """The present version run with another strength of what was added last.
-
-    Attributes:
-        of: Number of the version.
-        strength: How strong it was tried; None is not yet.
-        lower: Least strength that may be.
-        upper: Most.
-        unit: Of all three.
-        title: What was added.
-        errors: Of each sensor over its noise, at that strength.
-        ready: Whether the model is ready to be run.
-        fault: Why not; empty where it is.
-    """
-
-    of: int
-    strength: float | None = None
-    lower: float = 0.0
-    upper: float = 0.0
-    unit: str = ""
-    title: str = ""
-    errors: dict[str, float] = field(default_factory=dict)
-    ready: bool = False
-    fault: str = ""
-
-
 class Work:
     """A session. Its methods may be called from any thread.
 
@@ -97,7 +72,7 @@ class Work:
         versions: Of the model.
         task: Long work, or the last that was.
         diagnosis: What was found missing in the version of that number.
-        trial: The present version at another strength; None where none is tried.
+        source: Rig file that was opened; a copy of it is in the session.
     """
 
     def __init__(self, folder: Path, workers: int = 0) -> None:
@@ -119,12 +94,12 @@ class Work:
         self.versions = Versions()
         self.task: Task | None = None
         self.diagnosis: dict[str, Any] | None = None
-        self.trial: Trial | None = None
-        self._trying: TrialProcess | None = None
+        self.source = ""
+        self._trying: Trying | None = None
         self._workers = workers
         self._lock = threading.RLock()
         self._process: TaskProcess | None = None
-        self._loaded: dict[str, tuple[Signals, dict[tuple[str, str], Pyramid]]] = {}
+        self._store = Store(self.folder)
         self._count = 0
         self._changes = 0
         if (self.folder / SESSION).exists():
@@ -134,6 +109,12 @@ class Work:
     def changes(self) -> int:
         """A number that rises whenever anything has changed."""
         return self._changes
+
+    @property
+    def trial(self) -> Trial | None:
+        """The present version at another strength; None where none is tried."""
+        trying = self._trying
+        return None if trying is None else trying.state
 
     # ---- long work --------------------------------------------------------------------------
 
@@ -155,9 +136,10 @@ class Work:
         )
 
         def opened(outcome: Outcome) -> None:
-            self.bags, self.versions, self.diagnosis = list(bags), Versions(), None
-            self._loaded.clear()
-            self._looked(folder, Path(rig).stem, rig, 0)
+            self.bags, self.source = list(bags), rig
+            self.versions, self.diagnosis = Versions(), None
+            self._store.forget()
+            self._looked(folder, Path(rig).stem, 0)
 
         self._begin(request, f"looking at {Path(bags[0]).name}", opened)
 
@@ -193,11 +175,11 @@ class Work:
         folder = self._fresh("add")
         rig = self.folder / found["folder"] / f"candidate_{number}.yaml"
         added = was.added + 1
-        label = f"{chosen['title']} at {chosen['place']}"
+        label = f"{chosen.title} at {chosen.place}"
 
         def fitted(outcome: Outcome) -> None:
             self.versions.at = was.number
-            self._looked(folder, f"with {label}", str(folder / "rig.yaml"), added)
+            self._looked(folder, f"with {label}", added)
 
         self._begin(self._request("add", str(rig), folder, added), f"adding {label}", fitted)
 
@@ -211,24 +193,15 @@ class Work:
         if not now.added:
             raise InputError("strength: nothing was added yet whose strength could be tried")
         self.end_trial()
-        with self._lock:
-            trial = self.trial = Trial(now.number)
+
+        def changed() -> None:
+            self._store.forget(TRIED)
             self._changes += 1
 
-            def heard(told: dict[str, Any]) -> None:
-                with self._lock:
-                    if "fault" in told:
-                        trial.fault, trial.ready = told["fault"], False
-                    elif "errors" in told:
-                        trial.strength, trial.errors = told["strength"], told["errors"]
-                        self._loaded.pop(TRIED, None)
-                    else:
-                        trial.lower, trial.upper = told["lower"], told["upper"]
-                        trial.unit, trial.title = told["unit"] or "", told["title"]
-                        trial.strength, trial.ready = told["strength"], True
-                    self._changes += 1
-
-            self._trying = TrialProcess(self.bags, now.rig, self._workers, heard)
+        with self._lock:
+            folder = self.folder / TRIED
+            self._trying = Trying(now, self.bags, self._workers, folder, changed)
+            self._changes += 1
 
     def try_strength(self, strength: float) -> None:
         """Runs the present version at another strength; `trial` tells what came of it.
@@ -239,13 +212,10 @@ class Work:
         Raises:
             InputError: No trial was begun, or it is not ready.
         """
-        trial, process = self.trial, self._trying
-        if trial is None or process is None or not trial.ready:
+        trying = self._trying
+        if trying is None:
             raise InputError("strength: the model is not ready to be run at another")
-        folder = self.folder / TRIED
-        folder.mkdir(exist_ok=True)
-        strength = min(max(strength, trial.lower), trial.upper)
-        process.run(strength, str(folder / "signals.npz"))
+        trying.run(strength)
 
     def keep_trial(self) -> None:
         """Makes a version of the strength that was tried.
@@ -258,24 +228,24 @@ class Work:
             raise InputError("strength: none was tried that could be kept")
         was = self.versions.all[trial.of]
         folder = self._fresh("look")
-        rig = self.folder / f"{folder.name}.yaml"  # its folder is not there yet
+        rig = self.folder / TRIED / "rig.yaml"
         save_rig(with_strength(load_rig(was.rig), trial.strength), rig)
         title = f"{trial.title} fixed at {trial.strength:.3g} {trial.unit}".strip()
 
         def looked(outcome: Outcome) -> None:
             self.versions.at = was.number
-            self._looked(folder, title, str(rig), was.added)
+            self._looked(folder, title, was.added)
 
         self._begin(self._request("look", str(rig), folder), title, looked)
 
     def end_trial(self) -> None:
         """Tries no more strengths."""
         with self._lock:
-            process, self._trying, self.trial = self._trying, None, None
-            self._loaded.pop(TRIED, None)
+            trying, self._trying = self._trying, None
+            self._store.forget(TRIED)
             self._changes += 1
-        if process is not None:
-            process.end()
+        if trying is not None:
+            trying.end()
 
     def cancel(self) -> None:
         """Ends long work; nothing of it is kept."""
@@ -322,13 +292,13 @@ class Work:
 
     # ---- what there is to see ---------------------------------------------------------------
 
-    def comparison(self) -> dict[str, Any] | None:
-        """What the present version leaves, as `pneu compare --json` has it; None without one."""
+    def comparison(self) -> CompareResult | None:
+        """What the present version leaves; None without one."""
         now = self.versions.now
         if now is None:
             return None
         path = self.folder / now.folder / "compare.json"
-        return dict(json.loads(path.read_text(encoding="utf-8")))
+        return CompareResult(**json.loads(path.read_text(encoding="utf-8")))
 
     def visited(self) -> dict[str, Any] | None:
         """Where the recordings have been, and what is kept aside of them; None without any."""
@@ -346,32 +316,38 @@ class Work:
         except InputError:
             return None
 
-    def candidates(self) -> list[dict[str, Any]]:
+    @property
+    def found(self) -> DiagnoseResult | None:
+        """What the present version is missing; None as long as nobody asked."""
+        told, now = self.diagnosis, self.versions.now
+        if told is None or now is None or told["of"] != now.number:
+            return None
+        return DiagnoseResult(**told["result"])
+
+    def candidates(self) -> list[Candidate]:
         """Candidates that were tried, best first, of the diagnosis of the present version."""
-        found, now = self.diagnosis, self.versions.now
-        if found is None or now is None or found["of"] != now.number:
-            return []
-        return [one for one in found["result"]["candidates"] if one["tested"]]
+        found = self.found
+        return [] if found is None else [one for one in found.candidates if one.tested]
 
     def sensors(self) -> list[tuple[str, str, float]]:
         """Sensors with their units and noise floors, SI."""
         signals = self._signals()
         if signals is None:
             return []
-        about = signals[0].about
-        return [(name, about.units[name], about.noise[name]) for name in signals[0].sensors]
+        about = signals.about
+        return [(name, about.units[name], about.noise[name]) for name in signals.sensors]
 
     def commands(self) -> list[str]:
         """Names of commands."""
         signals = self._signals()
-        return [] if signals is None else list(signals[0].commands)
+        return [] if signals is None else list(signals.commands)
 
     def span_s(self) -> tuple[float, float]:
         """First and last time of all readings, s."""
         signals = self._signals()
         if signals is None:
             return 0.0, 0.0
-        times = [t.time_s for t in signals[0].sensors.values() if t.time_s.size]
+        times = [t.time_s for t in signals.sensors.values() if t.time_s.size]
         return min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
 
     def pyramid(self, kind: Kind, name: str, candidate: int | None = None) -> Pyramid:
@@ -385,42 +361,35 @@ class Work:
         Raises:
             KeyError: There is no such signal.
         """
-        held = self._signals()
-        if held is None:
+        folder, key = self._folder_of(kind), f"candidate_{candidate}"
+        if folder is None:
             raise KeyError(name)
-        signals, known = held
+
+        def values(signals: Signals) -> tuple[Floats, Floats]:
+            if kind == "command":
+                return as_steps(signals, name)
+            trace, noise = signals.sensors[name], signals.about.noise[name]
+            if kind == "measured":
+                return trace.time_s, trace.measured
+            if kind == "residual":
+                return trace.time_s, (trace.measured - trace.model) / noise
+            if kind == "candidate":
+                return trace.time_s, trace.changes[key] / noise
+            return trace.time_s, trace.model
+
+        own = key if kind == "candidate" else kind if kind in OF_VERSION else "model"
+        return self._store.pyramid(folder, own, name, values)
+
+    def _folder_of(self, kind: Kind) -> str | None:
+        """Name of the folder that holds a kind of signal; None where there is none."""
         if kind == "trial":
-            if self.trial is None or not self.trial.errors:
-                raise KeyError(name)
-            tried, its = self._load(TRIED)
-            at = tried.sensors[name]
-            return self._once(its, ("model", name), lambda: Pyramid(at.time_s, at.model))
-        if kind == "before":
-            before = self.versions.before
-            if before is None:
-                raise KeyError(name)
-            former, own = self._load(before.folder)
-            was = former.sensors[name]
-            return self._once(own, ("model", name), lambda: Pyramid(was.time_s, was.model))
-        if kind == "command":
-            return self._once(known, ("command", name), lambda: _held(signals, name))
-        trace = signals.sensors[name]
+            return TRIED if self.trial is not None and self.trial.errors else None
         if kind == "candidate":
-            found, now = self.diagnosis, self.versions.now
-            if found is None or now is None or found["of"] != now.number:
-                raise KeyError(name)
-            other = self._load(found["folder"])
-            key = f"candidate_{candidate}"
-            told = other[0].sensors[name]
-            noise = signals.about.noise[name]
-            change = told.changes[key]
-            return self._once(other[1], (key, name), lambda: Pyramid(told.time_s, change / noise))
-        values = {
-            "measured": lambda: trace.measured,
-            "model": lambda: trace.model,
-            "residual": lambda: (trace.measured - trace.model) / signals.about.noise[name],
-        }[kind]
-        return self._once(known, (kind, name), lambda: Pyramid(trace.time_s, values()))
+            return (
+                None if self.found is None or self.diagnosis is None else self.diagnosis["folder"]
+            )
+        version = self.versions.before if kind == "before" else self.versions.now
+        return None if version is None else version.folder
 
     # ---- to keep ----------------------------------------------------------------------------
 
@@ -440,10 +409,14 @@ class Work:
         """
         now = self._present()
         path = self.folder / now.folder / "report.html"
-        found = self.diagnosis
-        own = found["result"] if found is not None and found["of"] == now.number else None
         title = f"{now.title}: {', '.join(Path(bag).name for bag in self.bags)}"
-        write_report(path, compare=self.comparison(), diagnose=own, title=title)
+        left, found = self.comparison(), self.found
+        write_report(
+            path,
+            compare=None if left is None else left.as_dict(),
+            diagnose=None if found is None else found.as_dict(),
+            title=title,
+        )
         return path
 
     def words(self) -> list[str]:
@@ -451,9 +424,9 @@ class Work:
         now = self.versions.now
         if now is None:
             return []
-        bags, rig = " ".join(self.bags), self.versions.all[0].rig
-        told = [f"pneu compare {bags} --rig {rig}", f"pneu diagnose {bags} --rig {rig}"]
-        return [*told, f"pneu learn {bags} --rig {rig} -o learned"] if now.added else told
+        what = shlex.join([*self.bags, "--rig", self.source])
+        told = [f"pneu compare {what}", f"pneu diagnose {what}"]
+        return [*told, f"pneu learn {what} -o learned"] if now.added else told
 
     # ---- within -----------------------------------------------------------------------------
 
@@ -504,45 +477,26 @@ class Work:
 
             self._process = TaskProcess(request, tell, ended, errors)
 
-    def _looked(self, folder: Path, title: str, rig: str, added: int) -> None:
+    def _looked(self, folder: Path, title: str, added: int) -> None:
         """Makes a version of what was looked at."""
-        told = json.loads((folder / "compare.json").read_text(encoding="utf-8"))["models"][0]
-        each = {**told["taps"], **told.get("encoders", {})}
+        text = (folder / "compare.json").read_text(encoding="utf-8")
+        model = CompareResult(**json.loads(text)).models[0]
         self.versions.add(
             Version(
                 number=0,
                 parent=None,
                 title=title,
                 folder=folder.name,
-                rig=rig,
+                rig=str(folder / "rig.yaml"),
                 added=added,
-                times_noise={name: one["times_noise"] for name, one in each.items()},
-                overall=told["times_noise"],
+                times_noise={name: one.times_noise for name, one in model.sensors.items()},
+                overall=model.times_noise,
             )
         )
 
-    def _signals(self) -> tuple[Signals, dict[tuple[str, str], Pyramid]] | None:
+    def _signals(self) -> Signals | None:
         now = self.versions.now
-        return None if now is None else self._load(now.folder)
-
-    def _load(self, folder: str) -> tuple[Signals, dict[tuple[str, str], Pyramid]]:
-        with self._lock:
-            if folder not in self._loaded:
-                while len(self._loaded) >= KEPT:
-                    del self._loaded[next(iter(self._loaded))]
-                self._loaded[folder] = (load_signals(self.folder / folder / "signals.npz"), {})
-            return self._loaded[folder]
-
-    def _once(
-        self,
-        known: dict[tuple[str, str], Pyramid],
-        key: tuple[str, str],
-        make: Callable[[], Pyramid],
-    ) -> Pyramid:
-        with self._lock:
-            if key not in known:
-                known[key] = make()
-            return known[key]
+        return None if now is None else self._store.signals(now.folder)
 
     def _changed(self, keep: bool = True) -> None:
         self._changes += 1
@@ -550,6 +504,7 @@ class Work:
             state = {
                 "pneu_workbench": VERSION,
                 "bags": self.bags,
+                "source": self.source,
                 "versions": asdict(self.versions),
                 "diagnosis": self.diagnosis,
                 "count": self._count,
@@ -565,16 +520,9 @@ class Work:
             of = state["versions"]
             self.versions = Versions([Version(**v) for v in of["all"]], of["at"], of["undone"])
             self.bags, self.diagnosis = state["bags"], state["diagnosis"]
+            self.source = state["source"]
             self._count = state["count"]
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(f"{path}: is no session of the workbench ({error})") from None
         for left in self.folder.glob("*.part"):  # of a task that ended with the machine
             shutil.rmtree(left, ignore_errors=True)
-
-
-def _held(signals: Signals, name: str) -> Pyramid:
-    """A command as steps: held until it changes, to the end of all readings."""
-    time, volts = signals.commands[name]
-    end = max(t.time_s[-1] for t in signals.sensors.values() if t.time_s.size)
-    steps = [x for pair in zip(time, [*time[1:], max(end, time[-1])], strict=True) for x in pair]
-    return Pyramid(steps, [v for one in volts for v in (one, one)])  # type: ignore[arg-type]
