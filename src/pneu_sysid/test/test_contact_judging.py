@@ -11,15 +11,12 @@ from pneu_sysid.contacts.diagnose import (
     Finalist,
     Floats,
     _apart,
-    _falls,
-    _lead,
-    _mean,
-    per_knot,
 )
+from pneu_sysid.contacts.sureness import falls_of, lead_of, per_knot, trimmed
 
 
 def _fall(before: Floats, after: Floats) -> tuple[float, float]:
-    return _mean(np.nanmean(_falls(before, after), axis=1))
+    return trimmed(np.nanmean(falls_of(before, after), axis=1))
 
 
 def test_flights_and_contacts_count_alike() -> None:
@@ -44,19 +41,19 @@ def test_what_shows_where_bodies_touch_alone_is_sure_by_its_sum() -> None:
     rng = np.random.default_rng(3)
     touches = np.arange(10) % 2 == 0
     rises = np.where(touches, 400.0 * rng.uniform(0.5, 1.5, 10), 2.0 * rng.normal(size=10))
-    mean, error = _mean(rises)
+    mean, error = trimmed(rises)
     assert mean < SURE * error
-    assert _lead(rises) > SURE
-    assert _lead(-rises) < 0.0
-    assert _lead(np.array([1e4, *rng.normal(size=9)])) < SURE  # one that went another way
+    assert lead_of(rises) > SURE
+    assert lead_of(-rises) < 0.0
+    assert lead_of(np.array([1e4, *rng.normal(size=9)])) < SURE  # one that went another way
 
 
 def test_a_second_look_is_no_second_chance() -> None:
     """Noise is not much more often beyond what decides by the surer of two looks than by one."""
     rng = np.random.default_rng(5)
     values = rng.standard_t(3, size=(2000, 10))
-    by_mean = np.mean([_mean(v)[0] > SURE * _mean(v)[1] for v in values])
-    by_either = np.mean([_lead(v) > SURE for v in values])
+    by_mean = np.mean([trimmed(v)[0] > SURE * trimmed(v)[1] for v in values])
+    by_either = np.mean([lead_of(v) > SURE for v in values])
     assert by_either < by_mean + 0.012 < 0.05
 
 
@@ -76,7 +73,7 @@ def test_candidates_are_told_apart_where_few_stretches_touch() -> None:
     told, by_mean, same = 0, 0, 0
     for _ in range(100):
         strong, weak, equal = (_left(rng, touches, share) for share in (0.5, 0.02, 0.5))
-        apart, spread = _mean(strong.falls - weak.falls)
+        apart, spread = trimmed(strong.falls - weak.falls)
         by_mean += apart > TIED * spread
         told += _apart(strong, weak, True) > TIED
         same += _apart(strong, equal, True) > TIED

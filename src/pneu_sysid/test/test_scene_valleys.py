@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from pneu_sysid.contacts import diagnose
-from pneu_sysid.contacts.diagnose import Aside, diagnose_scene
+from pneu_sysid.contacts.diagnose import diagnose_scene
+from pneu_sysid.contacts.judge import Aside, Judge
 from pneu_sysid.contacts.scene import (
     ForceSettings,
     KnotSettings,
@@ -65,7 +66,7 @@ def swung(loaded: Loaded, seed: int, seconds: float = 0.8, every: int = 20) -> T
     )
 
 
-def _stuck(judge: diagnose._Judge) -> tuple[SceneFit, Aside]:
+def _stuck(judge: Judge) -> tuple[SceneFit, Aside]:
     """The base held where its damping is a tenth of what it should be."""
     values = (Value(effect="joint_damping", at="hinge", value=FAR),)
     chains, q = begun(judge.loaded, judge.used, values, judge.physics)
@@ -82,7 +83,7 @@ def test_a_candidate_is_not_credited_with_leaving_a_bad_valley(
 ) -> None:
     loaded = pendulum(tmp_path)
     tracks = [swung(loaded, seed) for seed in range(8)]
-    monkeypatch.setattr(diagnose._Judge, "base", _stuck)
+    monkeypatch.setattr(Judge, "base", _stuck)
     found = diagnose_scene(loaded, tracks, finalists=2)
     assert found.verdict == "nothing_missing"
     assert found.base.told(0)[0] == pytest.approx(DAMPING, rel=0.05)

@@ -3,30 +3,24 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats.mstats import trimmed_mean, trimmed_stde
 
-from pneu_sysid.contacts.anew import STEPS, counts_of
+from pneu_sysid.contacts.anew import counts_of
 from pneu_sysid.contacts.candidates import SceneScore, Scores, Seen, scored, seen
-from pneu_sysid.contacts.chain import LEAST, Chain
 from pneu_sysid.contacts.estimate import (
     Parameter,
     Problem,
     State,
     Tell,
-    estimate,
-    parameters_of,
 )
+from pneu_sysid.contacts.judge import WORTH, Aside, Judge, divided
 from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.scene import Loaded, Value
-from pneu_sysid.contacts.together import SceneFit, joint
+from pneu_sysid.contacts.sureness import falls_of, lead_of, trimmed
+from pneu_sysid.contacts.together import SceneFit
 from pneu_sysid.contacts.track import Track
-from pneu_sysid.contacts.trajectories import begun, redrawn
-from pneu_sysid.contacts.turns import in_turns
 from pneu_sysid.result_base import Verdict
 
 Floats = NDArray[np.float64]
@@ -34,30 +28,11 @@ Ints = NDArray[np.int64]
 
 FINALISTS = 6
 """Candidates that are refitted."""
-AHEAD_S = 0.1
-"""How far ahead parameters predict: long enough for an impact, and too short for one that went
-another way to spoil what follows (thesis 8.1.2: 0.1 to 0.5 s)."""
-ITERATIONS = 15
-"""Of each estimate, at most."""
-ENOUGH = 1e-3
-"""A share of the cost that is not worth another."""
-POLISHED = 5
-"""Steps of parameters to what predicts best, at most."""
-TURNS = 2
-"""Of what trajectories tell and what predicts best, one after the other."""
-CANDIDATE_TURNS = 1
-"""Of them with a candidate: all else is where it should be."""
-CANDIDATE_STEPS = 2
-"""Of what trajectories tell with a candidate, in each turn: it begins at its score."""
 STRONG = 0.1
 """Share of the cost kept aside from which candidates are told apart by what each leaves: what they
 would add by slopes says little so far from where those were taken."""
-WORTH = 0.02
-"""Share by which the cost of flights or of contacts that are kept aside must fall."""
 SURE = 2.5
 """Standard errors, over what is kept aside, by which its likelihood must rise."""
-DRAWS = 4000
-"""Of recordings at random, by which it is told how sure a sum over them is."""
 TIED = 1.5
 """Standard errors within which two candidates explain what is kept aside equally well; `SURE`,
 where their columns are alike."""
@@ -65,13 +40,8 @@ ALIKE = 0.95
 """Cosine between columns above which two candidates are one to these recordings."""
 LESS = 0.5
 """Of what one explains: another that explains a smaller share may be told from it by a sum."""
-TRIMMED = 0.2
-"""Share of recordings on either side that a mean leaves out: a roll-out that tips over by a little
-tells nothing of what is missing."""
 VALLEYS = 2
 """Better fits of the scene as it is that are taken from a candidate's, at most."""
-MOST = 64
-"""Recordings that are looked at, evenly from those given: every second is kept aside."""
 
 
 @dataclass
@@ -145,73 +115,6 @@ class SceneDiagnosis:
     aside: list[str]
 
 
-def divided(loaded: Loaded, tracks: Sequence[Track]) -> tuple[list[Track], list[Track]]:
-    """Recordings to fit, and recordings to judge by; one alone is cut into stretches.
-
-    Args:
-        loaded: The scene.
-        tracks: The recordings.
-    """
-    if len(tracks) < 4:
-        parts = []
-        for track in tracks:
-            begin, end = track.span_s
-            count = max(4 // len(tracks), round((end - begin) / loaded.scene.segment_s))
-            edges = np.linspace(begin, end, count + 1)
-            parts += [
-                track.between(a, b, f"{track.name} {a:.2f} to {b:.2f} s")
-                for a, b in pairwise(edges)
-            ]
-        tracks = parts
-    if len(tracks) > MOST:
-        tracks = [tracks[int(k)] for k in np.linspace(0, len(tracks) - 1, MOST).round()]
-    return list(tracks[::2]), list(tracks[1::2])
-
-
-@dataclass(frozen=True)
-class Aside:
-    """What a fitted scene leaves of recordings that it was not fitted to.
-
-    Attributes:
-        chains: The recordings.
-        q: Trajectory of each, estimated under parameters that are held (thesis, table 2.3).
-        total: (chains,) cost of each.
-        kinds: (chains, kinds) cost per knot; NaN without a knot.
-    """
-
-    chains: list[Chain]
-    q: tuple[Floats, ...]
-    total: Floats
-    kinds: Floats
-
-    def least(self, other: "Aside") -> "Aside":
-        """The better of two for each recording: what one start misses another may find.
-
-        Args:
-            other: The same recordings, under the same parameters.
-        """
-        worse = other.total < self.total
-        q = tuple(b if w else a for a, b, w in zip(self.q, other.q, worse, strict=True))
-        kinds = np.where(worse[:, None], other.kinds, self.kinds)
-        return Aside(self.chains, q, np.minimum(self.total, other.total), kinds)
-
-
-def left_aside(
-    fit: SceneFit, chains: Sequence[Chain], q: tuple[Floats, ...], physics: Physics
-) -> Aside:
-    """What a fitted scene leaves of other recordings.
-
-    Args:
-        fit: The scene.
-        chains: The recordings.
-        q: Trajectories to start from.
-        physics: What evaluates models.
-    """
-    problem = Problem(fit.loaded, chains, fit.values, [], physics, centred=False)
-    found = estimate(problem, State(q, problem.start()), ITERATIONS, enough=ENOUGH)
-    return Aside(list(chains), found.state.q, found.costs, problem.kinds(found.state))
-
-
 def diagnose_scene(
     loaded: Loaded,
     tracks: Sequence[Track],
@@ -238,7 +141,7 @@ def diagnose_scene(
     used, aside = divided(loaded, tracks)
     said = tell or (lambda note, done: None)
     said("the model as it is", 0.0)
-    judge = _Judge(loaded, used, aside, values, physics)
+    judge = Judge(loaded, used, aside, values, physics)
     base, known = judge.base()
     valleys = 0
     while True:
@@ -266,12 +169,12 @@ def _within(said: Tell, begin: float, span: float) -> Tell:
 def _order(found: list[Finalist]) -> bool:
     """Puts the best first; returns whether they are told apart by what each leaves."""
     by_falls = any(_good(f) and f.gain >= STRONG for f in found)
-    found.sort(key=lambda f: (not _good(f), -_mean(f.falls if by_falls else f.rise)[0]))
+    found.sort(key=lambda f: (not _good(f), -trimmed(f.falls if by_falls else f.rise)[0]))
     return by_falls
 
 
 def _round(
-    judge: "_Judge", base: SceneFit, known: Aside, finalists: int, tell: Tell, may_leave: bool
+    judge: Judge, base: SceneFit, known: Aside, finalists: int, tell: Tell, may_leave: bool
 ) -> tuple[Scores, list[Finalist], tuple[SceneFit, Aside] | None]:
     """Candidates scored and refitted about one fit of the scene as it is.
 
@@ -311,7 +214,7 @@ def _round(
     def valley(finalist: Finalist) -> tuple[SceneFit, Aside] | None:
         left.append(finalist.label)
         tell(f"without {finalist.label}", (len(found) + 0.5) / (len(chosen) + 1))
-        return judge.without(base, known, finalist)
+        return judge.without(base, known, finalist.fit, finalist.score.parameter)
 
     for number, score in enumerate(chosen):
         tell(score.parameter.label, number / (len(chosen) + 1))
@@ -375,126 +278,6 @@ def shortlist(scores: Scores, count: int) -> list[SceneScore]:
     return [scores.scores[k] for k in chosen]
 
 
-class _Judge:
-    """Fits a scene to some recordings and judges it by others.
-
-    Its parameters are those that predict best a short way ahead where the scene has a horizon, else
-    those of the joint estimate: where impacts are faster than sensors, contacts that push less
-    leave less that nobody applied, and the joint estimate would do without friction. What judges is
-    the cost of trajectories of other recordings under parameters that are held (thesis, table
-    2.3).
-    """
-
-    def __init__(
-        self,
-        loaded: Loaded,
-        used: Sequence[Track],
-        aside: Sequence[Track],
-        values: tuple[Value, ...],
-        physics: Physics,
-    ) -> None:
-        self.loaded, self.used, self.aside = loaded, used, aside
-        self.values, self.physics = values, physics
-        self.foretells = loaded.scene.horizon_s is not None
-        self.others: list[Chain] = []
-
-    def base(self) -> tuple[SceneFit, Aside]:
-        """The scene as it is, fitted, and what it leaves aside."""
-        chains, q = begun(self.loaded, self.used, self.values, self.physics)
-        fit = self._fitted(chains, q, self.values)
-        return fit, self.left(fit)
-
-    def _fitted(
-        self,
-        chains: Sequence[Chain],
-        q: tuple[Floats, ...],
-        values: tuple[Value, ...],
-        steps: int = STEPS,
-        also: Parameter | None = None,
-        scales: Floats | None = None,
-    ) -> SceneFit:
-        turns = TURNS if also is None else CANDIDATE_TURNS
-        if self.foretells and parameters_of(self.loaded, values):
-            return in_turns(
-                self.loaded, self.used, chains, q, values, self.physics, AHEAD_S, turns,
-                also=also, scales=scales, polished=POLISHED, steps=steps,
-            )  # fmt: skip
-        return joint(
-            self.loaded, chains, values, q, self.physics, ITERATIONS, ENOUGH, tracks=self.used
-        )
-
-    def left(self, fit: SceneFit) -> Aside:
-        """What a fitted scene leaves of each recording kept aside."""
-        if not self.others:  # knots, and what may be wrong of contacts, are the same for all
-            self.others = begun(self.loaded, self.aside, fit.values, self.physics)[0]
-        others = self.others
-        if fit.chains[0].manifold.nv != others[0].manifold.nv:  # a joint was added
-            others = begun(self.loaded, self.aside, fit.values, self.physics)[0]
-        q = redrawn(self.loaded, others, self.aside, fit.values, self.physics)
-        return left_aside(fit, others, q, self.physics)
-
-    def pair(self, base: SceneFit, known: Aside, fit: SceneFit) -> tuple[Aside, Aside]:
-        """What the scene as it is and another leave, each from where the other ended too.
-
-        Trajectories that touch have many valleys; one that only one of the two models happened to
-        start in would count for it.
-
-        Args:
-            base: The scene as it is.
-            known: What it leaves.
-            fit: The other.
-        """
-        here = self.left(fit)
-        if here.q[0].shape != known.q[0].shape:
-            return known, here
-        there = left_aside(base, known.chains, here.q, self.physics)
-        return known.least(there), here.least(left_aside(fit, here.chains, known.q, self.physics))
-
-    def refitted(self, base: SceneFit, candidate: Parameter, start: float) -> SceneFit:
-        """The scene with a candidate, which comes last of its parameters."""
-        key = (candidate.effect.name, candidate.place)
-        values = (
-            *(v for v in base.values if (v.effect, v.at) != key),
-            Value(effect=key[0], at=key[1], value=start),
-        )
-        chains, q = base.chains, base.q
-        if candidate.effect.adds_joint:  # one more direction of motion
-            chains, q = begun(self.loaded, self.used, values, self.physics)
-            return self._fitted(chains, q, values, CANDIDATE_STEPS, candidate, base.scales)
-        anew = redrawn(self.loaded, chains, self.used, values, self.physics)
-        fit = self._fitted(chains, anew, values, CANDIDATE_STEPS, candidate, base.scales)
-        if self.foretells:
-            return fit
-        # contacts that made up for what is missing hold a trajectory where it was; and one drawn
-        # anew may have gone astray
-        there = self._fitted(chains, q, values, CANDIDATE_STEPS, candidate, base.scales)
-        return min(fit, there, key=lambda f: f.estimated.cost)
-
-    def without(
-        self, base: SceneFit, known: Aside, found: Finalist
-    ) -> tuple[SceneFit, Aside] | None:
-        """The scene as it is, fitted again from where a candidate left its other parameters.
-
-        Args:
-            base: The scene as it is.
-            known: What it leaves.
-            found: The candidate.
-
-        Returns:
-            It, and what it leaves of each recording kept aside, where that is less; recordings
-            that judge choose for the scene as it is here, so no candidate is favoured.
-        """
-        key = (found.score.parameter.effect.name, found.score.parameter.place)
-        values = tuple(v for v in found.fit.values if (v.effect, v.at) != key)
-        anew = redrawn(self.loaded, base.chains, self.used, values, self.physics)
-        fit = self._fitted(base.chains, anew, values, scales=base.scales)
-        first, second = self.pair(base, known, fit)
-        mean, spread = _mean(np.nanmean(_falls(first.kinds, second.kinds), axis=1))
-        if mean <= spread or mean < -np.log1p(-WORTH):
-            return None
-        return fit, second
-
-
 def _foretold(scores: Scores, others: Seen, score: SceneScore) -> Floats:
     """(aside,) what the step of a candidate adds to the likelihood of what is kept aside.
 
@@ -514,7 +297,7 @@ def _among(at: Ints, own: Seen, others: Seen, label: str) -> Ints:
 
 
 def _refitted(
-    judge: _Judge, base: SceneFit, score: SceneScore, known: Aside, foretold: Floats
+    judge: Judge, base: SceneFit, score: SceneScore, known: Aside, foretold: Floats
 ) -> Finalist:
     p = score.parameter
     now = p.effect.value(judge.loaded.setup(base.values), p.place)
@@ -527,75 +310,20 @@ def _refitted(
     fit = judge.refitted(base, p, float(np.clip(start, p.lower, p.upper)))
     strength, error = fit.told(len(fit.parameters) - 1)
     before, after = judge.pair(base, known, fit)
-    falls = _falls(before.kinds, after.kinds)
+    falls = falls_of(before.kinds, after.kinds)
     each = np.nanmean(falls, axis=1)
-    mean, spread = _mean(each)
-    by_kind = [_mean(k[np.isfinite(k)])[0] for k in falls.T if np.isfinite(k).sum() > 1]
+    mean, spread = trimmed(each)
+    by_kind = [trimmed(k[np.isfinite(k)])[0] for k in falls.T if np.isfinite(k).sum() > 1]
     # a weak effect is told by slopes, a strong one by what it leaves where slopes no longer hold
     ways = [foretold, np.nansum(falls * counts_of(after.chains), axis=1)]
-    leads = [_lead(way) for way in ways]
+    leads = [lead_of(way) for way in ways]
     best = int(np.argmax(leads))
     if mean < -spread:  # estimated anew it does harm, whatever slopes say
-        best, leads = 1, [-np.inf, _lead(ways[1])]
+        best, leads = 1, [-np.inf, lead_of(ways[1])]
     return Finalist(
         score, fit, strength, error, after.kinds, float(1.0 - np.exp(-mean)),
         float(1.0 - np.exp(-max([mean, *by_kind]))), each, ways[best], leads[best],
     )  # fmt: skip
-
-
-def _falls(before: Floats, after: Floats) -> Floats:
-    """(recordings, kinds) falls of the logarithm of costs per knot.
-
-    How wrong a model is of each kind of motion is not known, and with a scale of its own for each
-    the likelihood is a sum of logarithms (variance components). What shows in flight is then not
-    drowned by what contacts get wrong, nor by a body that lies still for long.
-
-    Args:
-        before: (recordings, kinds) costs per knot.
-        after: Likewise.
-    """
-    return np.asarray(np.log(np.maximum(before, LEAST)) - np.log(np.maximum(after, LEAST)))
-
-
-def _mean(values: Floats) -> tuple[float, float]:
-    """Mean over recordings, a fifth at either end left out, and its standard error.
-
-    A recording that went another way would else outweigh all others.
-    """
-    if len(values) < 2:
-        return float(np.mean(values)), np.inf
-    return (
-        float(trimmed_mean(values, (TRIMMED, TRIMMED))),
-        float(trimmed_stde(values, (TRIMMED, TRIMMED))),
-    )
-
-
-def _lead(values: Floats) -> float:
-    """How sure it is that values lie above nothing, in standard errors.
-
-    By the trimmed mean and its error, or by how often recordings drawn at random from these add up
-    to nothing or less (bootstrap), whichever is surer: what shows strongly in some recordings and
-    hardly in others, as where only some touch, has a mean that is unsure and a sum that is not. One
-    recording alone is left out of a third of all draws, and decides nothing. Two fewer are drawn
-    than there are, so that few are no surer of nothing than by their mean.
-    """
-    mean, spread = _mean(values)
-    by_mean = mean / spread if spread > 0.0 else 0.0
-    fewer = len(values) - 2
-    if fewer < 1 or not np.any(values):
-        return by_mean
-    drawn = np.random.default_rng(0).integers(len(values), size=(DRAWS, fewer))
-    chance = float(np.mean(values[drawn].sum(axis=1) <= 0.0))
-    return max(by_mean, float(norm.isf(max(chance, 0.5**fewer, 1.0 / DRAWS))))
-
-
-def per_knot(costs: Floats) -> float:
-    """Cost per knot, the geometric mean over recordings and kinds of motion.
-
-    Args:
-        costs: (recordings, kinds).
-    """
-    return float(np.exp(np.nanmean(np.log(np.maximum(costs, LEAST)))))
 
 
 def _good(found: Finalist) -> bool:
@@ -620,8 +348,8 @@ def _apart(best: Finalist, other: Finalist, by_falls: bool) -> float:
     """
     way = best.falls - other.falls if by_falls else best.rise - other.rise
     if other.gain < LESS * best.gain:
-        return _lead(way)
-    mean, spread = _mean(way)
+        return lead_of(way)
+    mean, spread = trimmed(way)
     return mean / spread if spread > 0.0 else 0.0
 
 

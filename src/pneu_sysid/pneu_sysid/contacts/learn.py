@@ -5,10 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pneu_sysid.contacts.diagnose import Finalist, SceneDiagnosis, diagnose_scene, per_knot
+from pneu_sysid.contacts.diagnose import Finalist, SceneDiagnosis, diagnose_scene
 from pneu_sysid.contacts.estimate import Tell
 from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.scene import Loaded, Value, save_scene
+from pneu_sysid.contacts.sureness import per_knot
 from pneu_sysid.contacts.track import Track
 from pneu_sysid.result_base import Verdict
 
