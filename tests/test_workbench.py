@@ -93,7 +93,7 @@ class Watch:
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as a user has it, with a recording that is cut short besides."""
-    lab = tmp_path_factory.mktemp("lab")
+    lab = tmp_path_factory.mktemp("lab", numbered=False)
     shutil.copytree(ROOT / "data" / "bags" / "a_leak", lab / BAG)
     shutil.copy(ROOT / "rigs" / RIG, lab / RIG)
     whole = next((lab / BAG).glob("*.mcap")).read_bytes()

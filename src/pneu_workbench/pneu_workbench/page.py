@@ -100,7 +100,8 @@ class Page:
         names, rigs = self._folder.recordings(), self._folder.rigs()
         with ui.card().classes("pneu-card"):
             heading("Recording and model")
-            ui.label(f"of {self._folder.root}").classes("text-sm")
+            root = self._folder.root
+            ui.label(f"of the folder {root.name}").classes("text-sm").tooltip(str(root))
             with ui.row().classes("w-full items-end"):
                 self._bags = ui.select(names, label="Recordings", multiple=True, with_input=True)
                 self._bags.classes("grow min-w-[16rem]").props("use-chips")
