@@ -168,6 +168,7 @@ def bench_of(
     tell: Callable[[str, float], None],
     thresholds: Thresholds,
     without: Collection[str],
+    aside: Sequence[tuple[float, float]] = (),
 ) -> Bench:
     """Makes a rig and recordings ready for the search.
 
@@ -179,9 +180,10 @@ def bench_of(
         tell: Called with a stage's name and the fraction done.
         thresholds: What decides.
         without: Names of effects that are not tried.
+        aside: Parts that are kept aside, see `make_problem`.
     """
     tell("base", 0.0)
-    problem = make_problem(rig, recording, workers=workers)
+    problem = make_problem(rig, recording, workers=workers, aside=aside)
     # The check of the grid is one long run; it fills what the search leaves of the processor.
     checking = ThreadPoolExecutor(1)
     numerics = checking.submit(_grid, problem, rig, refine)

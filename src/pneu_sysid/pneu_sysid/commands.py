@@ -46,6 +46,15 @@ EffectsPath = Annotated[
     Path | None,
     typer.Option("--effects", help="Python file with effects of your own.", show_default=False),
 ]
+KeptAside = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--aside",
+        metavar="FROM:TO",
+        help="Part of the recordings, s, that is kept aside for judging; every third stretch"
+        " unless given. May be given several times.",
+    ),
+]
 Workers = Annotated[
     int | None, typer.Option("--workers", help="Threads; all cores by default.", min=1)
 ]
@@ -404,6 +413,7 @@ def diagnose(
     rig: RigPath,
     refine: Annotated[bool, typer.Option(help="Check the grid first.")] = True,
     effects: EffectsPath = None,
+    aside: KeptAside = None,
     json_path: JsonPath = None,
     report: HtmlPath = None,
     workers: Workers = None,
@@ -418,11 +428,16 @@ def diagnose(
     if _is_scene(rig, effects):
         from pneu_sysid.contacts.commands import diagnose as diagnose_scene
 
+        if aside:
+            raise InputError("--aside: a scene keeps whole recordings aside, leave it out")
         return diagnose_scene(bag, rig, json_path, report, workers, console)
     loaded = _load(rig, effects)
+    kept = parts_of("--aside", aside or [])
     recordings = _read(bag, loaded, console)
     with progress("diagnosing") as tell:
-        found = diagnose_apart(loaded, recordings, refine=refine, workers=workers, progress=tell)
+        found = diagnose_apart(
+            loaded, recordings, refine=refine, workers=workers, progress=tell, aside=kept
+        )
     console.print(diagnosis_table(found))
     console.print(found.sentence, style="bold")
     for statement in found.statements:
@@ -431,6 +446,31 @@ def diagnose(
     if result.numerics.discretisation:
         console.print(result.numerics.sentence, style="yellow")
     _finish(result, json_path, report, console, diagnose=result.as_dict())
+
+
+def parts_of(option: str, told: Sequence[str]) -> list[tuple[float, float]]:
+    """Parts of recordings as the command line tells them.
+
+    Args:
+        option: Its name.
+        told: FROM:TO each, s.
+
+    Raises:
+        InputError: One is no such.
+    """
+    parts = []
+    for text in told:
+        begin, colon, end = text.partition(":")
+        try:
+            part = float(begin), float(end)
+        except ValueError:
+            part = math.nan, math.nan
+        if not (colon and part[0] < part[1] < math.inf and part[0] > -math.inf):
+            raise InputError(
+                f"{option}: found {text!r}, allowed is FROM:TO in seconds, as in 10:20"
+            )
+        parts.append(part)
+    return parts
 
 
 def diagnosis_table(found: "Diagnosis") -> NamedTable:

@@ -67,6 +67,7 @@ def compare(
     rigs: Sequence[tuple[str, Rig, str | None]],
     refine: bool = True,
     progress: Callable[[float], None] | None = None,
+    ran: Sequence[Rollouts] | None = None,
 ) -> CompareResult:
     """Runs models along recordings and takes their errors apart.
 
@@ -79,6 +80,8 @@ def compare(
         rigs: Name, rig and file of each model.
         refine: Whether to run the first model that has a grid again on cells of half the length.
         progress: Called with the fraction done.
+        ran: What each model predicts along the problem that is the source, flows included, where
+            that is known already; they are run unless it is.
 
     Returns:
         The errors.
@@ -106,8 +109,11 @@ def compare(
     def run(k: int) -> Rollouts:
         return problems[k].simulate([models[k]], progress=tally.of(k), flows=True)
 
-    with ThreadPoolExecutor(min(len(models), first.workers or os.cpu_count() or 1)) as pool:
-        outs = list(pool.map(run, range(len(models))))
+    if ran is not None:
+        outs = list(ran)
+    else:
+        with ThreadPoolExecutor(min(len(models), first.workers or os.cpu_count() or 1)) as pool:
+            outs = list(pool.map(run, range(len(models))))
     readings = [
         {name: out.readings[0, :, :, problem.taps.index(name)] for name in compared}
         for out, problem in zip(outs, problems, strict=True)

@@ -104,6 +104,7 @@ def diagnose(
     progress: Progress | None = None,
     thresholds: Thresholds | None = None,
     without: Collection[str] = (),
+    aside: Sequence[tuple[float, float]] = (),
 ) -> Diagnosis:
     """Ranks every candidate effect and place, and says what is missing.
 
@@ -119,6 +120,7 @@ def diagnose(
         progress: Called with a stage's name and the fraction done.
         thresholds: What decides.
         without: Names of effects that are not tried.
+        aside: Parts that are kept aside for judging, see `make_problem`.
 
     Returns:
         The diagnosis.
@@ -127,7 +129,7 @@ def diagnose(
     limits = thresholds or Thresholds()
     if finalists is not None:
         limits = replace(limits, finalists=finalists)
-    bench = bench_of(rig, recording, refine, workers, tell, limits, without)
+    bench = bench_of(rig, recording, refine, workers, tell, limits, without, aside)
     found = look(bench, rig, bench.readings, tell)
     tell("grid", 0.0)
     found.numerics = bench.numerics.result()
@@ -154,6 +156,7 @@ def diagnose_apart(
     progress: Progress | None = None,
     thresholds: Thresholds | None = None,
     without: Collection[str] = (),
+    aside: Sequence[tuple[float, float]] = (),
 ) -> Diagnosis:
     """Diagnoses recordings together, or those alone that differ from the rest.
 
@@ -169,12 +172,14 @@ def diagnose_apart(
         progress: Called with a stage's name and the fraction done.
         thresholds: What decides.
         without: Names of effects that are not tried.
+        aside: Parts that are kept aside for judging, see `make_problem`; where there are any, all
+            recordings are diagnosed together.
 
     Returns:
         The diagnosis, its problem on the recordings that it is about.
     """
     limits = thresholds or Thresholds()
-    if len(recordings) > 1:
+    if len(recordings) > 1 and not aside:
         problem = make_problem(rig, recordings, workers=workers)
         base = residual_matrix(problem, problem.predict([rig])[0])
         whole = standing_of(rig, problem, base, limits)
@@ -190,7 +195,7 @@ def diagnose_apart(
             found.unchanged = [n for n in names if n not in whole.changed]
             found.sentence = f"In {', '.join(whole.changed)} alone: {found.sentence}"
             return found
-    return diagnose(rig, recordings, finalists, refine, workers, progress, limits, without)
+    return diagnose(rig, recordings, finalists, refine, workers, progress, limits, without, aside)
 
 
 def look(

@@ -34,7 +34,7 @@ from pneu_sim.simulate import (
 )
 from pneu_sim.topics import encoder_channel
 from pneu_sysid.courses import course_of, edges_of, first_part, index_of
-from pneu_sysid.records import Recording, noise_floor, read_recording
+from pneu_sysid.records import Recording, begins_of, noise_floor, read_recording
 from pneu_sysid.start import (
     Beginning,
     Modes,
@@ -153,11 +153,14 @@ class Problem:
         """The same problem, what is kept aside as badly predicted as what is not.
 
         An effect may be felt in few stretches: with every third kept aside it could be in none of
-        them. Of every three in the order of their errors the middle one is.
+        them. Of every three in the order of their errors the middle one is. What was chosen to be
+        kept aside stays so.
 
         Args:
             residual: (n_stretches, m) in noise deviations.
         """
+        if self.aside is not None:  # somebody chose
+            return self
         of = self._apart
         groups = range(int(of.max()) + 1)
         count = np.isfinite(self.measured).sum(axis=(1, 2))
@@ -501,6 +504,7 @@ def make_problem(
     pull_s: float | None = None,
     dx_m: float | None = None,
     workers: int | None = None,
+    aside: Sequence[tuple[float, float]] = (),
 ) -> Problem:
     """Lays out how a rig is compared with recordings.
 
@@ -510,9 +514,12 @@ def make_problem(
         pull_s: Replaces the rig's time constant of the pull to the taps.
         dx_m: Replaces the rig's cell length.
         workers: Threads of a batch.
+        aside: Parts to be kept aside, from and to, s of the recordings one after the other
+            (`begins_of`); every third stretch unless there is one.
 
     Raises:
-        InputError: There is no recording, or one is too short.
+        InputError: There is no recording, or one is too short, or parts to be kept aside are none
+            or all of the stretches.
     """
     recordings = [source] if isinstance(source, Recording) else list(source)
     if not recordings:
@@ -552,7 +559,25 @@ def make_problem(
         of += [c] * index.shape[0]
     problem.time_s, problem.measured = np.concatenate(times), np.concatenate(values)
     problem.span_s, problem.of = np.concatenate(spans), np.array(of, dtype=np.int64)
+    if aside:
+        problem.aside = _kept_aside(problem, aside)
     return problem
+
+
+def _kept_aside(problem: Problem, parts: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
+    """(n_stretches,) those whose middle lies in one of the parts."""
+    begins = np.array(begins_of(problem.recordings))
+    middle = problem.span_s.mean(axis=1) + begins[problem.of]
+    kept = np.zeros(problem.stretches, dtype=bool)
+    for begin_s, end_s in parts:
+        kept |= (middle >= begin_s) & (middle <= end_s)
+    if not kept.any() or kept.all():
+        named = ", ".join(f"{begin_s:g} to {end_s:g} s" for begin_s, end_s in parts)
+        raise InputError(
+            f"kept aside: found {named}, which is {'all' if kept.any() else 'none'} of the"
+            f" {problem.stretches} stretches; at least one is needed on either side"
+        )
+    return kept
 
 
 def _set_noise(problem: Problem, rig: Rig) -> None:

@@ -382,6 +382,15 @@ def test_duplicates_and_late_samples(tmp_path: Path) -> None:
     same(recording.commands["valve"], seconds(t), volts)
 
 
+def _when(recording: Recording, kind: str) -> list[Any]:
+    """When what was found of a tap is, approximately."""
+    return [
+        (pytest.approx(a, abs=1e-6), pytest.approx(b, abs=1e-6))
+        for a, b, finding in recording.marks()
+        if (finding.channel, finding.kind) == ("end", kind)
+    ]
+
+
 def test_nothing_stands_in_for_what_is_missing(tmp_path: Path) -> None:
     t = even()
     keep = np.ones(400, dtype=bool)
@@ -392,6 +401,9 @@ def test_nothing_stands_in_for_what_is_missing(tmp_path: Path) -> None:
     found = kinds(recording)
     assert found == {"missing": 3, "gap": 1}
     assert "0.022 s or 2.8 % of the recording in all" in said(recording, "gap")
+    when = seconds(t)
+    assert _when(recording, "gap") == [(when[199], when[210])]
+    assert _when(recording, "missing") == [(when[49], when[51]), (when[79], when[82])]
     same(recording.pressures["end"], seconds(t[keep]), ramp(t)[keep])
 
 
@@ -431,6 +443,8 @@ def test_nan_and_inf_are_missing(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "run", tap_rows(t, values) + valve_rows(t, volts))
     recording = read(path)
     assert kinds(recording)["not_finite"] == 2
+    when = seconds(t)
+    assert _when(recording, "not_finite") == [(when[10], when[10]), (when[20], when[20])]
     good = np.isfinite(values)
     same(recording.pressures["end"], seconds(t[good]), ramp(t)[good])
     assert len(recording.commands["valve"]) == 399
@@ -584,6 +598,7 @@ def test_frozen_and_suspicious_values(tmp_path: Path) -> None:
     }
     recording = read(write_bag(tmp_path / "run", rows), commands={}, pressures=taps)
     assert kinds(recording)["frozen"] == 399
+    assert _when(recording, "frozen") == [(seconds(t)[501], seconds(t)[899])]
     live = np.r_[:501, 900:2000]
     same(recording.pressures["end"], seconds(t[live]), stuck[live])
     assert kinds(recording, "dead") == {"frozen": 2000}

@@ -5,15 +5,19 @@ import json
 import os
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sysid.tasks import perform
 from pneu_sysid.tasks.process import TaskProcess
+from pneu_sysid.tasks.regime_masks import REGIMES, load_regimes
 from pneu_sysid.tasks.request import FOLDERS, TASKS, Outcome, Request, check
+from pneu_sysid.tasks.signals import SIGNALS, load_signals
 
 ROOT = Path(__file__).parents[3]
 BAG = str(ROOT / "data/bags/a_healthy_2")
@@ -38,6 +42,48 @@ class Follower:
 
 def request(tmp_path: Path, task: str, output: str) -> Request:
     return Request(task, BAG, RIG, str(tmp_path / output), str(tmp_path / ".aside.part"), 2)
+
+
+def test_what_was_measured_is_told_before_the_model_has_run(tmp_path):
+    """And afterwards which readings belong to which regime: each to one of pressures."""
+    early = []
+
+    def measured(folder):
+        for trace in load_signals(folder / SIGNALS).sensors.values():
+            early.append((np.isfinite(trace.measured).all(), np.isnan(trace.model).all()))
+
+    asked = request(tmp_path, "look", "looked")
+    outcome = perform.perform(asked, lambda stage, done: None, early=measured)
+    assert outcome.success
+    signals = load_signals(tmp_path / "looked" / SIGNALS)
+    assert early == [(True, True)] * len(signals.sensors)
+    regimes = load_regimes(tmp_path / "looked" / REGIMES)
+    assert list(regimes.sensors) == list(signals.sensors)
+    for name, trace in signals.sensors.items():
+        assert np.isfinite(trace.model).all()
+        masks = [mask for key, mask in regimes.sensors[name].items() if key[0] == "pressure"]
+        assert np.sum(masks, axis=0).tolist() == [1] * trace.time_s.size
+        for (kind, _, label), mask in regimes.sensors[name].items():
+            if kind == "pressure":  # the label says which readings are meant
+                low, high = (float(bar) * 1e5 for bar in label.removesuffix(" bar").split("-"))
+                assert low - 600.0 <= np.median(trace.measured[mask]) <= high + 600.0
+
+
+def test_what_is_kept_aside_by_hand_is_judged_by(tmp_path):
+    asked = replace(request(tmp_path, "look", "looked"), kept_aside=((1.0, 2.0), (5.0, 6.0)))
+    perform.perform(asked, lambda stage, done: None)
+    segments = load_signals(tmp_path / "looked" / SIGNALS).about.segments
+    assert {held for _, _, held in segments} == {True, False}
+    for begin, end, held in segments:
+        middle = 0.5 * (begin + end)
+        assert held == (1.0 <= middle <= 2.0 or 5.0 <= middle <= 6.0)
+    none = replace(request(tmp_path, "look", "none"), kept_aside=((-5.0, -4.0),))
+    with pytest.raises(InputError, match=r"kept aside: found -5 to -4 s, which is none of the"):
+        perform.perform(none, lambda stage, done: None)
+    every = replace(request(tmp_path, "look", "every"), kept_aside=((-5.0, 1e6),))
+    with pytest.raises(InputError, match=r"which is all of the"):
+        perform.perform(every, lambda stage, done: None)
+    assert not (tmp_path / ".aside.part").exists()
 
 
 def test_compare_writes_report_and_result_and_tells_how_far_it_is(tmp_path):

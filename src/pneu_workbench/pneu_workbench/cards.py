@@ -10,12 +10,15 @@ from nicegui import ui
 from pneu_common.errors import InputError
 from pneu_sysid.report.quantities import number, percent, with_error
 from pneu_sysid.results import Candidate, CompareResult
+from pneu_sysid.tasks.regime_masks import Key
 from pneu_workbench.chart import SHOWN
 from pneu_workbench.schematic import schematic
+from pneu_workbench.view import Part, words_of
 from pneu_workbench.work import Work
 
 WORST = 8
-REGIMES = 8
+HEAT = (1.5, 3.0, 10.0, 30.0)
+"""Times the noise from which on a cell is of the next colour."""
 MOST = 6
 """Of candidates."""
 NOTCHES = 200
@@ -51,13 +54,25 @@ def heading(text: str) -> None:
     ui.label(text).props("role=heading aria-level=2").classes("text-base")
 
 
-def table(heads: list[str], rows: list[list[str]]) -> None:
-    """A table whose cells are words, whatever markup they hold.
+def heat_of(times: float | None) -> str:
+    """Class of a cell by how many times the noise an error is.
+
+    Args:
+        times: The ratio; None is no cell.
+    """
+    if times is None:
+        return ""
+    return f"pneu-heat-{sum(times >= edge for edge in HEAT)}"
+
+
+def table(heads: list[str], rows: list[list[str]]) -> list[list[ui.label]]:
+    """A table whose cells are words, whatever markup they hold; returns its labels.
 
     Args:
         heads: Of the columns.
         rows: Its cells.
     """
+    labels: list[list[ui.label]] = []
     with ui.element("table").classes("pneu-table"):
         with ui.element("thead"), ui.element("tr"):
             for head in heads:
@@ -65,10 +80,12 @@ def table(heads: list[str], rows: list[list[str]]) -> None:
                     ui.label(head)
         with ui.element("tbody"):
             for row in rows:
+                labels.append([])
                 with ui.element("tr"):
                     for cell in row:
                         with ui.element("td"):
-                            ui.label(cell)
+                            labels[-1].append(ui.label(cell))
+    return labels
 
 
 class Cards:
@@ -87,6 +104,7 @@ class Cards:
         do: Do,
         choose: Callable[[int], None],
         show: Callable[[float, float], None],
+        only: Callable[[Key | None], None],
     ) -> None:
         """Knows what they may do.
 
@@ -95,8 +113,15 @@ class Cards:
             do: Wraps what a button does.
             choose: Draws a candidate, or no more.
             show: Shows a stretch of time, from and to, s.
+            only: Shows the readings of a regime alone.
         """
         self._work, self._do, self._choose, self._show = work, do, choose, show
+        self._only, self._part = only, Part()
+        self._part_label: ui.label | None = None
+        self._errors: dict[str, list[ui.label]] = {}
+        self._stretches: list[tuple[str, float, float, ui.button]] = []
+        self._map_cells: dict[tuple[Key, str], tuple[ui.element, ui.label]] = {}
+        self._map_links: dict[Key, ui.button] = {}
         self.candidate, self.running = -1, False
         self._tried: ui.label | None = None
         self._keep_it: ui.button | None = None
@@ -113,11 +138,11 @@ class Cards:
             left: What the version leaves.
         """
         heading("Rig")
-        rig = self._work.rig()
+        rig = self._work.view.rig()
         if rig is None:
             ui.label("Its file is gone.")
             return True
-        tried = self._work.candidates()
+        tried = self._work.view.candidates()
         place, at = None, None
         if 0 <= self.candidate < len(tried):
             place, at = tried[self.candidate].place, tried[self.candidate].position_m
@@ -132,15 +157,22 @@ class Cards:
         Args:
             left: What the version leaves.
         """
-        found = self._work.visited() or {}
+        found = self._work.view.visited() or {}
         heading("What these recordings tell")
         aside = f"{found['kept_aside']} of {found['stretches']} stretches are kept for judging"
         ui.label(f"{found['seconds']:.1f} s; {aside}.")
+        with ui.row():
+            hand = ui.button("Keep the shown part aside", on_click=self._do(self._keep_shown))
+            hand.props("outline dense").set_enabled(not self.running)
+            if self._work.kept_aside:
+                again = self._do(lambda: self._work.keep_aside([]))
+                own = ui.button("Choose by itself", on_click=again)
+                own.props("outline dense").set_enabled(not self.running)
         if found["words"]:
             ui.label(f"They {found['words']}.").classes("text-sm text-warning")
         with ui.expansion("Where they have been").classes("w-full"):
             rows = []
-            for name, unit, _ in self._work.sensors():
+            for name, unit, _ in self._work.view.sensors():
                 word, scale = SHOWN[unit]
                 if name in found["ranges"]:
                     rows.append([name, *(f"{scale * x:.3g} {word}" for x in found["ranges"][name])])
@@ -149,38 +181,106 @@ class Cards:
             table(["port", "opened to"], opened)
         return True
 
+    def _keep_shown(self) -> None:
+        part = self._part
+        if part.begin_s is None or part.end_s is None:
+            raise InputError("kept aside: all is shown; zoom to the part that is to be kept")
+        self._work.keep_aside([*self._work.kept_aside, (part.begin_s, part.end_s)])
+
     def errors(self, left: CompareResult) -> bool:
-        """Where the model fails.
+        """Where the model fails: by sensor, by stretch, by regime.
 
         Args:
             left: What the version leaves.
         """
-        now, before = self._work.versions.now, self._work.versions.before
+        work, view = self._work, self._work.view
+        now, beside = work.versions.now, view.beside
         assert now is not None
         heading("Where the model fails")
         ui.label(f"{now.title}: {over_noise(now.overall)}").classes("text-lg")
-        if before is not None:
-            ui.label(f"before: {over_noise(before.overall)}")
-        former = {} if before is None else before.times_noise
-        table(
-            ["sensor", "error", *(["before"] if before else [])],
-            [
-                [name, over_noise(times), *([over_noise(former.get(name))] if before else [])]
-                for name, times in now.times_noise.items()
-            ],
-        )
+        if beside is not None:
+            word = "before" if beside is work.versions.before else f"beside, {beside.title}"
+            ui.label(f"{word}: {over_noise(beside.overall)}")
+        self._part_label = ui.label().classes("text-sm").props("aria-live=polite")
+        names = list(now.times_noise)
+        heads = ["sensor", "error", *(["beside"] if beside else [])]
+        cells = table(heads, [[name] + [""] * (len(heads) - 1) for name in names])
+        self._errors = {name: row[1:] for name, row in zip(names, cells, strict=True)}
         ui.label("Worst stretches").classes("font-medium")
         self._worst(left)
-        with ui.expansion("By regime").classes("w-full"):
-            regimes = sorted(left.models[0].all_regimes, key=lambda r: -r.share)[:REGIMES]
-            rows = []
-            for r in regimes:
-                when = " ".join(x for x in (r.kind.replace("_", " "), r.of, r.label) if x)
-                rows.append([when, r.sensor, over_noise(r.times_noise), percent(r.share)])
-            table(["when", "sensor", "error", "share"], rows)
         for finding in left.findings:
             ui.label(finding).classes("text-sm text-warning")
+        self.narrow(self._part)
         return True
+
+    def regimes(self, left: CompareResult) -> bool:
+        """Errors by regime; a click leaves the readings of one.
+
+        Args:
+            left: What the version leaves.
+        """
+        names = list(left.models[0].sensors)
+        heading("Errors by regime, over noise")
+        ui.label("Choose one to see its readings alone.").classes("text-sm")
+        self._map_cells, self._map_links = {}, {}
+        with ui.element("div").classes("pneu-scroll"), ui.element("table").classes("pneu-table"):
+            with ui.element("thead"), ui.element("tr"):
+                for head in ("when", *names):
+                    with ui.element("th").props("scope=col"):
+                        ui.label(head)
+            with ui.element("tbody"):
+                for row in self._work.view.map(Part()):
+                    with ui.element("tr"):
+                        with ui.element("td"):
+                            if row.chosen:
+                                link = ui.button(row.words, on_click=partial(self._only, row.key))
+                                link.props("flat dense no-caps align=left")
+                                self._map_links[row.key] = link
+                            else:
+                                ui.label(row.words)
+                        for name in names:
+                            with ui.element("td") as cell:
+                                self._map_cells[row.key, name] = cell, ui.label()
+        self.narrow(self._part)
+        return True
+
+    def narrow(self, part: Part) -> None:
+        """Tells errors of a part of the recordings alone.
+
+        Args:
+            part: The part.
+        """
+        self._part = part
+        if self._work.versions.now is None:
+            return
+        self._narrow_errors(part)
+        for row in self._work.view.map(part) if self._map_cells else ():
+            for name in row.times_noise.keys() | {n for k, n in self._map_cells if k == row.key}:
+                cell, label = self._map_cells[row.key, name]
+                times = row.times_noise.get(name)
+                label.set_text("" if times is None else f"{times:.{1 if times < 100 else 0}f}")
+                cell.classes(replace=heat_of(times))
+        for key, link in self._map_links.items():
+            link.props(f"aria-pressed={str(key == part.regime).lower()}")
+            link.classes(**{"add" if key == part.regime else "remove": "pneu-chosen"})
+
+    def _narrow_errors(self, part: Part) -> None:
+        if self._part_label is None:
+            return
+        view = self._work.view
+        told = [view.errors(part)]
+        if view.beside is not None:
+            told.append(view.errors(part, beside=True))
+        for name, labels in self._errors.items():
+            for label, errors in zip(labels, told, strict=False):
+                label.set_text(over_noise(errors.get(name)))
+        where = [] if part.begin_s is None else [f"{part.begin_s:.2f} to {part.end_s:.2f} s"]
+        where += [words_of(part.regime)] if part.regime else []
+        self._part_label.set_text(f"of {', '.join(where)}" if where else "of all readings")
+        for sensor, begin, end, link in self._stretches:
+            inside = part.begin_s is None or (begin < (part.end_s or 0.0) and end > part.begin_s)
+            stretch = Part(begin, end, part.regime)
+            link.set_visibility(inside and (not part.regime or view.touches(sensor, stretch)))
 
     def _worst(self, left: CompareResult) -> None:
         """Buttons that lead to where the model is furthest off, over the noise."""
@@ -190,6 +290,7 @@ class Cards:
             for name, error in left.models[0].sensors.items()
             for stretch in error.worst
         ]
+        self._stretches = []
         for times, name, s in sorted(stretches, key=lambda entry: -entry[0])[:WORST]:
             since = begins[s.recording or left.recordings[0]]
             link = ui.button(
@@ -199,6 +300,7 @@ class Cards:
             link.props("flat dense no-caps align=left").classes("w-full")
             if s.doing:
                 link.tooltip(s.doing)
+            self._stretches.append((name, since + s.start_s, since + s.end_s, link))
 
     def missing(self, left: CompareResult) -> bool:
         """What is missing: the verdict and its candidates, or that it may be asked.
@@ -207,7 +309,7 @@ class Cards:
             left: What the version leaves.
         """
         heading("What is missing")
-        found = self._work.found
+        found = self._work.view.found
         if found is None:
             ask = ui.button("Find what is missing", on_click=self._do(self._work.suspect))
             ask.set_enabled(not self.running)
@@ -217,7 +319,7 @@ class Cards:
         ui.label(found.sentence)
         for statement in found.statements:
             ui.label(statement).classes("text-sm")
-        for k, one in enumerate(self._work.candidates()[:MOST]):
+        for k, one in enumerate(self._work.view.candidates()[:MOST]):
             with ui.card().classes("pneu-card").props("flat bordered"):
                 self._one(k, one)
         return True
@@ -291,15 +393,28 @@ class Cards:
             left: What the version leaves.
         """
         heading("Versions")
-        for depth, version in self._work.versions.tree():
-            here = version.number == self._work.versions.at
-            link = ui.button(
-                f"{version.title}: {over_noise(version.overall)}",
-                on_click=self._do(partial(self._work.go, version.number)),
-            )
-            link.props(f"{'unelevated' if here else 'flat'} dense no-caps align=left")
-            link.classes("w-full").style(f"margin-left: {depth}rem")
-            link.set_enabled(not self.running)
+        work, beside = self._work, self._work.view.beside
+        for depth, version in work.versions.tree():
+            here = version.number == work.versions.at
+            with ui.row().classes("w-full items-center no-wrap").style(f"padding-left: {depth}rem"):
+                link = ui.button(
+                    f"{version.title}: {over_noise(version.overall)}",
+                    on_click=self._do(partial(work.go, version.number)),
+                )
+                link.props(f"{'unelevated' if here else 'flat'} dense no-caps align=left")
+                link.classes("grow min-w-0").set_enabled(not self.running)
+                if not here:
+                    drawn = beside is not None and beside.number == version.number
+                    to = None if drawn else version.number
+                    compare = ui.button(
+                        icon="compare", on_click=self._do(partial(work.look_beside, to))
+                    )
+                    words = f"Draw beside: {version.title}"
+                    compare.props(
+                        f"{'' if drawn else 'flat'} dense aria-pressed={str(drawn).lower()}"
+                    )
+                    compare.props["aria-label"] = words
+                    compare.tooltip(words)
         return True
 
     def keep(self, left: CompareResult) -> bool:

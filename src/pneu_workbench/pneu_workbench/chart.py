@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The chart of signals as an element of the page, and the route that it reads them by."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI, Query, Response
 from nicegui.element import Element
 
+from pneu_common.errors import InputError
+from pneu_sysid.tasks.regime_masks import Key
 from pneu_workbench.traces import packed
+from pneu_workbench.view import Kind
 from pneu_workbench.work import Work
 
 STATIC = Path(__file__).parent / "static"
@@ -25,6 +28,7 @@ class Chart(Element, component="static/chart.js", esm={"uplot": "static/uplot"})
         sensors: Sequence[tuple[str, str, float]],
         commands: Sequence[str],
         span_s: tuple[float, float],
+        looked: Callable[[float, float], None] | None = None,
     ) -> None:
         """Makes it.
 
@@ -32,6 +36,7 @@ class Chart(Element, component="static/chart.js", esm={"uplot": "static/uplot"})
             sensors: Names, units and noise floors.
             commands: Their names.
             span_s: First and last time, s.
+            looked: Called with the range that is shown, s, when it has changed.
         """
         super().__init__()
         self._props["sensors"] = [
@@ -39,18 +44,35 @@ class Chart(Element, component="static/chart.js", esm={"uplot": "static/uplot"})
             for name, unit, _ in sensors
         ]
         self._props |= {"commands": list(commands), "span": list(span_s)}
-        self._props |= {"candidate": -1, "before": False, "trial": False, "token": ""}
+        self._props |= dict(candidate=-1, beside=False, trial=False, token="", regime=[])
+        self._props |= dict(marks=[], aside=[])
+        if looked is not None:
+            self.on("range", lambda e: looked(e.args["begin"], e.args["end"]), throttle=0.3)
 
-    def look(self, candidate: int, before: bool, trial: bool, token: str) -> None:
+    def look(
+        self,
+        candidate: int,
+        beside: bool,
+        trial: bool,
+        token: str,
+        regime: Key | None,
+        marks: Sequence[tuple[float, float, str, str]],
+        aside: Sequence[tuple[float, float]],
+    ) -> None:
         """Shows another candidate, or what has changed.
 
         Args:
             candidate: Whose predicted residual is drawn; -1 is none's.
-            before: Whether the version before is drawn as well.
+            beside: Whether another version is drawn as well.
             trial: Whether the model at the strength that is tried is.
             token: Says which state is shown; another one reads the signals again.
+            regime: Whose readings are shown alone; None is none's.
+            marks: What was found while the recordings were read: begin and end, s, channel, what.
+            aside: What is kept aside for judging, s.
         """
-        told = {"candidate": candidate, "before": before, "trial": trial, "token": token}
+        told: dict[str, Any] = dict(candidate=candidate, beside=beside, trial=trial, token=token)
+        told |= dict(regime=list(regime or ()), marks=[list(m) for m in marks])
+        told |= dict(aside=[list(part) for part in aside])
         if any(self._props[name] != value for name, value in told.items()):
             self._props |= told
             self.update()
@@ -69,21 +91,26 @@ def serve_signals(app: FastAPI, work: Work) -> None:
         end: float,
         columns: int = Query(ge=1, le=COLUMNS),
         candidate: int = -1,
-        before: bool = False,
+        beside: bool = False,
         trial: bool = False,
+        regime: list[str] = Query(default=[]),  # noqa: B008 (FastAPI reads it so)
     ) -> Response:
         parts: list[Any] = []
+        view = work.view
+        kinds: list[Kind] = ["measured", "model"]
+        kinds += ["beside"] if beside else []
+        kinds += ["trial", "residual"] if trial else ["residual"]
+        kinds += ["residual_beside"] if beside else []
+        kinds += ["candidate"] if candidate >= 0 else []
+        only = (regime[0], regime[1], regime[2]) if len(regime) == 3 else None
         try:
-            for name, _, _ in work.sensors():
-                others = [*(["before"] if before else []), *(["trial"] if trial else [])]
-                kinds = ["measured", "model", *others, "residual"]
-                parts += [work.pyramid(k, name).shown(begin, end, columns) for k in kinds]  # type: ignore[arg-type]
-                if candidate >= 0:
-                    one = work.pyramid("candidate", name, candidate)
+            for name, _, _ in view.sensors():
+                for kind in kinds:
+                    one = view.pyramid(kind, name, candidate, only)
                     parts.append(one.shown(begin, end, columns))
-            for name in work.commands():
-                parts.append(work.pyramid("command", name).shown(begin, end, columns))
-        except KeyError as error:
+            for name in view.commands():
+                parts.append(view.pyramid("command", name).shown(begin, end, columns))
+        except (KeyError, InputError) as error:
             return Response(f"no such signal: {error}", status_code=404)
         # compressing takes longer than the loopback does
         headers = {"content-encoding": "identity", "cache-control": "no-store"}

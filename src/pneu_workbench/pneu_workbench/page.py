@@ -6,16 +6,19 @@ another tab, or the same one loaded anew, shows the same.
 """
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from nicegui import events, run, ui
 
 from pneu_common.errors import InputError
+from pneu_sysid.tasks.regime_masks import Key
 from pneu_workbench.cards import Cards, heading, refusing
 from pneu_workbench.chart import Chart
 from pneu_workbench.files import LARGEST, RECORDINGS, Folder, dropped_name
 from pneu_workbench.schematic import STYLE as SCHEMATIC
+from pneu_workbench.view import Part, words_of
 from pneu_workbench.work import Work
 
 POLL_S = 0.25
@@ -37,6 +40,13 @@ STYLE = """
 .pneu-card { width: 100%; overflow-wrap: anywhere; }
 .pneu-table { width: 100%; border-collapse: collapse; font-variant-numeric: tabular-nums; }
 .pneu-table th, .pneu-table td { text-align: right; padding: 0.15rem 0.5rem; }
+.pneu-table th, .pneu-scroll td { white-space: nowrap; }
+.pneu-scroll { width: 100%; max-height: 24rem; overflow: auto; }
+.pneu-chosen { background: #1f5fa833; }
+.pneu-heat-1 { background: #f4c95d40; }
+.pneu-heat-2 { background: #f08a3c60; }
+.pneu-heat-3 { background: #d9534f70; }
+.pneu-heat-4 { background: #b3261e90; }
 .pneu-table th:first-child, .pneu-table td:first-child { text-align: left; }
 """
 
@@ -55,7 +65,8 @@ class Page:
         self._dark = ui.dark_mode(None)
         self._candidate = -1
         self._do = refusing(self._say, self._look)
-        self._cards = Cards(work, self._do, self._choose, self._to)
+        self._part = Part()
+        self._cards = Cards(work, self._do, self._choose, self._to, self._only)
         self._seen: tuple[Any, ...] = ()
         self._changes = -1
         self._chart: Chart | None = None
@@ -69,11 +80,17 @@ class Page:
             self._progress()
             with ui.element("div").classes("pneu-columns"):
                 with ui.column().classes("w-full min-w-0"):
-                    drawing, self._signals = (ui.card().classes("pneu-card") for _ in range(2))
+                    drawing, self._signals, regimes = (
+                        ui.card().classes("pneu-card") for _ in range(3)
+                    )
                 with ui.column().classes("w-full min-w-0"):
                     others = [ui.card().classes("pneu-card") for _ in self._cards.beside]
             self._shown = dict(
-                zip([drawing, *others], [self._cards.drawing, *self._cards.beside], strict=True)
+                zip(
+                    [drawing, *others, regimes],
+                    [self._cards.drawing, *self._cards.beside, self._cards.regimes],
+                    strict=True,
+                )
             )
         self._look()
         ui.timer(POLL_S, self._look)
@@ -160,6 +177,25 @@ class Page:
         self._seen = ()
         self._look()
 
+    def _only(self, regime: Key | None) -> None:
+        """Shows the readings of one regime alone; of none, or of it again, all."""
+        if regime == self._part.regime:
+            regime = None
+        self._narrow(replace(self._part, regime=regime))
+
+    def _ranged(self, begin_s: float, end_s: float) -> None:
+        """What is shown of all time has changed."""
+        first, last = self._work.view.span_s()
+        whole = begin_s <= first and end_s >= last
+        part = replace(self._part, begin_s=None, end_s=None)
+        self._narrow(part if whole else replace(part, begin_s=begin_s, end_s=end_s))
+
+    def _narrow(self, part: Part) -> None:
+        if part != self._part:
+            self._part = part
+            self._cards.narrow(part)
+            self._show_signals()
+
     # ---- what there is to see -------------------------------------------------------------
 
     def _look(self) -> None:
@@ -181,11 +217,12 @@ class Page:
             if work.trial is not None:
                 self._cards.tried_anew()
                 self._show_signals()
-        now = work.versions.now
-        found = work.diagnosis["folder"] if work.diagnosis is not None else ""
         tried = None if work.trial is None else (work.trial.ready, work.trial.fault)
-        shown = None if now is None else now.folder
-        seen = (shown, found, running, self._candidate, len(work.versions.all), tried)
+        beside = work.view.beside
+        seen = (
+            work.view.state(), work.view.asked, running, self._candidate,
+            len(work.versions.all), tried, None if beside is None else beside.number,
+        )  # fmt: skip
         if seen != self._seen:
             self._seen = seen
             self._show(running)
@@ -202,10 +239,10 @@ class Page:
         work = self._work
         self._undo.set_enabled(work.versions.before is not None and not running)
         self._redo.set_enabled(bool(work.versions.undone) and not running)
-        if not work.candidates():
+        if not work.view.candidates():
             self._candidate = -1
         self._show_signals()
-        left = work.comparison()
+        left = work.view.comparison()
         self._cards.candidate, self._cards.running = self._candidate, running
         for card, show in self._shown.items():
             card.clear()
@@ -215,13 +252,13 @@ class Page:
                     card.set_visibility(show(left))
 
     def _show_signals(self) -> None:
-        now = self._work.versions.now
-        self._signals.set_visibility(now is not None)
-        if now is None:
+        view = self._work.view
+        shape = (view.sensors(), view.commands(), view.span_s())
+        self._signals.set_visibility(bool(shape[0]))
+        if not shape[0]:
             self._signals.clear()
             self._chart, self._shape = None, ()
             return
-        shape = (self._work.sensors(), self._work.commands(), self._work.span_s())
         if shape != self._shape:
             self._signals.clear()
             self._shape = shape
@@ -236,16 +273,27 @@ class Page:
                     ):
                         self._zoomer(icon, word, what, by)
                 ui.label(
-                    "Black or white: measured. Red: model; grey and dashed: that of the version"
-                    " before. Blue: what is left; amber: what a candidate would explain of it."
+                    "Black or white: measured. Red: model; grey and dashed: the version beside."
+                    " Blue: what is left; amber: what a candidate would explain of it. Behind the"
+                    " lines, pale: kept aside for judging; orange: found amiss in the recording."
                     " Drag to zoom."
                 ).classes("text-sm")
-                self._chart = Chart(*shape).classes("w-full")
+                with ui.row().classes("w-full items-center") as self._narrowed:
+                    self._only_label = ui.label().props("role=status")
+                    every = ui.button("Show all readings", on_click=lambda: self._only(None))
+                    every.props("outline dense")
+                self._part = Part()
+                self._chart = Chart(*shape, self._ranged).classes("w-full")
         assert self._chart is not None
-        before, trial = self._work.versions.before is not None, self._work.trial
+        regime, trial = self._part.regime, self._work.trial
+        self._narrowed.set_visibility(regime is not None)
+        self._only_label.set_text(f"Only: {words_of(regime)}" if regime else "")
         tried = trial is not None and bool(trial.errors)
-        token = f"{now.folder} {trial.strength if trial is not None and tried else ''}"
-        self._chart.look(self._candidate, before, tried, token)
+        token = f"{view.state()} {trial.strength if trial is not None and tried else ''}"
+        self._chart.look(
+            self._candidate, view.beside is not None, tried, token, regime, view.marks(),
+            view.kept_aside(),
+        )  # fmt: skip
 
     def _zoomer(self, icon: str, word: str, what: str, by: float | None) -> None:
         def turn() -> None:

@@ -222,7 +222,10 @@ def _link(at: Layout, link: Link, reached: str, to: str, marked: bool) -> list[s
     lines.append(f'<path d="M{a:.1f} {y:.1f} H{b:.1f}" class="{kind}"/>')
     middle = 0.5 * (a + b)
     if link.kind == "pipe":
-        lines.append(_text(middle, y + 20.0, f"{link.name}, {link.length_m:.3g} m"))
+        words = f"{link.name}, {link.length_m:.3g} m"
+        # a short tube's name is wider than it, and would lie over what is at its ends
+        below = 20.0 if 5.5 * len(words) < abs(b - a) else 46.0
+        lines.append(_text(middle, y + below, words))
     else:
         s = 9.0
         lines.append(

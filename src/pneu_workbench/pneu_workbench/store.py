@@ -3,15 +3,35 @@
 
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from pneu_sysid.tasks.signals import Signals, load_signals
+from pneu_common.errors import InputError
+from pneu_sysid.tasks.regime_masks import REGIMES, RegimeMasks, load_regimes
+from pneu_sysid.tasks.signals import SIGNALS, Signals, load_signals
 from pneu_workbench.traces import Floats, Pyramid
 
+MOST_PYRAMIDS = 60
+"""Of one model; those of regimes that were looked at long ago are built anew."""
 KEPT = 4
 """Models whose signals are held in memory, those that were asked for last."""
+
+
+@dataclass
+class _Entry:
+    """A model's signals.
+
+    Attributes:
+        signals: They.
+        pyramids: Those that were built, by kind and by sensor or command.
+        regimes: Which of its readings belong to which regime, once somebody asked.
+    """
+
+    signals: Signals
+    pyramids: dict[tuple[str, str], Pyramid] = field(default_factory=dict)
+    regimes: RegimeMasks | None = None
 
 
 class Store:
@@ -25,7 +45,7 @@ class Store:
         """
         self._folder = folder
         self._lock = threading.RLock()
-        self._held: dict[str, tuple[Signals, dict[tuple[str, str], Pyramid]]] = {}
+        self._held: dict[str, _Entry] = {}
 
     def signals(self, name: str) -> Signals:
         """Signals of a model.
@@ -36,7 +56,22 @@ class Store:
         Raises:
             InputError: They cannot be read.
         """
-        return self._load(name)[0]
+        return self._load(name).signals
+
+    def regimes(self, name: str) -> RegimeMasks | None:
+        """Which readings belong to which regime; None where nothing says so.
+
+        Args:
+            name: Of the model's folder.
+        """
+        with self._lock:
+            entry = self._load(name)
+            if entry.regimes is None:
+                try:
+                    entry.regimes = load_regimes(self._folder / name / REGIMES)
+                except InputError:
+                    return None
+            return entry.regimes
 
     def pyramid(
         self, name: str, kind: str, of: str, values: Callable[[Signals], tuple[Floats, Floats]]
@@ -50,9 +85,12 @@ class Store:
             values: Makes times and values of it.
         """
         with self._lock:
-            signals, built = self._load(name)
+            entry = self._load(name)
+            built = entry.pyramids
             if (kind, of) not in built:
-                built[kind, of] = Pyramid(*values(signals))
+                while len(built) >= MOST_PYRAMIDS:
+                    del built[next(iter(built))]
+                built[kind, of] = Pyramid(*values(entry.signals))
             return built[kind, of]
 
     def forget(self, name: str | None = None) -> None:
@@ -67,11 +105,11 @@ class Store:
             else:
                 self._held.pop(name, None)
 
-    def _load(self, name: str) -> tuple[Signals, dict[tuple[str, str], Pyramid]]:
+    def _load(self, name: str) -> _Entry:
         with self._lock:
             entry = self._held.pop(name, None)
             if entry is None:
-                entry = load_signals(self._folder / name / "signals.npz"), {}
+                entry = _Entry(load_signals(self._folder / name / SIGNALS))
             while len(self._held) >= KEPT:
                 del self._held[next(iter(self._held))]
             self._held[name] = entry

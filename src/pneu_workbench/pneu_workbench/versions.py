@@ -66,6 +66,19 @@ class Versions:
         self.at = version.number
         self.undone.clear()
 
+    def replace(self, version: Version) -> None:
+        """Puts another in the place of the present one.
+
+        Args:
+            version: It; its number and parent are those of the present one.
+        """
+        now = self.now
+        if now is None:
+            self.add(version)
+            return
+        version.number, version.parent = now.number, now.parent
+        self.all[now.number] = version
+
     def undo(self) -> bool:
         """Goes back to where the present one came from; returns whether there was such."""
         now = self.now

@@ -12,32 +12,26 @@ import shutil
 import threading
 import uuid
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
 
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
 from pneu_sim.rig import load_rig, save_rig
-from pneu_sim.rig.schema import Rig
 from pneu_sysid.report import write_report
-from pneu_sysid.results import Candidate, CompareResult, DiagnoseResult
+from pneu_sysid.results import CompareResult
 from pneu_sysid.tasks.process import TaskProcess
 from pneu_sysid.tasks.request import Outcome, Request
-from pneu_sysid.tasks.signals import Signals
 from pneu_sysid.tasks.trial import with_strength
-from pneu_workbench.store import Store, as_steps
-from pneu_workbench.traces import Floats, Pyramid
+from pneu_workbench.store import Store
 from pneu_workbench.trial import Trial, Trying
 from pneu_workbench.versions import Version, Versions
+from pneu_workbench.view import Seen, View
 
 SESSION = "session.json"
-VERSION = 1
+VERSION = 2
 TRIED = "tried"
 """Folder of the signals of a strength that is tried."""
-OF_VERSION = ("measured", "model", "residual", "command")
-"""Kinds of signals that each version has of its own."""
-Kind = Literal["measured", "model", "before", "trial", "residual", "candidate", "command"]
 
 
 @dataclass
@@ -71,7 +65,9 @@ class Work:
         bags: The recordings.
         versions: Of the model.
         task: Long work, or the last that was.
-        diagnosis: What was found missing in the version of that number.
+        kept_aside: Parts that are kept aside for judging, s; every third stretch unless there is
+            one.
+        view: What there is to see.
         source: Rig file that was opened; a copy of it is in the session.
     """
 
@@ -93,13 +89,16 @@ class Work:
         self.bags: list[str] = []
         self.versions = Versions()
         self.task: Task | None = None
-        self.diagnosis: dict[str, Any] | None = None
+        self.kept_aside: list[tuple[float, float]] = []
         self.source = ""
+        self._seen = Seen()
+        self._former: tuple[Versions, list[str]] | None = None
         self._trying: Trying | None = None
         self._workers = workers
         self._lock = threading.RLock()
         self._process: TaskProcess | None = None
         self._store = Store(self.folder)
+        self.view = View(self.folder, self._store, lambda: self.versions, self._seen)
         self._count = 0
         self._changes = 0
         if (self.folder / SESSION).exists():
@@ -136,12 +135,43 @@ class Work:
         )
 
         def opened(outcome: Outcome) -> None:
-            self.bags, self.source = list(bags), rig
-            self.versions, self.diagnosis = Versions(), None
+            self.bags, self.source, self.kept_aside = list(bags), rig, []
+            self.versions = Versions()
+            self._seen.diagnosis = self._seen.beside = None
             self._store.forget()
             self._looked(folder, Path(rig).stem, 0)
 
-        self._begin(request, f"looking at {Path(bags[0]).name}", opened)
+        def early(at: str) -> None:
+            with self._lock:
+                if self.task is not None and self.task.running:
+                    self._former = self.versions, self.bags
+                    self.versions, self.bags = Versions(), list(bags)
+                    self._seen.early = str(Path(at).relative_to(self.folder))
+                    self._changed(keep=False)
+
+        self._begin(request, f"looking at {Path(bags[0]).name}", opened, early)
+
+    def keep_aside(self, parts: Sequence[tuple[float, float]]) -> None:
+        """Keeps other parts of the recordings aside for judging; the present version stays.
+
+        Args:
+            parts: From and to, s; none is every third stretch again.
+
+        Raises:
+            InputError: Other work is going on, or nothing is open.
+        """
+        now = self._present()
+        folder = self._fresh("look")
+        request = replace(self._request("look", now.rig, folder), kept_aside=tuple(parts))
+
+        def looked(outcome: Outcome) -> None:
+            self.kept_aside = list(parts)
+            # what was found was judged by other parts
+            self._seen.diagnosis = None
+            self._store.forget()
+            self.versions.replace(self._version(folder, now.title, now.added))
+
+        self._begin(request, "looking at what is kept aside", looked)
 
     def suspect(self) -> None:
         """Asks what the present version is missing.
@@ -154,7 +184,7 @@ class Work:
 
         def found(outcome: Outcome) -> None:
             told = json.loads((folder / "diagnose.json").read_text(encoding="utf-8"))
-            self.diagnosis = {"of": now.number, "folder": folder.name, "result": told}
+            self._seen.diagnosis = {"of": now.number, "folder": folder.name, "result": told}
 
         self._begin(self._request("suspect", now.rig, folder), "what is missing", found)
 
@@ -167,7 +197,7 @@ class Work:
         Raises:
             InputError: Other work is going on, or there is no such candidate.
         """
-        found, tried = self.diagnosis, self.candidates()
+        found, tried = self._seen.diagnosis, self.view.candidates()
         if found is None or not 0 <= number < len(tried):
             raise InputError(f"candidate: found {number}, there are {len(tried)} to add")
         chosen = tried[number]
@@ -196,6 +226,8 @@ class Work:
 
         def changed() -> None:
             self._store.forget(TRIED)
+            trial = self.trial
+            self._seen.tried = TRIED if trial is not None and trial.errors else ""
             self._changes += 1
 
         with self._lock:
@@ -242,6 +274,7 @@ class Work:
         """Tries no more strengths."""
         with self._lock:
             trying, self._trying = self._trying, None
+            self._seen.tried = ""
             self._store.forget(TRIED)
             self._changes += 1
         if trying is not None:
@@ -290,106 +323,20 @@ class Work:
             self.versions.go(number)
             self._changed()
 
-    # ---- what there is to see ---------------------------------------------------------------
-
-    def comparison(self) -> CompareResult | None:
-        """What the present version leaves; None without one."""
-        now = self.versions.now
-        if now is None:
-            return None
-        path = self.folder / now.folder / "compare.json"
-        return CompareResult(**json.loads(path.read_text(encoding="utf-8")))
-
-    def visited(self) -> dict[str, Any] | None:
-        """Where the recordings have been, and what is kept aside of them; None without any."""
-        now = self.versions.now
-        if now is None:
-            return None
-        path = self.folder / now.folder / "visited.json"
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-
-    def rig(self) -> Rig | None:
-        """The present version's rig; None without one, or where its file is gone."""
-        now = self.versions.now
-        try:
-            return None if now is None else load_rig(now.rig)
-        except InputError:
-            return None
-
-    @property
-    def found(self) -> DiagnoseResult | None:
-        """What the present version is missing; None as long as nobody asked."""
-        told, now = self.diagnosis, self.versions.now
-        if told is None or now is None or told["of"] != now.number:
-            return None
-        return DiagnoseResult(**told["result"])
-
-    def candidates(self) -> list[Candidate]:
-        """Candidates that were tried, best first, of the diagnosis of the present version."""
-        found = self.found
-        return [] if found is None else [one for one in found.candidates if one.tested]
-
-    def sensors(self) -> list[tuple[str, str, float]]:
-        """Sensors with their units and noise floors, SI."""
-        signals = self._signals()
-        if signals is None:
-            return []
-        about = signals.about
-        return [(name, about.units[name], about.noise[name]) for name in signals.sensors]
-
-    def commands(self) -> list[str]:
-        """Names of commands."""
-        signals = self._signals()
-        return [] if signals is None else list(signals.commands)
-
-    def span_s(self) -> tuple[float, float]:
-        """First and last time of all readings, s."""
-        signals = self._signals()
-        if signals is None:
-            return 0.0, 0.0
-        times = [t.time_s for t in signals.sensors.values() if t.time_s.size]
-        return min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
-
-    def pyramid(self, kind: Kind, name: str, candidate: int | None = None) -> Pyramid:
-        """A signal, to be shown at any zoom.
+    def look_beside(self, number: int | None) -> None:
+        """Draws another version beside the present one.
 
         Args:
-            kind: Which of a sensor's signals, or a command.
-            name: Of the sensor or the command.
-            candidate: Whose predicted residual is meant.
+            number: Which; None is the one that the present one came from.
 
         Raises:
-            KeyError: There is no such signal.
+            InputError: There is no such version.
         """
-        folder, key = self._folder_of(kind), f"candidate_{candidate}"
-        if folder is None:
-            raise KeyError(name)
-
-        def values(signals: Signals) -> tuple[Floats, Floats]:
-            if kind == "command":
-                return as_steps(signals, name)
-            trace, noise = signals.sensors[name], signals.about.noise[name]
-            if kind == "measured":
-                return trace.time_s, trace.measured
-            if kind == "residual":
-                return trace.time_s, (trace.measured - trace.model) / noise
-            if kind == "candidate":
-                return trace.time_s, trace.changes[key] / noise
-            return trace.time_s, trace.model
-
-        own = key if kind == "candidate" else kind if kind in OF_VERSION else "model"
-        return self._store.pyramid(folder, own, name, values)
-
-    def _folder_of(self, kind: Kind) -> str | None:
-        """Name of the folder that holds a kind of signal; None where there is none."""
-        if kind == "trial":
-            return TRIED if self.trial is not None and self.trial.errors else None
-        if kind == "candidate":
-            return (
-                None if self.found is None or self.diagnosis is None else self.diagnosis["folder"]
-            )
-        version = self.versions.before if kind == "before" else self.versions.now
-        return None if version is None else version.folder
+        if number is not None and not 0 <= number < len(self.versions.all):
+            raise InputError(f"version: found {number}, there are {len(self.versions.all)}")
+        with self._lock:
+            self._seen.beside = number
+            self._changed()
 
     # ---- to keep ----------------------------------------------------------------------------
 
@@ -410,7 +357,7 @@ class Work:
         now = self._present()
         path = self.folder / now.folder / "report.html"
         title = f"{now.title}: {', '.join(Path(bag).name for bag in self.bags)}"
-        left, found = self.comparison(), self.found
+        left, found = self.view.comparison(), self.view.found
         write_report(
             path,
             compare=None if left is None else left.as_dict(),
@@ -425,7 +372,8 @@ class Work:
         if now is None:
             return []
         what = shlex.join([*self.bags, "--rig", self.source])
-        told = [f"pneu compare {what}", f"pneu diagnose {what}"]
+        aside = "".join(f" --aside {a:.6g}:{b:.6g}" for a, b in self.kept_aside)
+        told = [f"pneu compare {what}", f"pneu diagnose {what}{aside}"]
         return [*told, f"pneu learn {what} -o learned"] if now.added else told
 
     # ---- within -----------------------------------------------------------------------------
@@ -439,14 +387,21 @@ class Work:
     def _request(self, task: str, rig: str, folder: Path, added: int = 1) -> Request:
         bag, *more = self.bags
         return Request(
-            task, bag, rig, str(folder), f"{folder}.part", self._workers, tuple(more), added
-        )
+            task, bag, rig, str(folder), f"{folder}.part", self._workers, tuple(more), added,
+            tuple(self.kept_aside),
+        )  # fmt: skip
 
     def _fresh(self, name: str) -> Path:
         self._count += 1
         return self.folder / f"{name}_{self._count}_{uuid.uuid4().hex[:6]}"
 
-    def _begin(self, request: Request, title: str, then: Callable[[Outcome], None]) -> None:
+    def _begin(
+        self,
+        request: Request,
+        title: str,
+        then: Callable[[Outcome], None],
+        early: Callable[[str], None] | None = None,
+    ) -> None:
         if request.task != "suspect":  # which leaves the version as it is
             self.end_trial()
         with self._lock:
@@ -465,7 +420,10 @@ class Work:
 
             def ended(outcome: Outcome) -> None:
                 with self._lock:
-                    self._process = None
+                    self._process, self._seen.early = None, ""
+                    former, self._former = self._former, None
+                    if former is not None and not outcome.success:  # what was open before
+                        self.versions, self.bags = former
                     if outcome.success:
                         try:
                             then(outcome)
@@ -475,28 +433,25 @@ class Work:
                     task.running = False
                     self._changed()
 
-            self._process = TaskProcess(request, tell, ended, errors)
+            self._process = TaskProcess(request, tell, ended, errors, early)
 
     def _looked(self, folder: Path, title: str, added: int) -> None:
         """Makes a version of what was looked at."""
+        self.versions.add(self._version(folder, title, added))
+
+    def _version(self, folder: Path, title: str, added: int) -> Version:
         text = (folder / "compare.json").read_text(encoding="utf-8")
         model = CompareResult(**json.loads(text)).models[0]
-        self.versions.add(
-            Version(
-                number=0,
-                parent=None,
-                title=title,
-                folder=folder.name,
-                rig=str(folder / "rig.yaml"),
-                added=added,
-                times_noise={name: one.times_noise for name, one in model.sensors.items()},
-                overall=model.times_noise,
-            )
+        return Version(
+            number=0,
+            parent=None,
+            title=title,
+            folder=folder.name,
+            rig=str(folder / "rig.yaml"),
+            added=added,
+            times_noise={name: one.times_noise for name, one in model.sensors.items()},
+            overall=model.times_noise,
         )
-
-    def _signals(self) -> Signals | None:
-        now = self.versions.now
-        return None if now is None else self._store.signals(now.folder)
 
     def _changed(self, keep: bool = True) -> None:
         self._changes += 1
@@ -506,7 +461,9 @@ class Work:
                 "bags": self.bags,
                 "source": self.source,
                 "versions": asdict(self.versions),
-                "diagnosis": self.diagnosis,
+                "diagnosis": self._seen.diagnosis,
+                "beside": self._seen.beside,
+                "kept_aside": self.kept_aside,
                 "count": self._count,
             }
             write_whole(self.folder / SESSION, json.dumps(state))
@@ -519,7 +476,9 @@ class Work:
                 raise ValueError(f"version {state['pneu_workbench']!r}")
             of = state["versions"]
             self.versions = Versions([Version(**v) for v in of["all"]], of["at"], of["undone"])
-            self.bags, self.diagnosis = state["bags"], state["diagnosis"]
+            self.bags, self._seen.diagnosis = state["bags"], state["diagnosis"]
+            self._seen.beside = state["beside"]
+            self.kept_aside = [(float(a), float(b)) for a, b in state["kept_aside"]]
             self.source = state["source"]
             self._count = state["count"]
         except (OSError, ValueError, KeyError, TypeError) as error:

@@ -3,11 +3,13 @@
 
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pneu_workbench.versions import Version, Versions
+from pneu_workbench.view import Part
 from pneu_workbench.work import SESSION, Work
 
 from pneu_common.errors import InputError
@@ -58,7 +60,11 @@ def test_what_cannot_be_done_is_said(tmp_path: Path) -> None:
         work.add(0)
     work.undo()
     work.cancel()  # nothing goes on
-    assert work.comparison() is None and work.sensors() == [] and work.span_s() == (0.0, 0.0)
+    assert (
+        work.view.comparison() is None
+        and work.view.sensors() == []
+        and work.view.span_s() == (0.0, 0.0)
+    )
 
 
 def test_a_session_that_is_none_is_refused(tmp_path: Path) -> None:
@@ -84,26 +90,82 @@ def test_a_recording_is_opened_kept_and_come_back_to(tmp_path: Path) -> None:
     assert work.task.fault == ""
     now = work.versions.now
     assert now is not None and now.title == "rig_a_fitted"
-    assert [name for name, *_ in work.sensors()] == list(now.times_noise)
-    begin, end = work.span_s()
+    assert [name for name, *_ in work.view.sensors()] == list(now.times_noise)
+    begin, end = work.view.span_s()
     measured, model, residual = (
-        work.pyramid(kind, "end").shown(begin, end, 100_000)  # type: ignore[arg-type]
+        work.view.pyramid(kind, "end").shown(begin, end, 100_000)  # type: ignore[arg-type]
         for kind in ("measured", "model", "residual")
     )
-    noise = next(n for name, _, n in work.sensors() if name == "end")
+    noise = next(n for name, _, n in work.view.sensors() if name == "end")
     np.testing.assert_array_equal(measured[0], model[0])
     expected = (measured[1].astype(float) - model[1]) / noise
     np.testing.assert_allclose(residual[1], expected, atol=0.05)
     # what is drawn is what the table says: 46 times the noise at the closed end
     assert np.sqrt(np.mean(residual[1] ** 2)) == pytest.approx(now.times_noise["end"], rel=0.02)
-    volts = work.pyramid("command", "voltage").shown(begin, end, 100_000)
+    volts = work.view.pyramid("command", "voltage").shown(begin, end, 100_000)
     assert 0.0 <= volts[1].min() < volts[1].max() <= 10.0
     with pytest.raises(KeyError):
-        work.pyramid("candidate", "end", 0)
+        work.view.pyramid("candidate", "end", 0)
+    # what is told of all time by hand is what the comparison says of every regime
+    rows = {row.key: row for row in work.view.map(Part())}
+    within = {row.key: row for row in work.view.map(Part(begin - 1.0, end + 1.0))}
+    assert {key[0] for key in rows} >= {"flow_direction", "choked", "opening", "pressure"}
+    for key, row in rows.items():
+        assert row.chosen == (key[0] != "frequency")
+        assert within[key].times_noise == pytest.approx(row.times_noise, rel=1e-5), key
+    fill = ("flow_direction", "", "fill")
+    shown = work.view.pyramid("measured", "end", None, fill).shown(begin, end, 100_000)
+    assert 0.1 < np.isfinite(shown[1]).mean() < 0.9
+    alone = work.view.errors(Part(regime=fill))
+    assert alone["end"] == pytest.approx(rows[fill].times_noise["end"], rel=1e-5)
+    everything = work.view.errors(Part())
+    assert everything == pytest.approx(now.times_noise, rel=1e-5)
+    # another part is kept aside by hand: the same version, judged by other stretches
+    assert work.view.errors(Part(), beside=True) == {}
+    work.keep_aside([(3.0, 6.0)])
+    _until_done(work)
+    assert work.task.fault == "" and len(work.versions.all) == 1
+    ((kept_from, kept_to),) = work.view.kept_aside()
+    assert (kept_from, kept_to) == (pytest.approx(3.0, abs=0.6), pytest.approx(6.0, abs=0.6))
+    assert any("--aside 3:6" in words for words in work.words())
+    work.keep_aside([(90.0, 95.0)])
+    _until_done(work)
+    assert "none of the 29 stretches" in work.task.fault
+    assert work.kept_aside == [(3.0, 6.0)]
     assert work.report().read_text(encoding="utf-8").startswith("<!doctype html>")
     again = Work(tmp_path / "session")
+    assert again.kept_aside == [(3.0, 6.0)]
     assert again.versions == work.versions and again.bags == [BAG]
-    assert again.span_s() == work.span_s()
+    assert again.view.span_s() == work.view.span_s()
+    work.close()
+
+
+def test_what_was_open_is_back_where_another_recording_is_not_opened(tmp_path: Path) -> None:
+    """What was measured is shown before the model has run, and gone again where it never does."""
+    work = Work(tmp_path / "session", workers=1)
+    work.open([BAG], RIG)
+    _until_done(work)
+    before = work.versions.now
+    assert before is not None
+    early: list[bool] = []
+
+    def changed(keep: bool = True, really: Callable[..., None] = work._changed) -> None:
+        really(keep)
+        if work.view._seen.early and not early:
+            early.append(work.versions.now is None)
+            assert [name for name, *_ in work.view.sensors()] == list(before.times_noise)
+            model = work.view.pyramid("model", "end").shown(0.0, 20.0, 4000)
+            measured = work.view.pyramid("measured", "end").shown(0.0, 20.0, 4000)
+            early.extend([bool(np.isnan(model[1]).all()), bool(np.isfinite(measured[1]).all())])
+            work.cancel()
+
+    work._changed = changed  # type: ignore[method-assign]
+    work.open([BAG], RIG)
+    _until_done(work)
+    assert early == [True, True, True]
+    assert work.task is not None and work.task.fault == "cancelled"
+    assert work.versions.now == before and work.bags == [BAG]
+    assert work.view.errors(Part())["end"] > 10.0
     work.close()
 
 

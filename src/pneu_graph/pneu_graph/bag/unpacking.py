@@ -6,6 +6,7 @@ claims and what it really holds are both measured against an allowance before me
 """
 
 import io
+import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +16,8 @@ import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message, Schema
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader
 
 from pneu_common.errors import InputError
 
@@ -25,6 +27,10 @@ FREE_BYTES = 64 << 20
 """What may be unpacked from any file, however small."""
 
 _STEP_BYTES = 1 << 20
+_HEAD = struct.Struct("<BQ")
+"""Of a record: its opcode and length."""
+_MESSAGE = struct.Struct("<HIQQ")
+"""Of a message: channel, sequence, log and publish time."""
 
 
 class DamagedError(ValueError):
@@ -129,17 +135,40 @@ def chunk_records(
         raise DamagedError(f"a chunk holds {len(data)} bytes, it names {size}")
     if validate_crc and chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise DamagedError("the checksum of a chunk is not that of its content")
-    stream = ReadDataStream(cast(Any, Bounded(io.BytesIO(data), len(data))))
-    while stream.count < len(data):
-        opcode, length = stream.read1(), stream.read8()
-        if opcode == Opcode.CHANNEL:
-            yield Channel.read(stream)
-        elif opcode == Opcode.MESSAGE:
-            yield Message.read(stream, length)
-        elif opcode == Opcode.SCHEMA:
-            yield Schema.read(stream)
-        else:
-            stream.read(length)
+    # Message by message through the library's stream takes four times as long.
+    at, end = 0, len(data)
+    while at < end:
+        if end - at < _HEAD.size:
+            raise EOFError(f"a chunk ends within the head of a record, {end - at} bytes of it")
+        opcode, length = _HEAD.unpack_from(data, at)
+        at += _HEAD.size
+        if length > end - at:
+            raise EOFError(f"{length} bytes are named where {end - at} are left")
+        if opcode == Opcode.MESSAGE:
+            if length < _MESSAGE.size:
+                raise DamagedError(f"a message has {length} bytes, its head alone {_MESSAGE.size}")
+            channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(data, at)
+            yield Message(
+                channel, log_ns, data[at + _MESSAGE.size : at + length], publish_ns, sequence
+            )
+        elif opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
+            part = Bounded(io.BytesIO(data[at : at + length]), length)
+            kind = Channel if opcode == Opcode.CHANNEL else Schema
+            yield kind.read(ReadDataStream(cast(Any, part)))
+        at += length
+
+
+class WithoutIndex(StreamReader):
+    """Reads records as they come, but for the indexes of messages, which it leaves out.
+
+    An index is as many numbers as there are messages, and whoever reads all of them needs none.
+    """
+
+    def _read_record(self, opcode: int, length: int) -> McapRecord | None:
+        if opcode == Opcode.MESSAGE_INDEX:
+            self._stream.read(length)  # counted in the checksum all the same
+            return None
+        return super()._read_record(opcode, length)
 
 
 class Bounded:

@@ -23,14 +23,19 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel as McapChannel
 from mcap.records import Chunk, DataEnd, McapRecord, Message, Schema, Statistics
-from mcap.stream_reader import StreamReader
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from pneu_common.documents import read_yaml
 from pneu_common.errors import InputError
-from pneu_graph.bag.unpacking import Allowance, Bounded, chunk_records, unzstd
+from pneu_graph.bag.unpacking import (
+    Allowance,
+    Bounded,
+    WithoutIndex,
+    chunk_records,
+    unzstd,
+)
 from pneu_sim.channels import Channel
 from pneu_sim.signals import velocity_of
 from pneu_sim.topics import (
@@ -41,6 +46,7 @@ from pneu_sim.topics import (
     VALVE_COMMAND,
     same_topic,
 )
+from pneu_sysid.records.alike import Decoded
 from pneu_sysid.records.recording import Finding, absent
 from pneu_sysid.records.stream import STAMP_LIMIT_NS, Role, Stream
 
@@ -123,7 +129,7 @@ def read_bag(
     ]
     wanted = {t for c in channels_of_bag for t in (c.topic, c.applied) if t}
     topics, findings = _collect(path, wanted)
-    decoded: dict[tuple[str, str], list[Any]] = {}
+    decoded: dict[tuple[str, str], Decoded] = {}
     streams = []
     roles: list[tuple[Role, dict[str, Channel]]] = [
         ("command", commands),
@@ -151,11 +157,11 @@ def read_bag(
                 _check_number(where, store, topic.msgtype, channel.field)
             key = (topic.name, topic.msgtype)
             if key not in decoded:
-                decoded[key] = _decode(where, store, topic)
+                decoded[key] = _columns(where, store, topic)
             messages = decoded[key]
             if of_joint:
                 raw, said = _of_joint(where, messages, name, channel.field)
-            elif named and any(len(message.name) for message in messages):
+            elif named and any(len(message.name) for message in messages.kinds()):
                 raw, said = _of_name(where, messages, name, named)
             else:
                 raw = _values(where, messages, channel.field)
@@ -174,7 +180,9 @@ def read_bag(
                     source=f"topic {topic.name}, field {channel.field}",
                     arrival=np.array(topic.arrival, dtype=np.int64),
                     log_ns=log_ns,
-                    header_ns=None if stamp is None else _stamps_ns(messages, stamp),
+                    header_ns=None
+                    if stamp is None
+                    else messages.stamps_ns(stamp, attrgetter(stamp)),
                     values=channel.convert(raw),
                     stamp_ns=log_ns,
                     applied=applied,
@@ -299,7 +307,7 @@ def _bag_files(path: Path) -> tuple[list[Path], int | None, list[Finding]]:
 
 
 def _records(file: Bounded, limit: int) -> Iterator[McapRecord]:
-    yield from StreamReader(
+    yield from WithoutIndex(
         cast(Any, file), emit_chunks=True, validate_crcs=True, record_size_limit=limit
     ).records
 
@@ -584,22 +592,43 @@ def _stamp_path(store: Typestore, msgtype: str) -> str | None:
 # ---- values ---------------------------------------------------------------------------------
 
 
+def _columns(where: str, store: Typestore, topic: _Topic) -> Decoded:
+    """The messages of a topic, to be read by field."""
+    one = _decoder(where, store, topic)
+    return Decoded(topic.data, store, topic.msgtype, one)
+
+
 def _decode(where: str, store: Typestore, topic: _Topic) -> list[Any]:
+    one = _decoder(where, store, topic)
+    return [one(number) for number in range(len(topic.data))]
+
+
+def _decoder(where: str, store: Typestore, topic: _Topic) -> Callable[[int], Any]:
+    """What decodes the message of a number; those that are packed one by one are unpacked."""
     allowance = Allowance(where, sum(map(len, topic.data)))
-    messages = []
+
+    def refuse(number: int, err: Exception) -> InputError:
+        what = " ".join(str(err).split())[:100]
+        return InputError(
+            f"{where}: message {number + 1} of {topic.count} does not decode ({what})"
+        )
+
     for number, raw in enumerate(topic.data):
+        if raw[:4] == _ZSTD_MAGIC:
+            try:
+                topic.data[number] = unzstd(io.BytesIO(raw), allowance)
+            except InputError:
+                raise
+            except Exception as err:
+                raise refuse(number, err) from err
+
+    def one(number: int) -> Any:
         try:
-            if raw[:4] == _ZSTD_MAGIC:
-                raw = unzstd(io.BytesIO(raw), allowance)
-            messages.append(store.deserialize_cdr(raw, topic.msgtype))
-        except InputError:
-            raise
+            return store.deserialize_cdr(topic.data[number], topic.msgtype)
         except Exception as err:  # generated code meets hostile bytes
-            what = " ".join(str(err).split())[:100]
-            raise InputError(
-                f"{where}: message {number + 1} of {topic.count} does not decode ({what})"
-            ) from err
-    return messages
+            raise refuse(number, err) from err
+
+    return one
 
 
 def _getter(steps: list[tuple[str, list[int]]]) -> Callable[[Any], float]:
@@ -621,9 +650,9 @@ def _getter(steps: list[tuple[str, list[int]]]) -> Callable[[Any], float]:
     return get
 
 
-def _values(where: str, messages: list[Any], path: str) -> np.ndarray:
+def _values(where: str, messages: Decoded, path: str) -> np.ndarray:
     steps = _split_field(where, path)
-    values = np.fromiter(map(_getter(steps), messages), np.float64, len(messages))
+    values = messages.numbers(path, _getter(steps))
     if any(indices for _, indices in steps) and np.isnan(values).all():
         raise InputError(f"{where}: no message has a numeric element '{path}'")
     return values
@@ -636,10 +665,10 @@ def _named_field(msgtype: str, path: str) -> str:
 
 
 def _of_joint(
-    where: str, messages: list[Any], joint: str, field: str
+    where: str, messages: Decoded, joint: str, field: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """(n,) what each message says of a joint by its name, and (n,) whether it says anything."""
-    values, said, named = _said_of(messages, joint, field)
+    values, said, named = messages.of_name(joint, field)
     if joint not in named:
         raise InputError(
             f"{where}: no joint {joint!r}, it has {', '.join(map(repr, named)) or 'none'}; name the"
@@ -650,11 +679,9 @@ def _of_joint(
     return values, said
 
 
-def _of_name(
-    where: str, messages: list[Any], name: str, field: str
-) -> tuple[np.ndarray, np.ndarray]:
+def _of_name(where: str, messages: Decoded, name: str, field: str) -> tuple[np.ndarray, np.ndarray]:
     """As `_of_joint`, of a command or tap; NaN says nothing of it."""
-    values, _, named = _said_of(messages, name, field)
+    values, _, named = messages.of_name(name, field)
     if name not in named:
         raise InputError(
             f"{where}: found values of {', '.join(map(repr, named))}, none of {name!r}; the rig"
@@ -664,22 +691,6 @@ def _of_name(
     if not said.any():
         raise InputError(f"{where}: no message has a number in {field} of {name!r}")
     return values, said
-
-
-def _said_of(
-    messages: list[Any], wanted: str, field: str
-) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """As `_of_joint`, and all names that there are."""
-    values = np.full(len(messages), np.nan)
-    said = np.zeros(len(messages), dtype=bool)
-    named: dict[str, None] = {}
-    for k, message in enumerate(messages):
-        names = [str(name) for name in message.name]
-        named |= dict.fromkeys(names)
-        row = getattr(message, field)
-        if wanted in names and (at := names.index(wanted)) < len(row):
-            values[k], said[k] = row[at], True
-    return values, said, list(named)
 
 
 def _stamps_ns(messages: list[Any], path: str) -> np.ndarray:

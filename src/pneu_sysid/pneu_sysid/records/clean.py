@@ -9,7 +9,7 @@ import numpy as np
 
 from pneu_common.errors import InputError
 from pneu_sysid.records.noise import noise_floor
-from pneu_sysid.records.recording import Finding
+from pneu_sysid.records.recording import MOST_SPANS, Finding, longest, spans_of
 from pneu_sysid.records.stream import GAP_PERIODS, LONGEST_STEP, Stream, median_period_ns
 
 _FROZEN_SAMPLES = 100
@@ -60,7 +60,8 @@ def _sort(stream: Stream) -> tuple[Stream, list[Finding]]:
         return stream, []
     note = "sample(s) arrived after later ones; sorted by stamp"
     order = np.argsort(stream.stamp_ns, kind="stable")
-    return stream.pick(order), [Finding(stream.name, "out_of_order", int(late.sum()), note)]
+    spans = tuple((int(t), int(t)) for t in np.sort(stream.stamp_ns[1:][late])[:MOST_SPANS])
+    return stream.pick(order), [Finding(stream.name, "out_of_order", int(late.sum()), note, spans)]
 
 
 def _deduplicate(stream: Stream) -> tuple[Stream, list[Finding]]:
@@ -72,7 +73,8 @@ def _deduplicate(stream: Stream) -> tuple[Stream, list[Finding]]:
     else:
         keep, which = np.concatenate(([True], ~same)), "first"
     note = f"sample(s) with the stamp of another; the {which} to arrive was kept"
-    return stream.pick(keep), [Finding(stream.name, "duplicate", int(same.sum()), note)]
+    spans = spans_of(stream.stamp_ns, ~keep)
+    return stream.pick(keep), [Finding(stream.name, "duplicate", int(same.sum()), note, spans)]
 
 
 def _drop_not_finite(path: str, stream: Stream) -> tuple[Stream, list[Finding]]:
@@ -86,7 +88,8 @@ def _drop_not_finite(path: str, stream: Stream) -> tuple[Stream, list[Finding]]:
         )
     note = "NaN or infinite value(s) were dropped and count as missing"
     count = int((~finite).sum())
-    return stream.pick(finite), [Finding(stream.name, "not_finite", count, note)]
+    spans = spans_of(stream.stamp_ns, ~finite)
+    return stream.pick(finite), [Finding(stream.name, "not_finite", count, note, spans)]
 
 
 def _drop_frozen(stream: Stream) -> tuple[Stream, list[Finding]]:
@@ -119,7 +122,8 @@ def _drop_frozen(stream: Stream) -> tuple[Stream, list[Finding]]:
         f"samples repeat one value in {long.size} stretch(es), the first {first_s:.6g} s into the "
         "channel, though it is noisy elsewhere; they were dropped and count as missing"
     )
-    return stream.pick(keep), [Finding(stream.name, "frozen", count, note)]
+    spans = spans_of(stream.stamp_ns, ~keep)
+    return stream.pick(keep), [Finding(stream.name, "frozen", count, note, spans)]
 
 
 def _describe_timing(stream: Stream) -> list[Finding]:
@@ -137,13 +141,15 @@ def _describe_timing(stream: Stream) -> list[Finding]:
     if short.any() and is_regular(stream):
         count = int(np.rint(steps[short] / period - 1).sum())
         note = f"missing sample(s), of which never more than {GAP_PERIODS - 1:g} in a row"
-        findings.append(Finding(stream.name, "missing", count, note))
+        spans = longest(stream.stamp_ns[:-1][short], stream.stamp_ns[1:][short])
+        findings.append(Finding(stream.name, "missing", count, note, spans))
     if gaps.any() and stream.role == "command":  # those of a tap are told with the whole recording
         note = (
             f"gap(s) longer than {GAP_PERIODS:g} sample periods, {steps[gaps].sum() * 1e-9:.6g} s "
             f"in all, the longest {steps.max() * 1e-9:.6g} s; the value before each holds"
         )
-        findings.append(Finding(stream.name, "gap", int(gaps.sum()), note))
+        spans = longest(stream.stamp_ns[:-1][gaps], stream.stamp_ns[1:][gaps])
+        findings.append(Finding(stream.name, "gap", int(gaps.sum()), note, spans))
     near = steps <= 1.5 * period
     jitter = np.abs(steps[near] - period) / period
     uneven = int((jitter > 0.1).sum())

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
-from pneu_sysid.records.recording import Finding
+from pneu_sysid.records.recording import Finding, longest
 from pneu_sysid.records.stream import Stream, median_period_ns
 
 _REORDER_SAMPLES = 10  # a stream this many samples behind was reordered; more, its clock jumped
@@ -226,7 +226,10 @@ def _drop_stray_stamps(stream: Stream) -> tuple[Stream, list[Finding]]:
     if not stray.any():
         return stream, []
     note = "single sample(s) stamped far from both neighbours were dropped"
-    return stream.pick(~stray), [Finding(stream.name, "clock_jump", int(stray.sum()), note)]
+    # what it is stamped is wrong: it lies between its neighbours
+    at = np.flatnonzero(stray)
+    spans = longest(t[at - 1], t[at + 1])
+    return stream.pick(~stray), [Finding(stream.name, "clock_jump", int(stray.sum()), note, spans)]
 
 
 def _follow_log_clock(stream: Stream) -> tuple[Stream, list[Finding]]:

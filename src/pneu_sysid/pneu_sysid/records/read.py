@@ -11,7 +11,7 @@ from pneu_sim.signals import Signal
 from pneu_sysid.records.bag import read_bag
 from pneu_sysid.records.clean import clean, is_regular
 from pneu_sysid.records.clock import choose_clock, mend_clock_jumps
-from pneu_sysid.records.recording import Finding, Recording, absent
+from pneu_sysid.records.recording import Finding, Recording, absent, longest
 from pneu_sysid.records.stream import GAP_PERIODS, LONGEST_STEP, READ, Stream, median_period_ns
 from pneu_sysid.records.text import read_text
 
@@ -198,7 +198,8 @@ def _common_time(path: str, streams: list[Stream]) -> tuple[int, int, list[Findi
                 f"reading(s) in the {(known_ns - first_ns) * 1e-9:.6g} s before its first sample "
                 "were left out"
             )
-            findings.append(Finding(known.name, "cropped", early, note))
+            spans = ((first_ns, known_ns),)
+            findings.append(Finding(known.name, "cropped", early, note, spans))
             first_ns = min(
                 (int(s.stamp_ns[s.stamp_ns >= known_ns][0]) for s in taps if _reaches(s, known_ns)),
                 default=known_ns,
@@ -213,7 +214,8 @@ def _common_time(path: str, streams: list[Stream]) -> tuple[int, int, list[Findi
                 f"reading(s) in the {(last_ns - end_ns) * 1e-9:.6g} s after its last sample were "
                 "left out"
             )
-            findings.append(Finding(stream.name, "cropped", late, note))
+            spans = ((end_ns, last_ns),)
+            findings.append(Finding(stream.name, "cropped", late, note, spans))
             last_ns = end_ns
     return first_ns, last_ns, findings
 
@@ -226,7 +228,8 @@ def _describe_gaps(stream: Stream, begin_ns: int, end_ns: int) -> list[Finding]:
     """Tell how much of a recording a tap misses."""
     edges = np.concatenate(([begin_ns], stream.stamp_ns, [end_ns]))
     steps = np.diff(edges)
-    gaps = steps[steps > LONGEST_STEP * median_period_ns(stream.stamp_ns)]
+    wide = np.flatnonzero(steps > LONGEST_STEP * median_period_ns(stream.stamp_ns))
+    gaps = steps[wide]
     if not gaps.size:
         return []
     note = (
@@ -234,7 +237,8 @@ def _describe_gaps(stream: Stream, begin_ns: int, end_ns: int) -> list[Finding]:
         f"{100.0 * gaps.sum() / (end_ns - begin_ns):.2g} % of the recording in all, the longest "
         f"{gaps.max() * 1e-9:.6g} s; nothing stands in for what is missing"
     )
-    return [Finding(stream.name, "gap", int(gaps.size), note)]
+    spans = longest(edges[wide], edges[wide + 1])
+    return [Finding(stream.name, "gap", int(gaps.size), note, spans)]
 
 
 def _thin(

@@ -5,10 +5,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pneu_sim.signals import Signal
 
+MOST_SPANS = 200
+"""Of one finding."""
 BETWEEN_S = 1.0
 """Recordings that follow one another are this far apart, to the next whole second."""
 
@@ -27,16 +29,43 @@ class Finding:
             ``thinned``, ``suspicious_unit``, ``mark``, ``absent``, ``wrapped``.
         count: Number of samples, gaps or rows concerned.
         action: What was found in figures and what was done, in one sentence.
+        spans_ns: When, from and to, by the clock in use; empty where it is all along, or nowhere.
     """
 
     channel: str
     kind: str
     count: int
     action: str
+    spans_ns: tuple[tuple[int, int], ...] = ()
 
     def __str__(self) -> str:
         """Return the finding as one line."""
         return f"{self.channel}: {self.kind} ({self.count}): {self.action}"
+
+
+def spans_of(stamp_ns: NDArray[np.int64], there: NDArray[np.bool_]) -> tuple[tuple[int, int], ...]:
+    """When samples are of a kind: from the first to the last of each run, the longest runs.
+
+    Args:
+        stamp_ns: (n,) stamps, ns, rising.
+        there: (n,) whether a sample is of the kind.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], there, [False])).astype(np.int8)))
+    begins, ends = stamp_ns[edges[::2]], stamp_ns[edges[1::2] - 1]
+    return longest(begins, ends)
+
+
+def longest(
+    begins_ns: NDArray[np.int64], ends_ns: NDArray[np.int64]
+) -> tuple[tuple[int, int], ...]:
+    """The longest of many spans, as they follow one another.
+
+    Args:
+        begins_ns: (n,) where they begin, ns.
+        ends_ns: (n,) where they end, ns.
+    """
+    kept = np.sort(np.argsort(begins_ns - ends_ns, kind="stable")[:MOST_SPANS])
+    return tuple(zip(begins_ns[kept].tolist(), ends_ns[kept].tolist(), strict=True))
 
 
 def absent(channel: str, why: str) -> Finding:
@@ -85,6 +114,15 @@ class Recording:
     def end_s(self) -> float:
         """Time of the last reading, s."""
         return max((float(s.time_s[-1]) for s in self.readings.values() if len(s)), default=0.0)
+
+    def marks(self) -> list[tuple[float, float, Finding]]:
+        """When what was found is, from and to, s; of what is all along or nowhere there is none."""
+        begin_ns = round(self.start_time_s * 1e9)
+        return [
+            ((a - begin_ns) * 1e-9, (b - begin_ns) * 1e-9, finding)
+            for finding in self.report
+            for a, b in finding.spans_ns
+        ]
 
     def until(self, end_s: float) -> "Recording":
         """The first part of the recording; all of it where it is no longer.

@@ -3,9 +3,9 @@
 
 The process reads one request from its standard input (JSON, the fields of `Request`) and writes
 one JSON object per line to its standard output: ``{"stage": …, "progress": …}`` while it works,
-``{"errors": {sensor: …}}`` as they fall, then ``{"success": …, "message": …, "verdict": …,
-"result_file": …}``. When its standard input closes, the process that asked is gone: it clears up
-and ends.
+``{"errors": {sensor: …}}`` as they fall, ``{"early": folder}`` once what was measured lies there,
+then ``{"success": …, "message": …, "verdict": …, "result_file": …}``. When its standard input
+closes, the process that asked is gone: it clears up and ends.
 """
 
 import json
@@ -32,7 +32,12 @@ def main() -> None:
 
     hand_on(lambda text: tell(text, 0.0))
     try:
-        outcome = perform(request, tell, lambda errors: say({"errors": errors}))
+        outcome = perform(
+            request,
+            tell,
+            lambda errors: say({"errors": errors}),
+            lambda folder: say({"early": str(folder)}),
+        )
     except InputError as error:
         outcome = Outcome(False, str(error))
     except OSError as error:

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from pneu_common.files import write_whole
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sim.rig.schema import Rig
@@ -20,16 +22,20 @@ from pneu_sysid.gross import refuse_gross_errors
 from pneu_sysid.learn import learn, refit_added, result_of_learning
 from pneu_sysid.problem import Problem, make_problem, record_for
 from pneu_sysid.records import Recording
+from pneu_sysid.regimes import operation
 from pneu_sysid.report import write_report
 from pneu_sysid.results import write_json
+from pneu_sysid.tasks.regime_masks import REGIMES, regime_masks, save_regimes
 from pneu_sysid.tasks.request import Outcome, Request, Tell, check
-from pneu_sysid.tasks.signals import save_signals, signals_of
+from pneu_sysid.tasks.signals import SIGNALS, save_signals, signals_of
 from pneu_sysid.visited import visited
 
 FIT_ITERATIONS = 8
 
 Errors = Callable[[dict[str, float]], object]
 """Told the error of each sensor in noise units, as it falls."""
+Early = Callable[[Path], object]
+"""Told the folder in which what was measured lies, before anything is known of the model."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,7 @@ class _Job:
         beside: Where a result beside it goes for now.
         tell: Called with a stage and the fraction done, NaN where it is not known.
         errors: Called with the error of each sensor, in noise units.
+        early: Called with the folder in which what was measured lies.
     """
 
     request: Request
@@ -55,6 +62,7 @@ class _Job:
     beside: Path
     tell: Tell
     errors: Errors
+    early: Early
 
     @property
     def title(self) -> str:
@@ -66,14 +74,23 @@ class _Job:
         """Threads; None is all cores."""
         return self.request.workers or None
 
+    def problem(self) -> Problem:
+        """The rig and the recordings, some of it kept aside."""
+        aside = self.request.kept_aside
+        return make_problem(self.rig, self.recordings, workers=self.workers, aside=aside)
 
-def perform(request: Request, tell: Tell, errors: Errors | None = None) -> Outcome:
+
+def perform(
+    request: Request, tell: Tell, errors: Errors | None = None, early: Early | None = None
+) -> Outcome:
     """Does what is asked, and puts all of its results in place at the end.
 
     Args:
         request: The request.
         tell: Called with a stage and the fraction done, NaN where it is not known.
         errors: Called with the error of each sensor, in noise units, as it falls (add).
+        early: Called with the folder in which what was measured lies, as signals of a model that
+            says nothing, before anything is known of it (look).
 
     Raises:
         InputError: The recording, the rig file or the output is wrong.
@@ -90,6 +107,7 @@ def perform(request: Request, tell: Tell, errors: Errors | None = None) -> Outco
         job = _Job(
             request, rig, recordings, read_findings(recordings), aside / output.name,
             aside / result_file.name, tell, errors or (lambda told: None),
+            early or (lambda folder: None),
         )  # fmt: skip
         if inside:
             job.written.mkdir()
@@ -157,14 +175,18 @@ def _learn(job: _Job) -> str:
 
 def _look(job: _Job) -> str:
     """Errors of a rig, and every reading beside what it predicts."""
-    _looked(job, make_problem(job.rig, job.recordings, workers=job.workers), job.rig)
+    problem = job.problem()
+    nothing = np.full(problem.measured.shape, np.nan)
+    save_signals(signals_of(problem, job.rig, nothing), job.written / SIGNALS)
+    job.early(job.written)
+    _looked(job, problem, job.rig)
     return ""
 
 
 def _add(job: _Job) -> str:
     """The effects that were added last fitted together, and what that leaves."""
     job.tell("fitting what was added", 0.0)
-    problem = make_problem(job.rig, job.recordings, workers=job.workers)
+    problem = job.problem()
 
     def told(done: float, errors: dict[str, float]) -> None:
         job.tell("fitting what was added", done)
@@ -178,21 +200,21 @@ def _looked(job: _Job, problem: Problem, rig: Rig) -> None:
     job.tell("predicting", 0.0)
     save_rig(rig, job.written / "rig.yaml")
     file = str(Path(job.request.output) / "rig.yaml")
-    readings = problem.predict([rig])[0]
-    save_signals(signals_of(problem, rig, readings), job.written / "signals.npz")
-    compared = compare(
-        problem,
-        [(rig.name, rig, file)],
-        refine=False,
-        progress=lambda done: job.tell("comparing", done),
-    )
+    out = problem.simulate([rig], progress=lambda f: job.tell("predicting", f), flows=True)
+    job.tell("comparing", math.nan)
+    save_signals(signals_of(problem, rig, out.readings[0]), job.written / SIGNALS)
+    save_regimes(regime_masks(problem, operation(problem, rig, out)), job.written / REGIMES)
+    compared = compare(problem, [(rig.name, rig, file)], refine=False, ran=[out])
     write_json(job.written / "compare.json", compared)
     write_whole(job.written / "visited.json", json.dumps(visited(rig, problem)))
 
 
 def _suspect(job: _Job) -> str:
     """What is missing: the verdict, the rig with each candidate, and what it would change."""
-    found = diagnose_apart(job.rig, job.recordings, workers=job.workers, progress=job.tell)
+    found = diagnose_apart(
+        job.rig, job.recordings, workers=job.workers, progress=job.tell,
+        aside=job.request.kept_aside,
+    )  # fmt: skip
     diagnosed = result_of_diagnosis(job.rig.name, found, job.findings)
     write_json(job.written / "diagnose.json", diagnosed)
     problem = found.problem
@@ -202,7 +224,7 @@ def _suspect(job: _Job) -> str:
         save_rig(one.rig, job.written / f"candidate_{k}.yaml")
         changes[f"candidate_{k}"] = one.change.reshape(shape) * problem.noise_pa
     told = signals_of(problem, job.rig, found.bench.readings, changes)
-    save_signals(told, job.written / "signals.npz")
+    save_signals(told, job.written / SIGNALS)
     return found.verdict
 
 

@@ -19,6 +19,7 @@ class TaskProcess:
         tell: Tell,
         done: Callable[[Outcome], object],
         errors: Callable[[dict[str, float]], object] | None = None,
+        early: Callable[[str], object] | None = None,
     ) -> None:
         """Starts it.
 
@@ -27,10 +28,12 @@ class TaskProcess:
             tell: Called from a thread with stage and fraction done.
             done: Called once from that thread with the outcome, also after `end`.
             errors: Called from it with the error of each sensor, in noise units, as it falls.
+            early: Called from it with the folder in which what was measured lies.
         """
         self._aside = request.aside
         self._tell, self._done = tell, done
         self._errors = errors or (lambda told: None)
+        self._early = early or (lambda folder: None)
         self._outcome: Outcome | None = None
         self._ended = False
         self._child = Child("pneu_sysid.tasks", asdict(request), self._heard, self._gone)
@@ -56,6 +59,8 @@ class TaskProcess:
             return
         elif "errors" in answer:
             self._errors(answer["errors"])
+        elif "early" in answer:
+            self._early(answer["early"])
         else:
             self._tell(answer["stage"], float(answer["progress"]))
 

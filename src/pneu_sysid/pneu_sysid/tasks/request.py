@@ -27,6 +27,8 @@ class Request:
         workers: Threads; 0 is all cores.
         more_bags: Further recordings of the same rig.
         added: How many of the rig's effects, its last ones, are fitted together (add).
+        kept_aside: Parts that are kept aside for judging, from and to, s of the recordings one
+            after the other (look, suspect, add); every third stretch unless there is one.
     """
 
     task: str
@@ -37,6 +39,7 @@ class Request:
     workers: int = 0
     more_bags: tuple[str, ...] = ()
     added: int = 1
+    kept_aside: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,9 @@ from pneu_sysid.sensor_units import encoder_units, unit_of
 
 Floats = NDArray[np.float64]
 
+SIGNALS = "signals.npz"
+"""Its name in the folder of a model."""
+
 
 @dataclass(frozen=True)
 class Trace:
@@ -46,12 +49,15 @@ class About:
         noise: Noise floor of each, SI.
         begins_s: When each recording begins, by its name, s.
         segments: Begin, end and whether it is kept aside, of each stretch, s.
+        marks: Begin and end, s, of what was found while the recordings were read, the channel, and
+            what it is.
     """
 
     units: dict[str, str]
     noise: dict[str, float]
     begins_s: dict[str, float]
     segments: list[tuple[float, float, bool]]
+    marks: list[tuple[float, float, str, str]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -86,9 +92,8 @@ def signals_of(
     sensors = {}
     for k, name in enumerate(problem.taps):
         measured = problem.measured[:, :, k]
-        there = np.isfinite(measured)
+        there, order = readings_order(problem, k)
         time = (problem.time_s[:, :, k] + since)[there]
-        order = np.argsort(time, kind="stable")
         told = {
             label: of[:, :, k][there][order].astype(float) for label, of in (changes or {}).items()
         }
@@ -112,8 +117,29 @@ def signals_of(
             (float(a), float(b), bool(held))
             for (a, b), held in zip(edges, problem.held_out, strict=True)
         ],
+        marks=[
+            (float(begin + a), float(begin + b), finding.channel, finding.kind.replace("_", " "))
+            for recording, begin in zip(problem.recordings, begins, strict=True)
+            for a, b, finding in recording.marks()
+        ],
     )
     return Signals(sensors, commands, about)
+
+
+def readings_order(problem: Problem, sensor: int) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Where the readings of a sensor are in a problem, and how they follow one another.
+
+    Args:
+        problem: The problem.
+        sensor: Number of the sensor.
+
+    Returns:
+        (n_stretches, horizon) whether there is one; (n,) what puts those that are in order.
+    """
+    there = np.isfinite(problem.measured[:, :, sensor])
+    since = np.array(begins_of(problem.recordings))[problem.of][:, None]
+    time = (problem.time_s[:, :, sensor] + since)[there]
+    return there, np.argsort(time, kind="stable")
 
 
 def save_signals(signals: Signals, path: Path) -> None:
@@ -165,5 +191,6 @@ def load_signals(path: Path) -> Signals:
             commands = {str(n): file[f"command_{k}"] for k, n in enumerate(file["commands"])}
     except (OSError, KeyError, ValueError) as error:
         raise InputError(f"{path}: holds no signals ({error})") from None
-    about["segments"] = [tuple(segment) for segment in about["segments"]]
+    for name in ("segments", "marks"):
+        about[name] = [tuple(entry) for entry in about.get(name, [])]
     return Signals(sensors, commands, About(**about))

@@ -4,9 +4,11 @@ import uPlot from "uplot";
 
 const MEASURED = { light: "#1a1a1a", dark: "#e8e8e8" };
 const MODEL = { light: "#b3261e", dark: "#ff8a80" };
-const BEFORE = { light: "#6b6b6b", dark: "#a8a8a8" };
+const BESIDE = { light: "#6b6b6b", dark: "#a8a8a8" };
 const LEFT = { light: "#1f5fa8", dark: "#8ab4f8" };
 const FORETOLD = { light: "#9a5b00", dark: "#ffca6b" };
+const ASIDE = { light: "#e9eef6", dark: "#232b38" };
+const MARKED = { light: "#f6cfa0", dark: "#6b4a16" };
 const GRID = { light: "#d7d7d7", dark: "#3c4043" };
 const WORDS = { light: "#333333", dark: "#d0d0d0" };
 
@@ -15,7 +17,10 @@ export default {
     <div class="pneu-chart" tabindex="0" role="group" :aria-label="label" @keydown="key">
       <div ref="plots"></div>
     </div>`,
-  props: { sensors: Array, commands: Array, span: Array, token: String, candidate: Number, before: Boolean, trial: Boolean },
+  props: {
+    sensors: Array, commands: Array, span: Array, token: String, candidate: Number, beside: Boolean, trial: Boolean,
+    regime: Array, marks: Array, aside: Array,
+  },
   data() {
     return { label: "Signals" };
   },
@@ -40,8 +45,17 @@ export default {
     candidate() {
       this.build();
     },
-    before() {
+    beside() {
       this.build();
+    },
+    regime() {
+      this.show(...this.range);
+    },
+    marks() {
+      this.build();
+    },
+    aside() {
+      this.plots.forEach((plot) => plot.redraw());
     },
     trial() {
       this.build();
@@ -69,15 +83,32 @@ export default {
         stroke: of(WORDS), grid: { stroke: of(GRID), width: 1 }, ticks: { stroke: of(GRID), width: 1 },
         space: size,
       });
-      const plot = (title, height, y, series) => {
+      // what is kept aside, and what was found while the recording was read, lie behind the lines
+      const bands = (u, channel) => {
+        const fill = (begin, end, colour) => {
+          const left = Math.max(u.valToPos(begin, "x", true), u.bbox.left);
+          const right = Math.min(u.valToPos(end, "x", true), u.bbox.left + u.bbox.width);
+          if (right < u.bbox.left || left > u.bbox.left + u.bbox.width) return;
+          u.ctx.fillStyle = of(colour);
+          u.ctx.fillRect(left, u.bbox.top, Math.max(right - left, 2), u.bbox.height);
+        };
+        this.aside.forEach(([begin, end]) => fill(begin, end, ASIDE));
+        this.marks.filter((m) => m[2] === channel).forEach(([begin, end]) => fill(begin, end, MARKED));
+      };
+      const found = (channel) => [...new Set(this.marks.filter((m) => m[2] === channel).map((m) => m[3]))].join(", ");
+      const plot = (name, title, height, y, series) => {
         const made = new uPlot(
           {
             width, height, title,
-            scales: { x: { time: false, auto: false } },
+            scales: {
+              x: { time: false, auto: false },
+              // where there is nothing, as before the model has run, there is a range all the same
+              y: { range: (u, least, most) => (least === null ? [-1, 1] : uPlot.rangeNum(least, most, 0.1, true)) },
+            },
             legend: { show: false },
             cursor: { sync: { key: "pneu" }, drag: { x: true, y: false, setScale: false } },
             axes: [{ ...axis("", 60), label: undefined, size: 24 }, axis(y, 28)],
-            hooks: { setSelect: [(u) => this.selected(u)] },
+            hooks: { setSelect: [(u) => this.selected(u)], drawClear: [(u) => bands(u, name)] },
             series: [{}, ...series],
           },
           [[], ...series.map(() => [])],
@@ -91,17 +122,19 @@ export default {
         label, stroke: of(colours), width, points: { show: false }, spanGaps: false,
       });
       for (const sensor of this.sensors) {
-        plot(`${sensor.name}: measured and model`, 150, sensor.shown, [
+        const amiss = found(sensor.name);
+        plot(sensor.name, `${sensor.name}: measured and model${amiss ? ` (marked: ${amiss})` : ""}`, 150, sensor.shown, [
           line("measured", MEASURED, 1.6),
           line("model", MODEL, 1.2),
-          ...(this.before ? [{ ...line("model before", BEFORE, 1), dash: [6, 4] }] : []),
+          ...(this.beside ? [{ ...line("model beside", BESIDE, 1), dash: [6, 4] }] : []),
           ...(this.trial ? [line("model at the strength tried", FORETOLD, 1.4)] : []),
         ]);
         const left = [line("measured minus model", LEFT, 1)];
+        if (this.beside) left.push({ ...line("measured minus the model beside", BESIDE, 1), dash: [6, 4] });
         if (this.candidate >= 0) left.push(line("what it would explain", FORETOLD, 1.6));
-        plot(`${sensor.name}: what is left, in noise`, 90, "noise", left);
+        plot(sensor.name, `${sensor.name}: what is left, in noise`, 90, "noise", left);
       }
-      for (const name of this.commands) plot(`command ${name}`, 90, "V", [line(name, MEASURED, 1.2)]);
+      for (const name of this.commands) plot(name, `command ${name}${found(name) ? ` (marked: ${found(name)})` : ""}`, 90, "V", [line(name, MEASURED, 1.2)]);
       this.show(...this.range);
     },
     resize() {
@@ -153,7 +186,8 @@ export default {
       if (this.asked) this.asked.abort();
       this.asked = new AbortController();
       const columns = Math.min(Math.round(this.$el.clientWidth * (window.devicePixelRatio || 1)), 4000);
-      const query = new URLSearchParams({ begin, end, columns, candidate: this.candidate, before: this.before, trial: this.trial });
+      const query = new URLSearchParams({ begin, end, columns, candidate: this.candidate, beside: this.beside, trial: this.trial });
+      this.regime.forEach((word) => query.append("regime", word));
       let buffer;
       try {
         const answer = await fetch(`signals?${query}`, { signal: this.asked.signal });
@@ -193,12 +227,11 @@ export default {
         const model = next();
         const scaled = (of) => of.map((v) => (v === null ? null : v * sensor.scale));
         const lines = [measured[0], scaled(measured[1]), scaled(model[1])];
-        const others = [this.before, this.trial].filter(Boolean).map(next);
+        const others = [this.beside, this.trial].filter(Boolean).map(next);
         const joined = others.map((of) => [of[0], scaled(of[1])]);
         put(this.plots[p++], joined.length ? uPlot.join([lines, ...joined]) : lines);
-        const left = next();
-        const data = this.candidate >= 0 ? uPlot.join([left, next()]) : left;
-        put(this.plots[p++], data);
+        const left = [next(), ...[this.beside, this.candidate >= 0].filter(Boolean).map(next)];
+        put(this.plots[p++], left.length > 1 ? uPlot.join(left) : left[0]);
       }
       for (let c = 0; c < this.commands.length; c++) put(this.plots[p++], next());
     },
