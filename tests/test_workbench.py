@@ -201,6 +201,47 @@ def _too_wide(page: Page) -> list[str]:
     )
 
 
+def _over_each_other(page: Page) -> list[str]:
+    """Pairs of words that lie over each other, as far as they are to be seen."""
+    return list(
+        page.evaluate(
+            """() => {
+              const seen = [];
+              const walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+              while (walk.nextNode()) {
+                const node = walk.currentNode;
+                const own = node.parentElement;
+                if (!node.data.trim() || !own.checkVisibility({ opacityProperty: true,
+                    visibilityProperty: true }) || own.closest("i, script, style, .q-tooltip"))
+                  continue;
+                const range = document.createRange();
+                range.selectNodeContents(node);
+                for (const r of range.getClientRects()) {
+                  const box = [r.left, r.top, r.right, r.bottom];
+                  for (let at = own; at; at = at.parentElement) {
+                    if (getComputedStyle(at).overflowY === "visible") continue;
+                    const c = at.getBoundingClientRect();
+                    box[0] = Math.max(box[0], c.left); box[1] = Math.max(box[1], c.top);
+                    box[2] = Math.min(box[2], c.right); box[3] = Math.min(box[3], c.bottom);
+                  }
+                  if (box[2] - box[0] > 1 && box[3] - box[1] > 1)
+                    seen.push([box, node.data.trim().slice(0, 60), node]);
+                }
+              }
+              const found = [];
+              for (let a = 0; a < seen.length; a++)
+                for (let b = a + 1; b < seen.length; b++) {
+                  const [p, q] = [seen[a][0], seen[b][0]];
+                  if (seen[a][2] !== seen[b][2] && Math.min(p[2], q[2]) - Math.max(p[0], q[0]) > 3
+                      && Math.min(p[3], q[3]) - Math.max(p[1], q[1]) > 4)
+                    found.push(`${seen[a][1]} | ${seen[b][1]}`);
+                }
+              return found;
+            }"""
+        )
+    )
+
+
 def test_from_nothing_to_a_leak_named_added_and_exported(
     browser: Browser, server: Server, tmp_path: Path
 ) -> None:
@@ -229,6 +270,14 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
     _pick(page, "Rig file", RIG)
     _button(page, "Open").click()
     expect(page.get_by_text("rig_a_fitted: 35", exact=False).first).to_be_visible(timeout=LONG_MS)
+    first = _drawn(page)
+    # a regime is chosen, and all that is shown is of it; then all again
+    page.get_by_role("button", name="flow direction, fill", exact=True).click()
+    expect(page.get_by_text("Only: flow direction, fill")).to_be_visible()
+    expect(page.get_by_text("of flow direction, fill", exact=True)).to_be_visible()
+    page.wait_for_function(f"document.querySelector('.pneu-chart').dataset.shown > {first}")
+    _button(page, "Show all readings").click()
+    expect(page.get_by_text("of all readings", exact=True)).to_be_visible()
     first = _drawn(page)
     _picture(page, pictures)
     page.get_by_role("button", name=re.compile(r"^end, .* x noise")).first.click()
@@ -284,6 +333,11 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
     _button(page, "Keep this strength").click()
     fixed = page.get_by_text(re.compile(r"^leak of a line to the room fixed at 0.*: 35"))
     expect(fixed.first).to_be_visible(timeout=LONG_MS)
+    # any two versions beside each other
+    page.get_by_role("button", name=re.compile(r"^Draw beside: rig_a_fitted: 35")).click()
+    expect(page.get_by_text(re.compile(r"^beside, rig_a_fitted: 35"))).to_be_visible()
+    page.get_by_role("button", name=re.compile(r"^Draw beside: rig_a_fitted: 35")).click()
+    expect(page.get_by_text(re.compile(r"^before: 1"))).to_be_visible()
     _button(page, "Undo").click()
     expect(page.get_by_text(re.compile(r"^before: 35"))).to_be_visible()
     with page.expect_download() as download:
@@ -301,6 +355,7 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
         _drawn(one)
         assert _serious(one) == []
         assert _too_wide(one) == []
+        assert _over_each_other(one) == []
     assert watch.faults == [] and other_watch.faults == []
     _strip(pictures)
 

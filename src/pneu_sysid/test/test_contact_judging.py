@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """How candidates of a scene are judged by what is kept aside."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from pneu_sysid.contacts.candidates import Seen
+from pneu_sysid.contacts.candidates import SceneScore, Scores, Seen
 from pneu_sysid.contacts.diagnose import (
     SURE,
     TIED,
     Finalist,
     Floats,
     _apart,
+    _tie,
 )
 from pneu_sysid.contacts.sureness import falls_of, lead_of, per_knot, trimmed
 
@@ -80,6 +83,38 @@ def test_candidates_are_told_apart_where_few_stretches_touch() -> None:
     assert by_mean < 50
     assert told > 95
     assert same < 20
+
+
+def _named(name: str, falls: Floats) -> Finalist:
+    """A candidate that takes away so much of the cost of each recording."""
+    found = object.__new__(Finalist)
+    p = SimpleNamespace(label=name, effect=None, place="")
+    found.score = SceneScore(p, 1.0, 0.1, 1.0, 1.0)  # type: ignore[arg-type]
+    found.falls = found.rise = falls
+    found.gain = found.worth = float(1.0 - np.exp(-trimmed(falls)[0]))
+    found.lead, found.alike = lead_of(falls), []
+    return found
+
+
+def test_one_that_explains_as_much_and_misses_being_sure_by_little_is_a_rival() -> None:
+    """Drawn anew, the other of the two would be named: neither is ruled out."""
+    rng = np.random.default_rng(8)
+    tied, flipped, alone = 0, 0, 0
+    for _ in range(1000):
+        common = 0.07 + 0.13 * rng.normal(size=32)  # what both explain
+        two = [_named(n, common + 0.03 * rng.normal(size=32)) for n in ("damping", "friction")]
+        nothing = _named("bias", 0.03 * rng.normal(size=32))
+        surest, other = sorted(two, key=lambda one: -one.lead)
+        if not surest.lead >= SURE > other.lead:
+            continue
+        scores = Scores([one.score for one in (*two, nothing)], np.eye(3), 0.0, None)  # type: ignore[arg-type]
+        _tie([surest, other, nothing], scores, True)
+        flipped += 1
+        tied += other.label in surest.alike
+        alone += nothing.label not in surest.alike
+    assert flipped > 10
+    assert tied >= 0.7 * flipped  # within 1.5 deviations, the surer of two taken
+    assert alone == flipped
 
 
 def test_recordings_that_never_touch_are_judged_by_flight_alone() -> None:

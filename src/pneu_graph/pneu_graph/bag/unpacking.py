@@ -16,7 +16,7 @@ import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, McapRecord, Message, Schema
+from mcap.records import Channel, Chunk, McapRecord, Message, MessageIndex, Schema
 from mcap.stream_reader import StreamReader
 
 from pneu_common.errors import InputError
@@ -159,7 +159,7 @@ def chunk_records(
 
 
 class WithoutIndex(StreamReader):
-    """Reads records as they come, but for the indexes of messages, which it leaves out.
+    """Reads records as they come, the indexes of messages as empty ones.
 
     An index is as many numbers as there are messages, and whoever reads all of them needs none.
     """
@@ -167,7 +167,7 @@ class WithoutIndex(StreamReader):
     def _read_record(self, opcode: int, length: int) -> McapRecord | None:
         if opcode == Opcode.MESSAGE_INDEX:
             self._stream.read(length)  # counted in the checksum all the same
-            return None
+            return MessageIndex(0, [])
         return super()._read_record(opcode, length)
 
 

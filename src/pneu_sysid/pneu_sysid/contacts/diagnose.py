@@ -331,10 +331,18 @@ def _good(found: Finalist) -> bool:
 
 
 def _tie(found: list[Finalist], scores: Scores, by_falls: bool) -> None:
+    """Tells the best which others explain as much.
+
+    They need not be as sure as it must be: one that misses that by little, and explains as much,
+    is not ruled out by having missed it.
+    """
     order = {s.parameter.label: k for k, s in enumerate(scores.scores)}
-    good = [f for f in found if _good(f)]
-    for other in good[1:]:
-        best = good[0]
+    best = next((f for f in found if _good(f)), None)
+    if best is None:
+        return
+    for other in found:
+        if other is best or other.worth < WORTH or other.lead < TIED:
+            continue
         cosine = abs(scores.alike[order[best.label], order[other.label]])
         if _apart(best, other, by_falls) < (SURE if cosine > ALIKE else TIED):
             best.alike.append(other.label)
