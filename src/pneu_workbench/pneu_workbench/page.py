@@ -13,9 +13,11 @@ from typing import Any
 from nicegui import events, run, ui
 
 from pneu_common.errors import InputError
+from pneu_sim.rig.schema import Rig
 from pneu_sysid.tasks.regime_masks import Key
 from pneu_workbench.cards import Cards, heading, refusing
 from pneu_workbench.chart import Chart
+from pneu_workbench.editor import Editor
 from pneu_workbench.files import LARGEST, RECORDINGS, Folder, dropped_name
 from pneu_workbench.schematic import STYLE as SCHEMATIC
 from pneu_workbench.view import Part, words_of
@@ -41,6 +43,10 @@ STYLE = """
 .pneu-table { width: 100%; border-collapse: collapse; font-variant-numeric: tabular-nums; }
 .pneu-table th, .pneu-table td { text-align: right; padding: 0.15rem 0.5rem; }
 .pneu-table th, .pneu-scroll td { white-space: nowrap; }
+.pneu-fields {
+  display: grid; gap: 0.25rem 1rem; width: 100%;
+  grid-template-columns: repeat(auto-fill, minmax(15rem, 1fr));
+}
 .pneu-scroll { width: 100%; max-height: 24rem; overflow: auto; }
 .pneu-chosen { background: #1f5fa833; }
 .pneu-heat-1 { background: #f4c95d40; }
@@ -65,6 +71,7 @@ class Page:
         self._dark = ui.dark_mode(None)
         self._candidate = -1
         self._do = refusing(self._say, self._look)
+        self._edited: dict[str, Path] = {}
         self._part = Part()
         self._cards = Cards(work, self._do, self._choose, self._to, self._only)
         self._seen: tuple[Any, ...] = ()
@@ -126,6 +133,8 @@ class Page:
                 self._rig.classes("grow min-w-[16rem]")
                 ui.button("Open", on_click=self._do(self._open))
             self._opened = ui.label().classes("text-sm")
+            with ui.expansion("Edit the rig, begin one, match channels").classes("w-full"):
+                Editor(self._present_rig, self._chosen_recording, self._use, self._say)
             with ui.expansion("A recording from elsewhere").classes("w-full"):
                 ui.upload(
                     label=f"Drop {' or '.join(RECORDINGS)} here",
@@ -147,11 +156,43 @@ class Page:
         ui.notify(text, type="negative", multi_line=True, close_button="Close", timeout=15000)
 
     def _open(self) -> None:
-        if not self._rig.value:
+        rig = self._chosen_rig()
+        if rig is None:
             raise InputError("rig file: none was chosen")
         bags = [str(self._whole(name)) for name in self._bags.value or []]
         self._candidate = -1
-        self._work.open(bags, str(self._folder.path(str(self._rig.value))))
+        self._work.open(bags, str(rig))
+
+    def _chosen_rig(self) -> Path | None:
+        """The rig file that is chosen: one of the folder, or one that was edited here."""
+        name = str(self._rig.value or "")
+        if not name:
+            return None
+        return self._edited.get(name) or self._folder.path(name)
+
+    def _present_rig(self) -> Path | None:
+        now = self._work.versions.now
+        return self._chosen_rig() if now is None else Path(now.rig)
+
+    def _chosen_recording(self) -> Path | None:
+        names = list(self._bags.value or [])
+        if names:
+            return self._whole(names[0])
+        return Path(self._work.bags[0]) if self._work.bags else None
+
+    def _use(self, rig: Rig, words: str) -> None:
+        """Takes a rig from the form: another version of what is open, or what is opened next."""
+        try:
+            if self._work.versions.now is not None:
+                self._work.edit(rig, words)
+                return
+            path = self._work.keep_rig(rig)
+        except InputError as error:
+            self._say(str(error))
+            return
+        name = f"edited: {path.stem}"
+        self._edited[name] = path
+        self._rig.set_options([*self._folder.rigs(), *self._edited], value=name)
 
     def _whole(self, name: str) -> Path:
         kept = self._work.folder / "dropped" / name

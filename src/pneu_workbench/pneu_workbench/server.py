@@ -5,7 +5,7 @@ import secrets
 import socket
 from pathlib import Path
 
-from nicegui import app, ui
+from nicegui import app, run, ui
 from rich.console import Console
 
 from pneu_common.errors import InputError
@@ -62,6 +62,8 @@ def serve(work: Work, root: Path, port: int | None, console: Console) -> None:
     def page() -> None:
         Page(work, folder)
 
+    # a fork of a process with threads may hang
+    run.process_pool_start_method = "spawn"
     try:
         ui.run(
             host=HOST, port=at, show=False, reload=False, show_welcome_message=False,

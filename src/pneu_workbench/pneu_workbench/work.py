@@ -7,6 +7,7 @@ process of its own and ends with the server, or when it is told to, not with a p
 
 import json
 import math
+import re
 import shlex
 import shutil
 import threading
@@ -18,6 +19,7 @@ from pathlib import Path
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
 from pneu_sim.rig import load_rig, save_rig
+from pneu_sim.rig.schema import Rig
 from pneu_sysid.report import write_report
 from pneu_sysid.results import CompareResult
 from pneu_sysid.tasks.process import TaskProcess
@@ -172,6 +174,39 @@ class Work:
             self.versions.replace(self._version(folder, now.title, now.added))
 
         self._begin(request, "looking at what is kept aside", looked)
+
+    def keep_rig(self, rig: Rig) -> Path:
+        """Keeps a rig in the session; returns its file.
+
+        Args:
+            rig: The rig.
+        """
+        self._count += 1
+        name = re.sub(r"[^A-Za-z0-9._-]", "_", rig.name).lstrip(".")[:60]
+        path = self.folder / f"{name}_{self._count}.yaml"
+        save_rig(rig, path)
+        return path
+
+    def edit(self, rig: Rig, words: str) -> None:
+        """Makes a version of a rig that was edited by hand.
+
+        Args:
+            rig: The rig.
+            words: What was changed.
+
+        Raises:
+            InputError: Other work is going on, or nothing is open.
+        """
+        was = self._present()
+        if self.task is not None and self.task.running:
+            raise InputError(f"{self.task.title}: is still going on; cancel it, or wait")
+        folder = self._fresh("look")
+
+        def looked(outcome: Outcome) -> None:
+            self.versions.at = was.number
+            self._looked(folder, words, was.added)
+
+        self._begin(self._request("look", str(self.keep_rig(rig)), folder), words, looked)
 
     def suspect(self) -> None:
         """Asks what the present version is missing.

@@ -4,6 +4,7 @@
 import io
 import os
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 from ruamel.yaml import YAML
@@ -32,6 +33,22 @@ def load_rig(path: str | Path) -> Rig:
     """
     path = Path(path)
     data = read_yaml(path, "rig file")
+    return check_rig(data, path)
+
+
+def check_rig(data: Any, path: Path) -> Rig:
+    """Checks what a rig file says.
+
+    Args:
+        data: The file as plain values.
+        path: The file, for messages, and for files that it names.
+
+    Returns:
+        The rig.
+
+    Raises:
+        InputError: It says something a rig cannot be.
+    """
     if not isinstance(data, dict):
         raise InputError(f"{path}: a rig file is a mapping, found {type(data).__name__}")
     if data.get("pneu_rig") != SCHEMA_VERSION:

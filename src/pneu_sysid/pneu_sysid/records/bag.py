@@ -61,8 +61,19 @@ _IDL_SEPARATOR = "=" * 80 + "\n"
 
 
 @dataclass
-class _Topic:
-    """Raw messages of one topic with one type."""
+class RawTopic:
+    """Raw messages of one topic with one type.
+
+    Attributes:
+        name: Its name.
+        msgtype: Type of its messages.
+        schema: Their definition, where the bag has one.
+        encoding: How they are encoded.
+        count: How many there are.
+        arrival: Where in the file each came, of those that were wanted.
+        log_ns: When each was written, ns.
+        data: They.
+    """
 
     name: str
     msgtype: str
@@ -74,7 +85,7 @@ class _Topic:
     data: list[bytes] = field(default_factory=list)
 
 
-_Topics = dict[str, dict[str, _Topic]]  # by topic name, then by message type
+Topics = dict[str, dict[str, RawTopic]]  # by topic name, then by message type
 
 
 def bag_topics(path: Path) -> dict[str, tuple[str, int]]:
@@ -86,7 +97,7 @@ def bag_topics(path: Path) -> dict[str, tuple[str, int]]:
     Raises:
         InputError: The bag is missing, damaged or not an MCAP recording.
     """
-    topics, _ = _collect(path, set())
+    topics, _ = collect(path, set())
     return {
         name: (" or ".join(sorted(kinds)), sum(kind.count for kind in kinds.values()))
         for name, kinds in sorted(topics.items())
@@ -128,7 +139,7 @@ def read_bag(
         for channel in channels.values()
     ]
     wanted = {t for c in channels_of_bag for t in (c.topic, c.applied) if t}
-    topics, findings = _collect(path, wanted)
+    topics, findings = collect(path, wanted)
     decoded: dict[tuple[str, str], Decoded] = {}
     streams = []
     roles: list[tuple[Role, dict[str, Channel]]] = [
@@ -148,7 +159,7 @@ def read_bag(
                 channel = channel.model_copy(update={"topic": channel.applied})
             topic = _find_topic(path, name, channel, topics)
             where = f"{path}: channel '{name}': topic '{topic.name}' ({topic.msgtype})"
-            store = _typestore(where, topic, name, findings)
+            store = typestore_of(where, topic, name, findings)
             of_joint = (
                 role == "encoder" and topic.msgtype == JOINT_STATE and channel.field in OF_JOINTS
             )
@@ -157,7 +168,7 @@ def read_bag(
                 _check_number(where, store, topic.msgtype, channel.field)
             key = (topic.name, topic.msgtype)
             if key not in decoded:
-                decoded[key] = _columns(where, store, topic)
+                decoded[key] = columns_of(where, store, topic)
             messages = decoded[key]
             if of_joint:
                 raw, said = _of_joint(where, messages, name, channel.field)
@@ -208,7 +219,7 @@ def read_joints(
     Raises:
         InputError: The bag is unreadable, or several of its topics may be meant.
     """
-    topics, findings = _collect(path, {wanted})
+    topics, findings = collect(path, {wanted})
     of_joints = {
         name: kinds
         for name, kinds in topics.items()
@@ -219,7 +230,7 @@ def read_joints(
     channel = Channel(topic=wanted, type=JOINT_STATE)
     topic = _find_topic(path, wanted, channel, of_joints)
     where = f"{path}: topic '{topic.name}' ({topic.msgtype})"
-    store = _typestore(where, topic, wanted, findings)
+    store = typestore_of(where, topic, wanted, findings)
     messages = _decode(where, store, topic)
     log_ns = np.array(topic.log_ns, dtype=np.int64)
     stream = Stream(
@@ -241,7 +252,7 @@ def read_joints(
     return stream, told
 
 
-def _is_in(topics: _Topics, wanted: str | None) -> bool:
+def _is_in(topics: Topics, wanted: str | None) -> bool:
     """Whether there is a message on a topic."""
     return wanted is not None and any(
         same_topic(full, wanted) and any(kind.count for kind in kinds.values())
@@ -252,10 +263,18 @@ def _is_in(topics: _Topics, wanted: str | None) -> bool:
 # ---- the container ------------------------------------------------------------------------
 
 
-def _collect(path: Path, wanted: set[str]) -> tuple[_Topics, list[Finding]]:
-    """Return every topic of all files of a bag, with the messages of the wanted ones."""
+def collect(path: Path, wanted: set[str]) -> tuple[Topics, list[Finding]]:
+    """Return every topic of all files of a bag, with the messages of the wanted ones.
+
+    Args:
+        path: rosbag2 folder or bare .mcap file.
+        wanted: Names of topics.
+
+    Raises:
+        InputError: The bag is unreadable or cut.
+    """
     files, expected, findings = _bag_files(path)
-    topics: _Topics = {}
+    topics: Topics = {}
     total = 0
     for file in files:
         total = _scan_file(file, wanted, topics, total, findings)
@@ -313,13 +332,13 @@ def _records(file: Bounded, limit: int) -> Iterator[McapRecord]:
 
 
 def _scan_file(
-    path: Path, wanted: set[str], topics: _Topics, arrival: int, findings: list[Finding]
+    path: Path, wanted: set[str], topics: Topics, arrival: int, findings: list[Finding]
 ) -> int:
     """Add the messages of one MCAP file to ``topics``; return the running message count."""
     allowance = Allowance(path, path.stat().st_size if path.is_file() else 0)
     file, size = _open(path, allowance)
     schemas: dict[int, Schema] = {}
-    channels: dict[int, tuple[_Topic, bool]] = {}
+    channels: dict[int, tuple[RawTopic, bool]] = {}
     first = arrival
     good = 0  # end of the last complete record, in bytes
     data_ended = False
@@ -410,13 +429,13 @@ def _open(path: Path, allowance: Allowance) -> tuple[Bounded, int]:
 
 
 def _add_topic(
-    channel: McapChannel, schemas: dict[int, Schema], wanted: set[str], topics: _Topics
-) -> tuple[_Topic, bool]:
+    channel: McapChannel, schemas: dict[int, Schema], wanted: set[str], topics: Topics
+) -> tuple[RawTopic, bool]:
     schema = schemas.get(channel.schema_id)
     msgtype = schema.name if schema else "unknown"
     kinds = topics.setdefault(channel.topic, {})
     topic = kinds.setdefault(
-        msgtype, _Topic(channel.topic, msgtype, schema, channel.message_encoding)
+        msgtype, RawTopic(channel.topic, msgtype, schema, channel.message_encoding)
     )
     return topic, any(same_topic(channel.topic, name) for name in wanted)
 
@@ -430,7 +449,7 @@ def _full_type(name: str) -> str:
     return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else name
 
 
-def _find_topic(path: Path, name: str, channel: Channel, topics: _Topics) -> _Topic:
+def _find_topic(path: Path, name: str, channel: Channel, topics: Topics) -> RawTopic:
     assert channel.topic is not None
     matching = [topic for topic in topics if same_topic(topic, channel.topic)]
     if channel.topic not in matching and len(matching) > 1:
@@ -477,8 +496,18 @@ def _find_topic(path: Path, name: str, channel: Channel, topics: _Topics) -> _To
     return match
 
 
-def _typestore(where: str, topic: _Topic, name: str, findings: list[Finding]) -> Typestore:
-    """Return the types that a topic's embedded definition declares."""
+def typestore_of(where: str, topic: RawTopic, name: str, findings: list[Finding]) -> Typestore:
+    """Return the types that a topic's embedded definition declares.
+
+    Args:
+        where: What messages to people begin with.
+        topic: The topic.
+        name: What findings are said of.
+        findings: Receives what was found.
+
+    Raises:
+        InputError: There is no definition, or it cannot be read.
+    """
     schema = topic.schema
     if schema is None or not schema.data:
         # Recorders write an empty definition when they cannot find the package.
@@ -520,18 +549,33 @@ def _check_defined(where: str, store: Typestore, name: str, seen: set[str]) -> N
         raise InputError(f"{where}: the embedded definition has no {name}, it defines {have}")
     if name in seen:
         raise InputError(f"{where}: the embedded definition of {name} contains itself")
-    for kind, detail in _fields(store, name).values():
+    for kind, detail in fields_of(store, name).values():
         if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
             kind, detail = detail[0]
         if kind == Nodetype.NAME:
             _check_defined(where, store, detail, {*seen, name})
 
 
-def _fields(store: Typestore, msgtype: str) -> dict[str, Any]:
+def fields_of(store: Typestore, msgtype: str) -> dict[str, Any]:
+    """Fields of a type and what they hold.
+
+    Args:
+        store: Definitions of types.
+        msgtype: The type.
+    """
     return dict(store.fielddefs[msgtype][1])
 
 
-def _split_field(where: str, path: str) -> list[tuple[str, list[int]]]:
+def split_field(where: str, path: str) -> list[tuple[str, list[int]]]:
+    """Names and indices of which the path of a field consists.
+
+    Args:
+        where: What messages to people begin with.
+        path: The path.
+
+    Raises:
+        InputError: It is none.
+    """
     steps = []
     for part in path.split("."):
         match = _STEP.match(part)
@@ -546,9 +590,9 @@ def _split_field(where: str, path: str) -> list[tuple[str, list[int]]]:
 def _check_number(where: str, store: Typestore, msgtype: str, path: str) -> None:
     """Raise unless a field path leads to one number of the message type."""
     current = msgtype
-    steps = _split_field(where, path)
+    steps = split_field(where, path)
     for depth, (name, indices) in enumerate(steps):
-        fields = _fields(store, current)
+        fields = fields_of(store, current)
         if name not in fields:
             raise InputError(
                 f"{where} has no field '{path}': the fields of {current} are "
@@ -570,7 +614,7 @@ def _check_number(where: str, store: Typestore, msgtype: str, path: str) -> None
             if last:
                 raise InputError(
                     f"{where}: field '{path}' is a {detail}, not a number: its fields are "
-                    f"{', '.join(_fields(store, detail))}"
+                    f"{', '.join(fields_of(store, detail))}"
                 )
             current = detail
         elif not last:
@@ -581,7 +625,7 @@ def _check_number(where: str, store: Typestore, msgtype: str, path: str) -> None
 
 def _stamp_path(store: Typestore, msgtype: str) -> str | None:
     """Return the path of a message's own time stamp, if it has one."""
-    fields = _fields(store, msgtype)
+    fields = fields_of(store, msgtype)
     if fields.get("header") == (Nodetype.NAME, "std_msgs/msg/Header"):
         return "header.stamp"
     if fields.get("stamp") == (Nodetype.NAME, "builtin_interfaces/msg/Time"):
@@ -592,18 +636,27 @@ def _stamp_path(store: Typestore, msgtype: str) -> str | None:
 # ---- values ---------------------------------------------------------------------------------
 
 
-def _columns(where: str, store: Typestore, topic: _Topic) -> Decoded:
-    """The messages of a topic, to be read by field."""
+def columns_of(where: str, store: Typestore, topic: RawTopic) -> Decoded:
+    """The messages of a topic, to be read by field.
+
+    Args:
+        where: What messages to people begin with.
+        store: Definitions of types.
+        topic: The topic.
+
+    Raises:
+        InputError: One does not decode.
+    """
     one = _decoder(where, store, topic)
     return Decoded(topic.data, store, topic.msgtype, one)
 
 
-def _decode(where: str, store: Typestore, topic: _Topic) -> list[Any]:
+def _decode(where: str, store: Typestore, topic: RawTopic) -> list[Any]:
     one = _decoder(where, store, topic)
     return [one(number) for number in range(len(topic.data))]
 
 
-def _decoder(where: str, store: Typestore, topic: _Topic) -> Callable[[int], Any]:
+def _decoder(where: str, store: Typestore, topic: RawTopic) -> Callable[[int], Any]:
     """What decodes the message of a number; those that are packed one by one are unpacked."""
     allowance = Allowance(where, sum(map(len, topic.data)))
 
@@ -631,7 +684,12 @@ def _decoder(where: str, store: Typestore, topic: _Topic) -> Callable[[int], Any
     return one
 
 
-def _getter(steps: list[tuple[str, list[int]]]) -> Callable[[Any], float]:
+def getter_of(steps: list[tuple[str, list[int]]]) -> Callable[[Any], float]:
+    """What gets a number of a message; NaN where an array is too short to have it.
+
+    Args:
+        steps: Where, as `split_field` has it.
+    """
     if not any(indices for _, indices in steps):
         return attrgetter(".".join(name for name, _ in steps))
 
@@ -651,8 +709,8 @@ def _getter(steps: list[tuple[str, list[int]]]) -> Callable[[Any], float]:
 
 
 def _values(where: str, messages: Decoded, path: str) -> np.ndarray:
-    steps = _split_field(where, path)
-    values = messages.numbers(path, _getter(steps))
+    steps = split_field(where, path)
+    values = messages.numbers(path, getter_of(steps))
     if any(indices for _, indices in steps) and np.isnan(values).all():
         raise InputError(f"{where}: no message has a numeric element '{path}'")
     return values
@@ -731,14 +789,14 @@ def read_messages(path: Path, wanted: dict[str, str]) -> tuple[dict[str, Message
     Raises:
         InputError: The bag is unreadable, or a topic is not in it.
     """
-    topics, findings = _collect(path, set(wanted.values()))
+    topics, findings = collect(path, set(wanted.values()))
     out: dict[str, Messages] = {}
     for name, asked in wanted.items():
         if asked in out:
             continue
         topic = _find_topic(path, name, Channel(topic=asked), topics)
         where = f"{path}: topic '{topic.name}' ({topic.msgtype})"
-        store = _typestore(where, topic, name, findings)
+        store = typestore_of(where, topic, name, findings)
         messages = _decode(where, store, topic)
         stamp = _stamp_path(store, topic.msgtype)
         stamps = np.array(topic.log_ns, dtype=np.int64)

@@ -40,7 +40,7 @@ def read_text(
     Raises:
         InputError: The file is missing or not text, or a column is absent or not numeric.
     """
-    rows, numbers, names, findings = _read_rows(path, layout)
+    rows, numbers, names, findings = read_rows(path, layout)
     time_index = _column(path, "time", layout.time, names, len(rows[0]))
     wanted = {
         name: _column(path, name, channel.column, names, len(rows[0]))
@@ -63,7 +63,7 @@ def read_text(
         findings.append(Finding(path.name, "short_row", len(rows) - len(whole), note))
         rows = [rows[i] for i in whole]
         numbers = [numbers[i] for i in whole]
-    time = _numbers(path, "time", rows, numbers, time_index, layout, findings)
+    time = numbers_of(path, "time", rows, numbers, time_index, layout, findings)
     timed = np.isfinite(time)
     if not timed.all():
         note = "row(s) without a time were dropped"
@@ -81,7 +81,7 @@ def read_text(
     ]
     for role, channels in roles:
         for name, channel in channels.items():
-            raw = _numbers(path, name, rows, numbers, wanted[name], layout, findings)[timed]
+            raw = numbers_of(path, name, rows, numbers, wanted[name], layout, findings)[timed]
             streams.append(
                 Stream(
                     name=name,
@@ -97,10 +97,18 @@ def read_text(
     return streams, findings
 
 
-def _read_rows(
+def read_rows(
     path: Path, layout: TextFormat
 ) -> tuple[list[list[str]], list[int], list[str], list[Finding]]:
-    """Return the data rows as words, their line numbers, and the column names if any."""
+    """Return the data rows as words, their line numbers, the column names if any, and findings.
+
+    Args:
+        path: Text file.
+        layout: How the rows are laid out.
+
+    Raises:
+        InputError: It is no text, or has no row.
+    """
     if not path.is_file():
         raise InputError(f"{path}: is no file and no bag")
     try:
@@ -192,7 +200,7 @@ def _column(path: Path, channel: str, column: str | int | None, names: list[str]
     return names.index(column)
 
 
-def _numbers(
+def numbers_of(
     path: Path,
     channel: str,
     rows: list[list[str]],
@@ -201,7 +209,20 @@ def _numbers(
     layout: TextFormat,
     findings: list[Finding],
 ) -> NDArray[np.float64]:
-    """Return one column as floats, NaN where a cell is empty or unreadable."""
+    """Return one column as floats, NaN where a cell is empty or unreadable.
+
+    Args:
+        path: Text file, for messages.
+        channel: What the column is of.
+        rows: Rows as words.
+        lines: Numbers of their lines.
+        column: Number of the column.
+        layout: How rows are laid out.
+        findings: Receives what was found.
+
+    Raises:
+        InputError: No cell of it is a number.
+    """
     values = np.full(len(rows), np.nan)
     bad: list[int] = []
     for i, row in enumerate(rows):

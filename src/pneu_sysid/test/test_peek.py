@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What numbers a recording holds: found without a rig, by topic and field or by column."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+from rosbags.typesys import Stores, get_typestore
+
+from pneu_common.errors import InputError
+from pneu_sysid.records.peek import POINTS, peek
+
+ROOT = Path(__file__).resolve().parents[3]
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+def test_a_bag_tells_every_number_that_it_holds() -> None:
+    found = {(one.topic, one.field): one for one in peek(ROOT / "data" / "bags" / "a_leak")}
+    volts = found["/valve/voltage", "data"]
+    assert (volts.type, volts.count) == ("std_msgs/msg/Float64", 7500)
+    assert (volts.least, volts.most, len(volts.outline)) == (0.0, 10.0, POINTS)
+    end = found["/taps/end/pressure", "fluid_pressure"]
+    assert 0.9e5 < end.least < 1.1e5 and 6.0e5 < end.most < 7.0e5
+    assert not any("stamp" in field for _, field in found)
+
+
+def test_elements_of_arrays_are_told_and_pictures_are_not(tmp_path: Path) -> None:
+    types = STORE.types
+    time = types["builtin_interfaces/msg/Time"](sec=1, nanosec=2)
+    header = types["std_msgs/msg/Header"](stamp=time, frame_id="")
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        messages = {
+            "sensor_msgs/msg/JointState": types["sensor_msgs/msg/JointState"](
+                header, ["elbow", "wrist"], np.array([0.5, np.nan]), np.array([2.0]), np.zeros(0)
+            ),
+            "sensor_msgs/msg/Image": types["sensor_msgs/msg/Image"](
+                header, 64, 64, "mono8", 0, 64, np.zeros(64 * 64, dtype=np.uint8)
+            ),
+            "std_msgs/msg/String": types["std_msgs/msg/String"](data="words"),
+        }
+        for msgtype, message in messages.items():
+            text, _ = STORE.generate_msgdef(msgtype)
+            schema = writer.register_schema(msgtype, "ros2msg", text.encode())
+            channel = writer.register_channel(f"/{msgtype.split('/')[-1]}", "cdr", schema)
+            raw = bytes(STORE.serialize_cdr(message, msgtype))
+            for k in range(10):
+                writer.add_message(channel, k, raw, k)
+        writer.finish()
+    found = {(one.topic, one.field): one for one in peek(path)}
+    assert set(found) == {
+        ("/JointState", "position[0]"), ("/JointState", "position[1]"),
+        ("/JointState", "velocity[0]"),
+    }  # fmt: skip
+    assert found["/JointState", "position[0]"].outline == (0.5,) * 10
+    never = found["/JointState", "position[1]"]
+    assert np.isnan(never.least) and np.isnan(never.outline).all()
+
+
+def test_columns_of_text_are_told_but_for_those_of_words(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    rows = [f"{0.01 * k},{k % 7},on,{5.0 - k}" for k in range(300)]
+    path.write_text("time,volts,state,p end\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    found = {one.field: one for one in peek(path)}
+    assert set(found) == {"time", "volts", "p end"}
+    assert (found["volts"].least, found["volts"].most) == (0.0, 6.0)
+    assert found["p end"].outline[0] == 5.0 and len(found["p end"].outline) == POINTS
+
+
+def test_what_cannot_be_read_says_so(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        peek(tmp_path / "no.mcap")
+    (tmp_path / "broken.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(50))
+    with pytest.raises(InputError):
+        peek(tmp_path / "broken.mcap")
