@@ -389,6 +389,7 @@ def test_a_rig_is_edited_and_its_channels_are_matched(browser: Browser, server: 
     page.get_by_label("Begin from").click()
     page.get_by_role("option", name="what is open, or the chosen file").click()
     _button(page, "Edit").click()
+    expect(page.get_by_label("pipes, supply_line: length, mm")).to_be_attached()
     page.get_by_text("pipes", exact=True).click()
     expect(length).to_have_value("2500")
     length.fill("3200")
