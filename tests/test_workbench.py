@@ -9,85 +9,24 @@ import os
 import re
 import shutil
 import signal
-import subprocess
-import sys
-import threading
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-from tests.browsers import BROWSER, WITHOUT
+
+from tests.workbench_pages import LONG_MS, Server, browser, button, open_page, pick  # isort: skip
+
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, Page, expect
 
 from pneu_sim.rig.load import load_rig
 
+__all__ = ["browser"]  # a fixture
+
 ROOT = Path(__file__).resolve().parents[1]
-if BROWSER is None:
-    pytest.skip(f"the workbench was not opened in a browser: {WITHOUT}", allow_module_level=True)
-
-from axe_playwright_python.sync_playwright import Axe  # noqa: E402
-from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright  # noqa: E402
-
-expect.set_options(timeout=30_000)
-
-QUIET = [
-    "--no-sandbox", "--disable-gpu", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--no-first-run",
-]  # fmt: skip
-LONG_MS = 300_000
-"""A machine may be busy."""
 BAG, RIG = "bags/a_leak", "rig_a_fitted.yaml"
-
-
-class Server:
-    """`pneu workbench` as its user starts it."""
-
-    def __init__(self, folder: Path, session: Path) -> None:
-        words = [sys.executable, "-m", "pneu_common.cli", "workbench"]
-        words += ["--folder", str(folder), "--session", str(session), "--workers", "2"]
-        # NiceGUI takes a server that a test starts for its own test
-        environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
-        self.process = subprocess.Popen(
-            words, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            text=True,
-        )  # fmt: skip
-        self.said: list[str] = []
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self.said.append(line)
-            if found := re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", line):
-                self.address = found.group(0)
-                break
-        else:
-            pytest.fail(f"the workbench did not start: {''.join(self.said)}")
-        threading.Thread(target=self._listen, daemon=True).start()
-
-    def _listen(self) -> None:
-        assert self.process.stdout is not None
-        self.said += list(self.process.stdout)
-
-    def stop(self) -> int:
-        self.process.send_signal(signal.SIGINT)
-        try:
-            return self.process.wait(20.0)
-        finally:
-            self.process.kill()
-
-
-class Watch:
-    """What a page should not do."""
-
-    def __init__(self, page: Page) -> None:
-        self.faults: list[str] = []
-        page.on("pageerror", lambda error: self.faults.append(str(error)))
-        page.on("console", lambda m: self.faults.append(m.text) if m.type == "error" else None)
-        page.on("request", self._asked)
-
-    def _asked(self, request: Any) -> None:
-        if not re.match(r"(https?|wss?)://127\.0\.0\.1[:/]|data:|blob:", request.url):
-            self.faults.append(f"asked for {request.url}")
 
 
 @pytest.fixture(scope="module")
@@ -108,37 +47,6 @@ def server(lab: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Serv
     yield server
     assert server.stop() in (0, -signal.SIGINT, 130), "".join(server.said)
     assert "Traceback" not in "".join(server.said)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=BROWSER, args=QUIET)
-        yield browser
-        browser.close()
-
-
-def _open(browser: Browser, server: Server, width: int = 1600, **how: Any) -> tuple[Page, Watch]:
-    context = browser.new_context(viewport={"width": width, "height": 1000}, **how)
-    context.set_default_timeout(30_000)
-    page = context.new_page()
-    watch = Watch(page)
-    page.goto(server.address)
-    expect(page.get_by_role("button", name="Open", exact=True)).to_be_visible()
-    assert "token" not in page.url
-    return page, watch
-
-
-def _pick(page: Page, label: str, name: str) -> None:
-    box = page.get_by_label(label)
-    box.click()
-    box.fill(name)
-    page.get_by_role("option", name=name, exact=True).click()
-    page.keyboard.press("Escape")
-
-
-def _button(page: Page, name: str) -> Locator:
-    return page.get_by_role("button", name=name, exact=True)
 
 
 def _drawn(page: Page) -> int:
@@ -194,7 +102,8 @@ def _too_wide(page: Page) -> list[str]:
         page.evaluate(
             "() => [...document.querySelectorAll('body *')].filter((e) => {"
             " const r = e.getBoundingClientRect();"
-            " return !e.closest('.pneu-scroll > *') && r.width > 0 && getComputedStyle(e).visibility !== 'hidden'"
+            " return !e.closest('.pneu-scroll > *') && r.width > 0"
+            " && getComputedStyle(e).visibility !== 'hidden'"
             " && r.right > document.documentElement.clientWidth + 1; })"
             ".map((e) => e.outerHTML.slice(0, 120))"
         )
@@ -211,9 +120,9 @@ def _over_each_other(page: Page) -> list[str]:
               while (walk.nextNode()) {
                 const node = walk.currentNode;
                 const own = node.parentElement;
-                if (!node.data.trim() || !own.checkVisibility({ opacityProperty: true,
-                    visibilityProperty: true }) || own.closest("i, script, style, .q-tooltip"))
-                  continue;
+                const shown = { opacityProperty: true, visibilityProperty: true };
+                if (!node.data.trim() || !own.checkVisibility(shown)) continue;
+                if (own.closest("i, script, style, .q-tooltip")) continue;
                 const range = document.createRange();
                 range.selectNodeContents(node);
                 for (const r of range.getClientRects()) {
@@ -232,8 +141,9 @@ def _over_each_other(page: Page) -> list[str]:
               for (let a = 0; a < seen.length; a++)
                 for (let b = a + 1; b < seen.length; b++) {
                   const [p, q] = [seen[a][0], seen[b][0]];
-                  if (seen[a][2] !== seen[b][2] && Math.min(p[2], q[2]) - Math.max(p[0], q[0]) > 3
-                      && Math.min(p[3], q[3]) - Math.max(p[1], q[1]) > 4)
+                  const wide = Math.min(p[2], q[2]) - Math.max(p[0], q[0]);
+                  const high = Math.min(p[3], q[3]) - Math.max(p[1], q[1]);
+                  if (seen[a][2] !== seen[b][2] && wide > 3 && high > 4)
                     found.push(`${seen[a][1]} | ${seen[b][1]}`);
                 }
               return found;
@@ -245,12 +155,12 @@ def _over_each_other(page: Page) -> list[str]:
 def test_from_nothing_to_a_leak_named_added_and_exported(
     browser: Browser, server: Server, tmp_path: Path
 ) -> None:
-    page, watch = _open(browser, server)
+    page, watch = open_page(browser, server)
     pictures: list[bytes] = []
     # a name with markup is words, and what cannot be read says why
-    _pick(page, "Recordings", "<img src=x onerror=alert(1)>.csv")
-    _pick(page, "Rig file", RIG)
-    _button(page, "Open").click()
+    pick(page, "Recordings", "<img src=x onerror=alert(1)>.csv")
+    pick(page, "Rig file", RIG)
+    button(page, "Open").click()
     expect(page.get_by_role("alert").filter(has_text="onerror=alert(1)")).to_be_visible(
         timeout=LONG_MS
     )
@@ -262,13 +172,13 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
         page.locator(".q-uploader").get_by_role("button").last.click()
     chooser.value.set_files(lab / "cut.mcap")
     expect(page.get_by_text("cut.mcap").first).to_be_visible()
-    _button(page, "Open").click()
+    button(page, "Open").click()
     expect(page.get_by_role("alert").filter(has_text="cut")).to_be_visible(timeout=LONG_MS)
     page.reload()
     # the true one
-    _pick(page, "Recordings", BAG)
-    _pick(page, "Rig file", RIG)
-    _button(page, "Open").click()
+    pick(page, "Recordings", BAG)
+    pick(page, "Rig file", RIG)
+    button(page, "Open").click()
     expect(page.get_by_text("rig_a_fitted: 35", exact=False).first).to_be_visible(timeout=LONG_MS)
     first = _drawn(page)
     # a regime is chosen, and all that is shown is of it; then all again
@@ -276,7 +186,7 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
     expect(page.get_by_text("Only: flow direction, fill")).to_be_visible()
     expect(page.get_by_text("of flow direction, fill", exact=True)).to_be_visible()
     page.wait_for_function(f"document.querySelector('.pneu-chart').dataset.shown > {first}")
-    _button(page, "Show all readings").click()
+    button(page, "Show all readings").click()
     expect(page.get_by_text("of all readings", exact=True)).to_be_visible()
     first = _drawn(page)
     _picture(page, pictures)
@@ -289,15 +199,15 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
         "aria-label", re.compile(r"^Signals from")
     )
     # cancelled, begun again, and found running by a page that is loaded anew and by another
-    _button(page, "Find what is missing").click()
-    expect(_button(page, "Cancel")).to_be_visible()
-    _button(page, "Cancel").click()
+    button(page, "Find what is missing").click()
+    expect(button(page, "Cancel")).to_be_visible()
+    button(page, "Cancel").click()
     expect(page.get_by_role("alert").filter(has_text="cancelled")).to_be_visible()
-    _button(page, "Find what is missing").click()
-    expect(_button(page, "Cancel")).to_be_visible()
+    button(page, "Find what is missing").click()
+    expect(button(page, "Cancel")).to_be_visible()
     page.reload()
     expect(page.get_by_role("status").filter(has_text="what is missing")).to_be_visible()
-    other, other_watch = _open(browser, server, 420, color_scheme="dark")
+    other, other_watch = open_page(browser, server, 420, color_scheme="dark")
     expect(other.get_by_role("status").filter(has_text="what is missing")).to_be_visible()
     for one in (page, other):
         expect(one.get_by_text("Missing: leak of a line to the room")).to_be_visible(
@@ -305,10 +215,10 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
         )
     # what it would explain, drawn before it is added; added, undone, done again
     before = _drawn(page)
-    _button(page, "Draw 1").click()
+    button(page, "Draw 1").click()
     page.wait_for_function(f"document.querySelector('.pneu-chart').dataset.shown > {before}")
     _picture(page, pictures)
-    _button(page, "Add 1").click()
+    button(page, "Add 1").click()
     expect(page.get_by_role("status").filter(has_text="fitting what was added")).to_be_visible(
         timeout=LONG_MS
     )
@@ -317,37 +227,37 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
     fallen = page.get_by_text(re.compile(r"^error over noise: .*end 4\d\.\d to 1\.\d")).first
     expect(fallen).to_be_visible()
     _picture(page, pictures)
-    _button(page, "Undo").click()
+    button(page, "Undo").click()
     expect(page.get_by_text(re.compile(r"^before:"))).to_have_count(0)
     expect(page.get_by_text("Missing: leak of a line to the room")).to_be_visible()
-    _button(page, "Redo").click()
+    button(page, "Redo").click()
     expect(page.get_by_text(re.compile(r"^before: 35"))).to_be_visible()
     # the model run at another strength, as the slider moves
-    _button(page, "Try other strengths").click()
-    _button(page, "Leave it").click(timeout=LONG_MS)
-    _button(page, "Try other strengths").click()
+    button(page, "Try other strengths").click()
+    button(page, "Leave it").click(timeout=LONG_MS)
+    button(page, "Try other strengths").click()
     expect(page.get_by_role("slider")).to_be_visible(timeout=LONG_MS)
     for _ in range(8):  # down to no leak at all
         page.locator(".q-slider [tabindex]").press("PageDown")
     expect(page.get_by_text(re.compile(r"^0: .*end 4\d\.\d"))).to_be_visible(timeout=LONG_MS)
-    _button(page, "Keep this strength").click()
+    button(page, "Keep this strength").click()
     fixed = page.get_by_text(re.compile(r"^leak of a line to the room fixed at 0.*: 35"))
     expect(fixed.first).to_be_visible(timeout=LONG_MS)
     # any two versions beside each other
-    _button(page, "Draw beside: rig_a_fitted").click()
+    button(page, "Draw beside: rig_a_fitted").click()
     expect(page.get_by_text(re.compile(r"^beside, rig_a_fitted: 35"))).to_be_visible()
-    _button(page, "Draw beside: rig_a_fitted").click()
+    button(page, "Draw beside: rig_a_fitted").click()
     expect(page.get_by_text(re.compile(r"^before: 1"))).to_be_visible()
-    _button(page, "Undo").click()
+    button(page, "Undo").click()
     expect(page.get_by_text(re.compile(r"^before: 35"))).to_be_visible()
     with page.expect_download() as download:
-        _button(page, "Rig file").click()
+        button(page, "Rig file").click()
     download.value.save_as(tmp_path / "rig.yaml")
     (leak,) = load_rig(tmp_path / "rig.yaml").effects
     assert leak.place == "tube"
     assert leak.parameters["position_m"] == pytest.approx(2.4, abs=0.2)
     with page.expect_download() as download:
-        _button(page, "Report").click()
+        button(page, "Report").click()
     assert "leak" in Path(download.value.path()).read_text(encoding="utf-8")
     # on a telephone and in the dark as well
     expect(other.get_by_text(re.compile(r"^before: 35"))).to_be_visible()
@@ -361,24 +271,24 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
 
 
 def test_a_rig_is_edited_and_its_channels_are_matched(browser: Browser, server: Server) -> None:
-    page, watch = _open(browser, server)
-    _pick(page, "Recordings", BAG)
+    page, watch = open_page(browser, server)
+    pick(page, "Recordings", BAG)
     page.get_by_text("Edit the rig, begin one, match channels").click()
     # from a template: what is wrong is said while it is typed
     page.get_by_label("Begin from").click()
     page.get_by_role("option", name=re.compile("^new: A valve .* with a closed end")).click()
-    _button(page, "Edit").click()
+    button(page, "Edit").click()
     page.get_by_text("pipes", exact=True).click()
     length = page.get_by_label("pipes, tube: length, mm")
     for wrong in ("-3", "long"):
         length.fill(wrong)
         expect(page.get_by_role("alert").filter(has_text="length")).to_be_visible()
-        expect(_button(page, "Use this rig")).to_be_disabled()
+        expect(button(page, "Use this rig")).to_be_disabled()
     length.fill("2600")
-    expect(_button(page, "Use this rig")).to_be_enabled()
+    expect(button(page, "Use this rig")).to_be_enabled()
     expect(page.get_by_text("tube, 2.6 m")).to_be_visible()
     page.get_by_text("channels of the recording").click()
-    _button(page, "Look into the recording").click()
+    button(page, "Look into the recording").click()
     end = page.get_by_label(re.compile(r"^tap \w+: signal")).first
     end.click(timeout=LONG_MS)
     end.fill("/taps/end/pressure fluid")
@@ -388,13 +298,13 @@ def test_a_rig_is_edited_and_its_channels_are_matched(browser: Browser, server: 
     # what is open, edited: another version of it
     page.get_by_label("Begin from").click()
     page.get_by_role("option", name="what is open, or the chosen file").click()
-    _button(page, "Edit").click()
+    button(page, "Edit").click()
     expect(page.get_by_label("pipes, supply_line: length, mm")).to_be_attached()
     page.get_by_text("pipes", exact=True).click()
     expect(length).to_have_value("2500")
     length.fill("3200")
     assert _serious(page) == []
-    _button(page, "Use this rig").click()
+    button(page, "Use this rig").click()
     edited = page.get_by_text(re.compile(r"^pipes, tube length 3200 mm: \d+"))
     expect(edited.first).to_be_visible(timeout=LONG_MS)
     assert _over_each_other(page) == []

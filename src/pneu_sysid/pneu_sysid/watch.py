@@ -8,7 +8,7 @@ drift away over hours, and its figures are those of ``pneu fit`` and ``pneu comp
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,8 @@ class Window:
         rms: Root mean square of each; NaN where there is no reading.
         noise: Noise of each; NaN where it is not known.
         expected: Error that the model had where it was calibrated, noise included.
+        courses: Of each its readings in the window: their times, s, what was read, and what the
+            model predicts.
     """
 
     end_s: float
@@ -54,6 +56,7 @@ class Window:
     rms: Floats
     noise: Floats
     expected: Floats
+    courses: list[tuple[Floats, Floats, Floats]] = field(default_factory=list)
 
     @property
     def times_expected(self) -> float:
@@ -223,7 +226,8 @@ class Watch:
             )
         except InputError:
             return None  # the readings of this window end before it does
-        error = problem.target() - problem.predict([self._rig])[0]
+        predicted = problem.predict([self._rig])[0]
+        error = problem.target() - predicted
         present = np.isfinite(error)
         squares = np.where(present, error, 0.0) ** 2
         number = present.sum(axis=(0, 1))
@@ -235,7 +239,17 @@ class Watch:
                 newest[t] = error[:, :, t][present[:, :, t]][-1]
         noise = np.where(np.isfinite(self._noise), self._noise, problem.noise_pa)
         expected = np.fmax(self._floor, noise)
-        return Window(end, self._window_s, list(self._sensors), newest, rms, noise, expected)
+        courses = [
+            (
+                problem.time_s[:, :, t][there] + begin,
+                problem.measured[:, :, t][there],
+                predicted[:, :, t][there],
+            )
+            for t in range(newest.size)
+            for there in (present[:, :, t],)
+        ]
+        sensors = list(self._sensors)
+        return Window(end, self._window_s, sensors, newest, rms, noise, expected, courses)
 
 
 class Verdict:

@@ -29,6 +29,7 @@ class Chart(Element, component="static/chart.js", esm={"uplot": "static/uplot"})
         commands: Sequence[str],
         span_s: tuple[float, float],
         looked: Callable[[float, float], None] | None = None,
+        route: str = "signals",
     ) -> None:
         """Makes it.
 
@@ -37,6 +38,7 @@ class Chart(Element, component="static/chart.js", esm={"uplot": "static/uplot"})
             commands: Their names.
             span_s: First and last time, s.
             looked: Called with the range that is shown, s, when it has changed.
+            route: Where the signals are read from.
         """
         super().__init__()
         self._props["sensors"] = [
@@ -45,9 +47,19 @@ class Chart(Element, component="static/chart.js", esm={"uplot": "static/uplot"})
         ]
         self._props |= {"commands": list(commands), "span": list(span_s)}
         self._props |= dict(candidate=-1, beside=False, trial=False, token="", regime=[])
-        self._props |= dict(marks=[], aside=[])
+        self._props |= dict(marks=[], aside=[], route=route)
         if looked is not None:
             self.on("range", lambda e: looked(e.args["begin"], e.args["end"]), throttle=0.3)
+
+    def follow(self, span_s: tuple[float, float]) -> None:
+        """Shows what has come in since.
+
+        Args:
+            span_s: First and last time, s.
+        """
+        if self._props["span"] != list(span_s):
+            self._props["span"] = list(span_s)
+            self.update()
 
     def look(
         self,

@@ -19,6 +19,7 @@ from pneu_workbench.cards import Cards, heading, refusing
 from pneu_workbench.chart import Chart
 from pneu_workbench.editor import Editor
 from pneu_workbench.files import LARGEST, RECORDINGS, Folder, dropped_name
+from pneu_workbench.live.card import LiveCard
 from pneu_workbench.schematic import STYLE as SCHEMATIC
 from pneu_workbench.view import Part, words_of
 from pneu_workbench.work import Work
@@ -135,6 +136,8 @@ class Page:
             self._opened = ui.label().classes("text-sm")
             with ui.expansion("Edit the rig, begin one, match channels").classes("w-full"):
                 Editor(self._present_rig, self._chosen_recording, self._use, self._say)
+            with ui.expansion("Live: a running graph").classes("w-full"):
+                self._live = LiveCard(self._work, self._present_rig, self._do)
             with ui.expansion("A recording from elsewhere").classes("w-full"):
                 ui.upload(
                     label=f"Drop {' or '.join(RECORDINGS)} here",
@@ -244,6 +247,7 @@ class Page:
         work = self._work
         task = work.task
         running = task is not None and task.running
+        self._live.look()
         if work.changes != self._changes:
             self._changes = work.changes
             self._busy.set_visibility(running)

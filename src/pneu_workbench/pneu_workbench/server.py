@@ -12,6 +12,7 @@ from pneu_common.errors import InputError
 from pneu_workbench.chart import STATIC, serve_signals
 from pneu_workbench.files import Folder
 from pneu_workbench.gate import Gate
+from pneu_workbench.live.card import serve_live
 from pneu_workbench.page import Page
 from pneu_workbench.work import Work
 
@@ -53,6 +54,7 @@ def serve(work: Work, root: Path, port: int | None, console: Console) -> None:
     app.add_middleware(Gate, token=token, port=at)
     app.add_static_file(url_path="/uplot.css", local_file=STATIC / "uplot" / "uPlot.min.css")
     serve_signals(app, work)
+    serve_live(app, work.live)
     app.on_startup(
         lambda: console.print(f"http://{HOST}:{at}/?token={token}", soft_wrap=True, highlight=False)
     )

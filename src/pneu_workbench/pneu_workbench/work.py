@@ -25,6 +25,7 @@ from pneu_sysid.results import CompareResult
 from pneu_sysid.tasks.process import TaskProcess
 from pneu_sysid.tasks.request import Outcome, Request
 from pneu_sysid.tasks.trial import with_strength
+from pneu_workbench.live.link import Live
 from pneu_workbench.store import Store
 from pneu_workbench.trial import Trial, Trying
 from pneu_workbench.versions import Version, Versions
@@ -70,6 +71,7 @@ class Work:
         kept_aside: Parts that are kept aside for judging, s; every third stretch unless there is
             one.
         view: What there is to see.
+        live: A running graph.
         source: Rig file that was opened; a copy of it is in the session.
     """
 
@@ -100,6 +102,7 @@ class Work:
         self._lock = threading.RLock()
         self._process: TaskProcess | None = None
         self._store = Store(self.folder)
+        self.live = Live(self.folder, self._stir)
         self.view = View(self.folder, self._store, lambda: self.versions, self._seen)
         self._count = 0
         self._changes = 0
@@ -119,12 +122,13 @@ class Work:
 
     # ---- long work --------------------------------------------------------------------------
 
-    def open(self, bags: Sequence[str], rig: str) -> None:
+    def open(self, bags: Sequence[str], rig: str, ask: bool = False) -> None:
         """Looks at recordings with a rig; all that was before is put away.
 
         Args:
             bags: Recordings of one rig.
             rig: Rig file.
+            ask: Whether it is then asked what the model is missing.
 
         Raises:
             InputError: Other work is going on, or a file is not there.
@@ -151,7 +155,8 @@ class Work:
                     self._seen.early = str(Path(at).relative_to(self.folder))
                     self._changed(keep=False)
 
-        self._begin(request, f"looking at {Path(bags[0]).name}", opened, early)
+        then = self.suspect if ask else None
+        self._begin(request, f"looking at {Path(bags[0]).name}", opened, early, then)
 
     def keep_aside(self, parts: Sequence[tuple[float, float]]) -> None:
         """Keeps other parts of the recordings aside for judging; the present version stays.
@@ -324,6 +329,7 @@ class Work:
 
     def close(self) -> None:
         """Ends what goes on, and waits until it is gone."""
+        self.live.close()
         self.end_trial()
         with self._lock:
             process = self._process
@@ -436,6 +442,7 @@ class Work:
         title: str,
         then: Callable[[Outcome], None],
         early: Callable[[str], None] | None = None,
+        after: Callable[[], None] | None = None,
     ) -> None:
         if request.task != "suspect":  # which leaves the version as it is
             self.end_trial()
@@ -467,6 +474,8 @@ class Work:
                     task.fault = "" if outcome.success else outcome.message
                     task.running = False
                     self._changed()
+                    if after is not None and outcome.success:
+                        after()
 
             self._process = TaskProcess(request, tell, ended, errors, early)
 
@@ -487,6 +496,9 @@ class Work:
             times_noise={name: one.times_noise for name, one in model.sensors.items()},
             overall=model.times_noise,
         )
+
+    def _stir(self) -> None:
+        self._changes += 1
 
     def _changed(self, keep: bool = True) -> None:
         self._changes += 1

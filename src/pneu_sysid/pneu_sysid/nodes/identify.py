@@ -6,7 +6,6 @@ Each goal runs in a process of its own, which a cancel ends for good. With the p
 what it leaves unexplained. Parameters and topics: see ``ros_ws/README.md``.
 """
 
-import math
 import threading
 import uuid
 from collections import deque
@@ -19,14 +18,13 @@ from pneu_msgs.action import Identify
 from pneu_msgs.msg import EncoderResiduals, TapResiduals
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
 from pneu_graph.nodes.parameters import Parameters, parameter
-from pneu_sim import topics
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
+from pneu_sysid.nodes.listening import Listening
 from pneu_sysid.sensor_units import encoder_units
 from pneu_sysid.tasks.process import TaskProcess
 from pneu_sysid.tasks.request import Outcome, Request, check
@@ -36,10 +34,6 @@ RESIDUALS_TOPIC = "taps/residuals"
 ENCODER_RESIDUALS_TOPIC = "encoders/residuals"
 LOOK_S = 0.02
 """How often the watch looks for new samples."""
-AHEAD_S, BEHIND_S = 0.02, 0.2
-"""A command whose stamp is further from the newest reading's is on another clock, or that of the
-readings lags (a simulator that cannot keep time): it counts from the newest reading on."""
-
 LEVELS = {0: DiagnosticStatus.OK, 1: DiagnosticStatus.WARN, 2: DiagnosticStatus.ERROR}
 
 
@@ -215,9 +209,8 @@ class Watcher:
         self._verdict = verdict
         self._newest: Window | None = None
         self._failure = ""
-        self._latest_s = math.nan
         # Callbacks append, the thread takes: a deque needs no lock for that.
-        self._arrived: deque[tuple[bool, str, float, float]] = deque(maxlen=100_000)
+        self._arrived: deque[Any] = deque(maxlen=100_000)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
         self._publisher = node.create_publisher(TapResiduals, RESIDUALS_TOPIC, 10)
@@ -227,26 +220,10 @@ class Watcher:
             self._encoder_publisher = node.create_publisher(
                 EncoderResiduals, ENCODER_RESIDUALS_TOPIC, 10
             )
-        for topic in (*topics.tap_topics(rig), *topics.encoder_topics(rig)):
-            node.create_subscription(
-                topics.message_class(topic.type),
-                topic.name,
-                lambda message, topic=topic: self._on_readings(topic, message),
-                qos_profile_sensor_data,
-            )
-        # What took effect, and when, tells more than what was asked for.
-        applied = {
-            command.channel.topic: command.channel.applied
-            for command in rig.commands.values()
-            if command.channel is not None
-        }
-        for topic in topics.command_topics(rig):
-            node.create_subscription(
-                topics.message_class(topic.type),
-                applied.get(topic.name) or topic.name,
-                lambda message, topic=topic: self._on_command(topic, message),
-                10,
-            )
+        self._listening = Listening(node, rig, self._heard)
+
+    def _heard(self, *sample: Any) -> None:
+        self._arrived.append(sample)
 
     def start(self) -> None:
         """Starts the thread."""
@@ -277,25 +254,6 @@ class Watcher:
             for name, rms in zip(window.sensors, window.rms, strict=True)
         }
         return common.status(LEVELS[level], name, text, values, self._rig.name)
-
-    def _time_s(self, message: Any) -> float:
-        header = getattr(message, "header", None)
-        stamp_ns = common.from_stamp(header.stamp) if header is not None else 0
-        return (stamp_ns or self._node.get_clock().now().nanoseconds) * 1e-9
-
-    def _on_readings(self, topic: topics.Topic, message: Any) -> None:
-        time_s = self._latest_s = self._time_s(message)
-        for name, value in topic.read(message).items():
-            self._arrived.append((False, name, time_s, value))
-
-    def _on_command(self, topic: topics.Topic, message: Any) -> None:
-        if math.isnan(self._latest_s):
-            return
-        time_s = self._time_s(message)
-        if not -BEHIND_S <= time_s - self._latest_s <= AHEAD_S:
-            time_s = self._latest_s
-        for name, value in topic.read(message).items():
-            self._arrived.append((True, name, time_s, value))
 
     def _run(self) -> None:
         while not self._ended.wait(LOOK_S):

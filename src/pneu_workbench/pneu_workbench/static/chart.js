@@ -19,7 +19,7 @@ export default {
     </div>`,
   props: {
     sensors: Array, commands: Array, span: Array, token: String, candidate: Number, beside: Boolean, trial: Boolean,
-    regime: Array, marks: Array, aside: Array,
+    regime: Array, marks: Array, aside: Array, route: String,
   },
   data() {
     return { label: "Signals" };
@@ -63,9 +63,11 @@ export default {
     token() {
       this.show(...this.range);
     },
-    span(now) {
-      this.range = now.slice();
-      this.build();
+    span(now, before) {
+      // what comes in is followed, unless somebody looks at an earlier part
+      const near = 1e-3 * (before[1] - before[0]);
+      const all = this.range[0] <= before[0] + near && this.range[1] >= before[1] - near;
+      this.show(...(all ? now : this.range));
     },
   },
   methods: {
@@ -190,7 +192,7 @@ export default {
       this.regime.forEach((word) => query.append("regime", word));
       let buffer;
       try {
-        const answer = await fetch(`signals?${query}`, { signal: this.asked.signal });
+        const answer = await fetch(`${this.route}?${query}`, { signal: this.asked.signal });
         if (!answer.ok) return;
         buffer = await answer.arrayBuffer();
       } catch {

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node that listens to a rig for the page, as a process of its own.
+
+It reads one line of JSON, ``{"rig": …, "rate_hz": …}``, and answers with lines of their own as
+things come in: ``{"window": …}`` with what the model leaves of the newest stretch, ``{"commands":
+…}``, ``{"status": …}`` from /diagnostics, ``{"alive": …}`` with how many samples came. Then each
+line ``{"take": seconds, "to": path}`` is answered with ``{"taken": path}`` once the last seconds
+lie there as a bag, or with ``{"fault": …}``. It ends with its standard input.
+"""
+
+import contextlib
+import json
+import os
+import sys
+import threading
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+from pneu_common.errors import InputError
+from pneu_runtime import hook
+from pneu_sim.rig import load_rig
+from pneu_sysid.records.write import write_bag
+from pneu_sysid.tasks.child import Say, answering
+from pneu_sysid.watch import Verdict, Watch
+from pneu_workbench.live.samples import Samples, told_of
+
+LOOK_S = 0.05
+WARN_TIMES, ERROR_TIMES = 2.0, 4.0
+"""Times the expected error; those of the identification's watch."""
+SHOWN = 8
+"""Commands that are told at each look, at least; in between are others."""
+
+
+def _serve(asked: dict[str, Any], say: Say) -> None:
+    import rclpy
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+    from pneu_sysid.nodes.listening import Listening
+
+    rig = load_rig(asked["rig"])
+    watch = Watch(rig, float(asked["rate_hz"]))
+    verdict, samples = Verdict(WARN_TIMES, ERROR_TIMES), Samples(rig)
+    arrived: deque[tuple[bool, str, float, float]] = deque(maxlen=500_000)
+    rclpy.init(args=[])
+    node = rclpy.create_node(f"workbench_{os.getpid()}")
+    Listening(node, rig, lambda *sample: arrived.append(sample))
+
+    def on_status(message: Any) -> None:
+        say({"status": [[s.name, _level(s.level), s.message] for s in message.status]})
+
+    node.create_subscription(DiagnosticArray, "/diagnostics", on_status, 10)
+
+    def take() -> None:
+        for line in sys.stdin:
+            order = json.loads(line)
+            try:
+                write_bag(Path(order["to"]), rig, samples.last(float(order["take"])))
+                say({"taken": order["to"]})
+            except InputError as error:
+                say({"fault": str(error)})
+        os._exit(0)  # whoever asked is gone
+
+    threading.Thread(target=take, daemon=True).start()
+
+    def look() -> None:
+        ended, count = threading.Event(), 0
+        while not ended.wait(LOOK_S):
+            news: dict[str, list[tuple[float, float]]] = {}
+            while arrived:
+                is_command, name, time_s, value = arrived.popleft()
+                (watch.command if is_command else watch.reading)(name, time_s, value)
+                samples.add(name, time_s, value)
+                count += 1
+                if is_command:
+                    news.setdefault(name, []).append((time_s, value))
+            if news:
+                some = {name: of[:: max(len(of) // SHOWN, 1)] for name, of in news.items()}
+                say({"commands": {name: [list(s) for s in of] for name, of in some.items()}})
+            try:
+                window = watch.window()
+            except InputError as error:
+                say({"fault": f"the model cannot be run along: {error}"})
+                continue
+            if window is not None:
+                verdict.add(window)
+                say({"window": told_of(window, verdict)})
+            say({"alive": count})
+
+    threading.Thread(target=look, daemon=True).start()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    with contextlib.suppress(ExternalShutdownException):
+        executor.spin()
+
+
+def _level(level: Any) -> int:
+    return level[0] if isinstance(level, bytes) else int(level)
+
+
+def main() -> None:
+    """Serves whoever started this process."""
+    lock, raw = threading.Lock(), answering()
+
+    def say(line: dict[str, Any]) -> None:
+        with lock:
+            raw(line)
+
+    hook.install()
+    try:
+        _serve(json.loads(sys.stdin.readline()), say)
+    except InputError as error:
+        say({"fault": str(error)})
+
+
+if __name__ == "__main__":
+    main()
