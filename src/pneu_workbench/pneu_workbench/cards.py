@@ -433,6 +433,10 @@ class Cards:
             ui.button(
                 "Report", on_click=self._do(lambda: ui.download.file(work.report(), "report.html"))
             )
+            ui.button(
+                "Session",
+                on_click=self._do(lambda: ui.download.file(work.packed(), "session.zip")),
+            )
         ui.label(f"Session: {work.folder}").classes("text-sm")
         ui.label("The same by commands").classes("font-medium")
         for words in work.words():

@@ -31,7 +31,11 @@ def workbench(
     ] = Path(),
     session: Annotated[
         Path | None,
-        typer.Option("--session", help="Folder of the session; one that is there is gone on with."),
+        typer.Option(
+            "--session",
+            help="Folder of the session, or a file that was kept of one; what is there is gone on"
+            " with.",
+        ),
     ] = None,
     port: Annotated[
         int | None, typer.Option("--port", help="Any that is free unless given.", min=1, max=65535)
@@ -46,6 +50,7 @@ def workbench(
             "the workbench needs NiceGUI, which is not installed: `pip install '.[workbench]'` in a"
             " checkout of pneu, or 'FILE.whl[workbench]' for a wheel of it"
         )
+    from pneu_workbench.packed import SUFFIX, unpack
     from pneu_workbench.server import serve
     from pneu_workbench.work import Work
 
@@ -54,6 +59,9 @@ def workbench(
     for path in (*(bag or ()), *((rig,) if rig else ())):
         if not path.exists():
             raise InputError(f"{path}: there is no such file")
+    if session is not None and session.suffix == SUFFIX:
+        unpack(session, session.with_suffix(""))
+        session = session.with_suffix("")
     where = session or Path("out") / "workbench" / time.strftime("%Y-%m-%d_%H-%M-%S")
     work = Work(where, workers)
     if bag and rig:

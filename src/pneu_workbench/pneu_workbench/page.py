@@ -6,6 +6,7 @@ another tab, or the same one loaded anew, shows the same.
 """
 
 import shutil
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -149,6 +150,7 @@ class Page:
         with ui.row().classes("w-full items-center no-wrap") as self._busy:
             self._stage = ui.label().classes("min-w-0").props("role=status aria-live=polite")
             self._bar = ui.linear_progress(show_value=False).props('aria-label="Progress"')
+            self._took = ui.label().classes("text-sm")
             ui.button("Cancel", on_click=self._work.cancel, color="negative")
         self._falling = ui.label().classes("text-sm").props("aria-live=polite")
         self._fault = ui.label().classes("text-negative").props("role=alert")
@@ -248,6 +250,8 @@ class Page:
         task = work.task
         running = task is not None and task.running
         self._live.look()
+        if task is not None and running:
+            self._took.set_text(_minutes(time.monotonic() - task.begun_s))
         if work.changes != self._changes:
             self._changes = work.changes
             self._busy.set_visibility(running)
@@ -352,3 +356,8 @@ class Page:
         if self._chart is not None:
             edge = 0.1 * (end_s - begin_s)
             self._chart.run_method("show", begin_s - edge, end_s + edge)
+
+
+def _minutes(seconds: float) -> str:
+    """A duration as minutes and seconds."""
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"

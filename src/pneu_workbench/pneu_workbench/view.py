@@ -19,7 +19,7 @@ from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.results import Candidate, CompareResult, DiagnoseResult, regime_order
 from pneu_sysid.tasks.regime_masks import Key, RegimeMasks
-from pneu_sysid.tasks.signals import Signals, Trace
+from pneu_sysid.tasks.signals import SIGNALS, Signals, Trace
 from pneu_workbench.store import Store, as_steps
 from pneu_workbench.traces import Floats, Pyramid
 from pneu_workbench.versions import Version, Versions
@@ -101,9 +101,11 @@ class View:
     def beside(self) -> Version | None:
         """The version that is drawn beside the present one; None without one."""
         versions, asked = self._versions(), self._seen.beside
+        chosen = versions.before
         if asked is not None and asked < len(versions.all) and asked != versions.at:
-            return versions.all[asked]
-        return versions.before
+            chosen = versions.all[asked]
+        there = chosen is not None and (self._folder / chosen.folder / SIGNALS).exists()
+        return chosen if there else None
 
     def comparison(self) -> CompareResult | None:
         """What the present version leaves; None without one."""
@@ -236,10 +238,8 @@ class View:
         own = self._own()
         try:
             return self._store.signals(own) if own else None
-        except InputError:
-            if self._versions().now is None:  # what was early is gone: it has been cancelled
-                return None
-            raise
+        except InputError:  # what was early is gone, or a model is yet to be run again
+            return None
 
     def _folder_of(self, kind: Kind) -> str | None:
         """Name of the folder that holds a kind of signal; None where there is none."""

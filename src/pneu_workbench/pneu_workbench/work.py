@@ -11,6 +11,7 @@ import re
 import shlex
 import shutil
 import threading
+import time
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -24,14 +25,15 @@ from pneu_sysid.report import write_report
 from pneu_sysid.results import CompareResult
 from pneu_sysid.tasks.process import TaskProcess
 from pneu_sysid.tasks.request import Outcome, Request
+from pneu_sysid.tasks.signals import SIGNALS
 from pneu_sysid.tasks.trial import with_strength
 from pneu_workbench.live.link import Live
+from pneu_workbench.packed import SESSION, pack
 from pneu_workbench.store import Store
 from pneu_workbench.trial import Trial, Trying
 from pneu_workbench.versions import Version, Versions
 from pneu_workbench.view import Seen, View
 
-SESSION = "session.json"
 VERSION = 2
 TRIED = "tried"
 """Folder of the signals of a strength that is tried."""
@@ -47,6 +49,7 @@ class Task:
         stage: What it is at.
         done: Fraction done; None where it is not known.
         running: Whether it goes on.
+        begun_s: When it began, by the monotonic clock, s.
         fault: Why it failed; empty where it did not.
         errors: Of each sensor, in noise units, as they fell.
     """
@@ -57,6 +60,7 @@ class Task:
     done: float | None = None
     running: bool = True
     fault: str = ""
+    begun_s: float = field(default_factory=time.monotonic)
     errors: list[dict[str, float]] = field(default_factory=list)
 
 
@@ -108,6 +112,7 @@ class Work:
         self._changes = 0
         if (self.folder / SESSION).exists():
             self._come_back()
+            self._see()
 
     @property
     def changes(self) -> int:
@@ -345,6 +350,7 @@ class Work:
         with self._lock:
             self.versions.undo()
             self._changed()
+            self._see()
 
     def redo(self) -> None:
         """Takes that back."""
@@ -352,6 +358,7 @@ class Work:
         with self._lock:
             self.versions.redo()
             self._changed()
+            self._see()
 
     def go(self, number: int) -> None:
         """Looks at another version.
@@ -363,6 +370,7 @@ class Work:
         with self._lock:
             self.versions.go(number)
             self._changed()
+            self._see()
 
     def look_beside(self, number: int | None) -> None:
         """Draws another version beside the present one.
@@ -388,6 +396,18 @@ class Work:
             InputError: Nothing is open.
         """
         return Path(self._present().rig).read_text(encoding="utf-8")
+
+    def packed(self) -> Path:
+        """Writes the session as one small file; returns its path.
+
+        Raises:
+            InputError: Nothing is open.
+        """
+        self._present()
+        path = self.folder / "session.zip"
+        with self._lock:
+            pack(self.folder, path)
+        return path
 
     def report(self) -> Path:
         """Writes the report of the present version; returns its path.
@@ -416,6 +436,20 @@ class Work:
         aside = "".join(f" --aside {a:.6g}:{b:.6g}" for a, b in self.kept_aside)
         told = [f"pneu compare {what}", f"pneu diagnose {what}{aside}"]
         return [*told, f"pneu learn {what} -o learned"] if now.added else told
+
+    def _see(self) -> None:
+        """Runs the present version's model again where its signals were left out of a file."""
+        now = self.versions.now
+        if now is None or (self.folder / now.folder / SIGNALS).exists():
+            return
+        if self.task is not None and self.task.running:
+            return
+        folder = self._fresh("look")
+
+        def looked(outcome: Outcome) -> None:
+            self.versions.all[now.number] = replace(now, folder=folder.name)
+
+        self._begin(self._request("look", now.rig, folder), f"running {now.title}", looked)
 
     # ---- within -----------------------------------------------------------------------------
 

@@ -3,14 +3,16 @@
 
 import json
 import time
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pneu_workbench.packed import SESSION, unpack
 from pneu_workbench.versions import Version, Versions
 from pneu_workbench.view import Part
-from pneu_workbench.work import SESSION, Work
+from pneu_workbench.work import Work
 
 from pneu_common.errors import InputError
 
@@ -133,11 +135,44 @@ def test_a_recording_is_opened_kept_and_come_back_to(tmp_path: Path) -> None:
     assert "none of the 29 stretches" in work.task.fault
     assert work.kept_aside == [(3.0, 6.0)]
     assert work.report().read_text(encoding="utf-8").startswith("<!doctype html>")
+    # as one small file it is all that is needed to come back, elsewhere too
+    packed = work.packed()
+    assert packed.stat().st_size < 0.1 * sum(
+        p.stat().st_size for p in packed.parent.rglob("*") if p.is_file() and p != packed
+    )
+    unpack(packed, tmp_path / "elsewhere")
+    other = Work(tmp_path / "elsewhere", workers=1)
+    assert other.view.comparison() == work.view.comparison()
+    _until_done(other)  # the model is run again, for its signals
+    assert other.task is not None and other.task.fault == ""
+    assert other.view.errors(Part()) == pytest.approx(work.view.errors(Part()), rel=1e-6)
+    assert other.versions.now is not None and other.versions.now.title == now.title
+    with pytest.raises(InputError, match="is there already"):
+        unpack(packed, tmp_path / "elsewhere")
     again = Work(tmp_path / "session")
     assert again.kept_aside == [(3.0, 6.0)]
     assert again.versions == work.versions and again.bags == [BAG]
     assert again.view.span_s() == work.view.span_s()
     work.close()
+
+
+def test_a_file_that_is_no_session_is_refused(tmp_path: Path) -> None:
+    for name, files in {
+        "empty": {},
+        "words": {SESSION: "hello"},
+        "out": {SESSION: '{"versions": {"all": [{"folder": "../../out"}]}}'},
+        "gone": {SESSION: '{"versions": {"all": [{"folder": "look"}]}}'},
+    }.items():
+        file = tmp_path / f"{name}.zip"
+        with zipfile.ZipFile(file, "w") as out:
+            for inside, text in files.items():
+                out.writestr(inside, text)
+        with pytest.raises(InputError, match="is no session of the workbench"):
+            unpack(file, tmp_path / name)
+        assert not (tmp_path / name).exists()
+    (tmp_path / "text.zip").write_text("no archive")
+    with pytest.raises(InputError, match="is no session of the workbench"):
+        unpack(tmp_path / "text.zip", tmp_path / "text")
 
 
 def test_what_was_open_is_back_where_another_recording_is_not_opened(tmp_path: Path) -> None:
