@@ -26,7 +26,7 @@ from pneu_sysid.results import CompareResult
 from pneu_sysid.tasks.process import TaskProcess
 from pneu_sysid.tasks.request import Outcome, Request
 from pneu_sysid.tasks.signals import SIGNALS
-from pneu_sysid.tasks.trial import with_strength
+from pneu_sysid.tasks.strength import with_strength
 from pneu_workbench.live.link import Live
 from pneu_workbench.packed import SESSION, pack
 from pneu_workbench.store import Store

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2, f, norm
+from scipy.special import fdtrc, gammainc, gammaincinv, gammaln, ndtri
 
 from pneu_sim.signals import Floats
 from pneu_sysid.records.stream import LONGEST_STEP
@@ -238,11 +238,13 @@ def _cut(freedom: int) -> tuple[float, float, float]:
     The last is the variance of the estimate that solves for its own cut, times the number of
     windows (delta method).
     """
-    limit = float(chi2.ppf(_KEPT, freedom)) / freedom
-    first = float(chi2.cdf(limit * freedom, freedom + 2))
-    second = (1.0 + 2.0 / freedom) * float(chi2.cdf(limit * freedom, freedom + 4))
+    limit = float(_chi2_quantile(_KEPT, freedom)) / freedom
+    first = float(_chi2_below(limit * freedom, freedom + 2))
+    second = (1.0 + 2.0 / freedom) * float(_chi2_below(limit * freedom, freedom + 4))
     mean = first / _KEPT
-    slope = first - (limit - mean) * limit * float(chi2.pdf(limit * freedom, freedom)) * freedom
+    slope = (
+        first - (limit - mean) * limit * float(_chi2_density(limit * freedom, freedom)) * freedom
+    )
     return limit, mean, (second - 2.0 * mean * first + mean**2 * _KEPT) / slope**2
 
 
@@ -253,7 +255,7 @@ def _settle(windows: _Windows, chosen: NDArray[np.intp]) -> _Estimate:
     if ranked.size < 4:
         error = float(np.sqrt(cost * windows.overlap / ranked.size))
         return _Estimate(windows, chosen, float(ranked.mean()), error)
-    quantile = float(chi2.ppf(_FIRST_GUESS, windows.freedom)) / windows.freedom
+    quantile = float(_chi2_quantile(_FIRST_GUESS, windows.freedom)) / windows.freedom
     variance = float(np.quantile(ranked, _FIRST_GUESS)) / quantile
     least = max(3, int(_LEAST_KEPT * ranked.size))
     for _ in range(_ROUNDS):
@@ -288,7 +290,7 @@ def _excess(precise: _Estimate, calm: _Estimate) -> float:
     if precise.variance <= 0.0:
         return 0.0
     freedom = 2.0 / variance
-    return -float(norm.ppf(chi2.cdf(freedom * calm.variance / precise.variance, freedom)))
+    return -float(ndtri(_chi2_below(freedom * calm.variance / precise.variance, freedom)))
 
 
 def _judge(best: _Estimate, excess: float, span: float) -> tuple[float, bool]:
@@ -323,7 +325,7 @@ def _judge(best: _Estimate, excess: float, span: float) -> tuple[float, bool]:
         others = (float(kept.mean()) * freedom - lowest) / (freedom - 1)
         count = kept.size / best.windows.overlap
         slope = lowest / others if others > 0.0 else 1.0
-        if slope > _STEEP and f.sf(slope, count, count * (freedom - 1)) < _UNLIKELY:
+        if slope > _STEEP and fdtrc(count, count * (freedom - 1), slope) < _UNLIKELY:
             return quiet, True
     lost = squares.size - kept.size
     expected = (1.0 - _KEPT) * squares.size
@@ -333,7 +335,7 @@ def _judge(best: _Estimate, excess: float, span: float) -> tuple[float, bool]:
     spread = float(np.sqrt(np.sum(rank**2) * kept.var()))
     trend = float(rank @ (kept - kept.mean())) / spread if spread > 0.0 else 0.0
     # Strengths that vary leave more windows far below the mean than one strength does.
-    tenth = float(chi2.ppf(0.1 * _KEPT, freedom)) / freedom
+    tenth = float(_chi2_quantile(0.1 * _KEPT, freedom)) / freedom
     low = float(np.mean(kept < tenth * best.variance)) - 0.1
     low *= np.sqrt(kept.size / best.windows.overlap / 0.09)
     partly = scattered and quiet < _PARTLY_QUIET and surplus > 3.0
@@ -362,3 +364,22 @@ def _resolution(values: Floats) -> float:
     turns = np.count_nonzero(np.diff(np.sign(np.diff(values))))
     even = np.abs(steps / step - np.rint(steps / step)).max() < 0.01
     return step if even and turns >= 20 else 0.0
+
+
+# Of scipy.special, which is loaded all the same: scipy.stats takes a second at each start.
+
+
+def _chi2_below(x: float, freedom: float) -> float:
+    """Probability that a chi-square variable is not above a number."""
+    return float(gammainc(0.5 * freedom, 0.5 * x))
+
+
+def _chi2_quantile(part: float, freedom: float) -> float:
+    """What a chi-square variable is not above with a probability."""
+    return float(2.0 * gammaincinv(0.5 * freedom, part))
+
+
+def _chi2_density(x: float, freedom: float) -> float:
+    """Density of a chi-square variable."""
+    half = 0.5 * freedom
+    return float(np.exp((half - 1.0) * np.log(0.5 * x) - 0.5 * x - gammaln(half)) / 2.0)

@@ -1,20 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which readings belong to which regime of operation, as one file beside the signals."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_common.files import whole
-from pneu_sysid.problem import Problem
-from pneu_sysid.regimes import FEWEST, Operation
 from pneu_sysid.tasks.signals import readings_order
+
+if TYPE_CHECKING:  # whoever looks at signals loads no solver
+    from pneu_sysid.problem import Problem
+    from pneu_sysid.regimes import Operation
 
 Mask = NDArray[np.bool_]
 Key = tuple[str, str, str]
@@ -54,6 +58,8 @@ def regime_masks(problem: Problem, work: Operation) -> RegimeMasks:
         problem: The recordings.
         work: What the rig did along them.
     """
+    from pneu_sysid.regimes import FEWEST  # with the solver, which has made the problem
+
     sensors: dict[str, dict[Key, Mask]] = {}
     for k, name in enumerate(problem.taps):
         there, order = readings_order(problem, k)

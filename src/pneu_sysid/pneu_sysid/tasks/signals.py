@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every reading of recordings beside what a model predicts, whole, as one file to look at."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +15,11 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_common.files import whole
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.problem import Problem
 from pneu_sysid.records import begins_of
 from pneu_sysid.sensor_units import encoder_units, unit_of
+
+if TYPE_CHECKING:  # whoever looks at signals loads no solver
+    from pneu_sysid.problem import Problem
 
 Floats = NDArray[np.float64]
 
