@@ -148,7 +148,10 @@ class Cards:
             place, at = tried[self.candidate].place, tried[self.candidate].position_m
         elif rig.effects:  # what was added last
             place, at = rig.effects[-1].place, rig.effects[-1].parameters.get("position_m")
-        ui.html(schematic(rig, place, at), sanitize=False).classes("w-full")
+        with ui.element("div").classes("pneu-scroll") as moved:
+            # what is moved sideways on a small screen can be moved by keys
+            moved.props('tabindex=0 role=group aria-label="Schematic, can be moved sideways"')
+            ui.html(schematic(rig, place, at), sanitize=False).classes("w-full")
         return True
 
     def check(self, left: CompareResult) -> bool:

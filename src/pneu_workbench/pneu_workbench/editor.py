@@ -106,7 +106,9 @@ class Editor:
         for field in fields_of(self._data):
             parts.setdefault(field.keys[0], []).append(field)
         with self._form:
-            self._drawing = ui.html("", sanitize=False).classes("w-full")
+            with ui.element("div").classes("pneu-scroll") as moved:
+                moved.props('tabindex=0 role=group aria-label="Schematic, can be moved sideways"')
+                self._drawing = ui.html("", sanitize=False).classes("w-full")
             self._wrong = ui.label().classes("text-negative").props("role=alert")
             for part, fields in parts.items():
                 closed = ui.expansion(part).classes("w-full")

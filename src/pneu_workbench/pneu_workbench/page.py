@@ -50,6 +50,7 @@ STYLE = """
   grid-template-columns: repeat(auto-fill, minmax(15rem, 1fr));
 }
 .pneu-scroll { width: 100%; max-height: 24rem; overflow: auto; }
+.pneu-schematic { min-width: 36rem; }
 .pneu-chosen { background: #1f5fa833; }
 .pneu-heat-1 { background: #f4c95d40; }
 .pneu-heat-2 { background: #f08a3c60; }
