@@ -133,13 +133,14 @@ def page(rows: list[dict[str, Any]], matched: dict[str, Any], path: Path) -> Non
     own, plate = last(rows, "pde", "pde"), last(rows, "plate", "plate")
     moved, stopped = last(rows, "plate", "pde"), best(rows, "plate", "pde")
     volts = matched["volts"]
+    length_m = max(pipe.length_m for pipe in load_rig(ROOT / FULL).pipes.values())
     lines = [
         "# What a simple model teaches: thesis 7.5",
         "",
         f"Made by `make simple-model`, from the sources, rigs and settings {sources}.",
         "",
-        "`rigs/rail.yaml`: a cart after a smooth target, by a valve and a metre of line on either"
-        " side. The simple model has no lines; what its valves let through is matched to the full"
+        f"`rigs/rail.yaml`: a cart after a smooth target, by a valve and {length_m:g} m of line on"
+        " either side. The simple model has no lines; what its valves let through is matched to the full"
         " model, opening by opening, with the joint held (thesis 7.4), and all else is the same.",
         "",
         "| command, V | " + " | ".join(f"{v:g}" for v in volts) + " |",
