@@ -24,6 +24,7 @@ from pneu_policy.learn.networks import mean_action
 from pneu_policy.learn.settings import load_document
 from pneu_policy.learn.sweep import Workers
 from pneu_policy.task.robots import Robots
+from pneu_sim.rig import load_rig
 from studies.digest import digest_of
 from studies.stages import add_stages
 from studies.training import add_workers
@@ -140,8 +141,9 @@ def page(rows: list[dict[str, Any]], matched: dict[str, Any], path: Path) -> Non
         f"Made by `make simple-model`, from the sources, rigs and settings {sources}.",
         "",
         f"`rigs/rail.yaml`: a cart after a smooth target, by a valve and {length_m:g} m of line on"
-        " either side. The simple model has no lines; what its valves let through is matched to the full"
-        " model, opening by opening, with the joint held (thesis 7.4), and all else is the same.",
+        " either side. The simple model has no lines; what its valves let through is matched to"
+        " the full model, opening by opening, with the joint held (thesis 7.4), and all else is"
+        " the same.",
         "",
         "| command, V | " + " | ".join(f"{v:g}" for v in volts) + " |",
         "|---|" + "---|" * len(volts),
