@@ -99,11 +99,11 @@ def _named(name: str, falls: Floats) -> Finalist:
 def test_one_that_explains_as_much_and_misses_being_sure_by_little_is_a_rival() -> None:
     """Drawn anew, the other of the two would be named: neither is ruled out."""
     rng = np.random.default_rng(8)
-    tied, flipped, alone = 0, 0, 0
+    tied, flipped, alone, unsure = 0, 0, 0, 0
     for _ in range(1000):
         common = 0.07 + 0.13 * rng.normal(size=32)  # what both explain
         two = [_named(n, common + 0.03 * rng.normal(size=32)) for n in ("damping", "friction")]
-        nothing = _named("bias", 0.03 * rng.normal(size=32))
+        nothing = _named("bias", 0.02 + 0.05 * rng.normal(size=32))  # explains a little
         surest, other = sorted(two, key=lambda one: -one.lead)
         if not surest.lead >= SURE > other.lead:
             continue
@@ -111,10 +111,12 @@ def test_one_that_explains_as_much_and_misses_being_sure_by_little_is_a_rival() 
         _tie([surest, other, nothing], scores, True)
         flipped += 1
         tied += other.label in surest.alike
-        alone += nothing.label not in surest.alike
+        if nothing.lead < SURE:
+            unsure += 1
+            alone += nothing.label not in surest.alike
     assert flipped > 10
     assert tied >= 0.7 * flipped  # within 1.5 deviations, the surer of two taken
-    assert alone == flipped
+    assert alone >= 0.9 * unsure > 0.5 * flipped  # it explains too little to be one
 
 
 def test_recordings_that_never_touch_are_judged_by_flight_alone() -> None:

@@ -330,6 +330,11 @@ def _good(found: Finalist) -> bool:
     return found.worth >= WORTH and found.lead >= SURE
 
 
+def _nearly(other: Finalist, best: Finalist) -> bool:
+    """Whether one that is not sure by itself explains about as much as the best all the same."""
+    return other.worth >= WORTH and other.lead >= TIED and other.gain >= LESS * best.gain
+
+
 def _tie(found: list[Finalist], scores: Scores, by_falls: bool) -> None:
     """Tells the best which others explain as much.
 
@@ -341,7 +346,7 @@ def _tie(found: list[Finalist], scores: Scores, by_falls: bool) -> None:
     if best is None:
         return
     for other in found:
-        if other is best or other.worth < WORTH or other.lead < TIED:
+        if other is best or not (_good(other) or _nearly(other, best)):
             continue
         cosine = abs(scores.alike[order[best.label], order[other.label]])
         if _apart(best, other, by_falls) < (SURE if cosine > ALIKE else TIED):
