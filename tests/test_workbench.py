@@ -181,6 +181,9 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
     button(page, "Open").click()
     expect(page.get_by_text("rig_a_fitted: 35", exact=False).first).to_be_visible(timeout=LONG_MS)
     first = _drawn(page)
+    # what is no longer there, as a strength that was tried, is nothing, and no error
+    stale = "fetch('signals?begin=0&end=1&columns=10&trial=true').then((r) => r.status)"
+    assert page.evaluate(stale) == 204
     # a regime is chosen, and all that is shown is of it; then all again
     page.get_by_role("button", name="flow direction, fill", exact=True).click()
     expect(page.get_by_text("Only: flow direction, fill")).to_be_visible()

@@ -122,8 +122,9 @@ def serve_signals(app: FastAPI, work: Work) -> None:
                     parts.append(one.shown(begin, end, columns))
             for name in view.commands():
                 parts.append(view.pyramid("command", name).shown(begin, end, columns))
-        except (KeyError, InputError) as error:
-            return Response(f"no such signal: {error}", status_code=404)
+        except (KeyError, InputError):
+            # a page asks for what it saw a moment ago: a strength that is no longer tried, say
+            return Response(status_code=204)
         # compressing takes longer than the loopback does
         headers = {"content-encoding": "identity", "cache-control": "no-store"}
         body = packed(parts, begin)

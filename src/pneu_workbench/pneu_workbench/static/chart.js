@@ -193,7 +193,7 @@ export default {
       let buffer;
       try {
         const answer = await fetch(`${this.route}?${query}`, { signal: this.asked.signal });
-        if (!answer.ok) return;
+        if (answer.status !== 200) return; // 204: what was asked for is no longer there
         buffer = await answer.arrayBuffer();
       } catch {
         return; // a later range was asked for, or the server is gone
