@@ -14,8 +14,10 @@ REALTIME = (
     "tests/conformance/test_timers",
     "tests/test_faults",
     "tests/test_graph",
+    "tests/test_hand_graph",
     "tests/test_pressure_study",
     "tests/test_robot",
+    "tests/test_workbench_live",
 )
 """Beginnings of the paths of tests that run against the clock."""
 
@@ -23,6 +25,10 @@ MIXED = ("src/pneu_sim/test/test_stepper",)
 """Likewise of files in which single tests do, marked there."""
 
 LONGEST = (
+    "tests/test_workbench.py",
+    "src/pneu_sysid/test/test_compare_moving",
+    "src/pneu_sim/test/test_cuda",
+    "src/pneu_sim/test/test_match",
     "tests/test_faults.py",
     "tests/test_graph",
     "tests/test_robot_graph",

@@ -286,10 +286,9 @@ def test_machine_paths_are_recognised(line, is_one):
 
 def test_no_test_is_left_out_when_the_parts_run_one_after_the_other():
     """The runner names files to save time: those that are marked whole, and those with marks."""
-    mark = "@pytest.mark." + "realtime"
-    found = subprocess.run(
-        ["git", "grep", "-lF", mark, "--", "*.py"], cwd=ROOT, capture_output=True, text=True
-    ).stdout.split()
+    mark = "pytest.mark." + "realtime"
+    words = ["git", "grep", "-lE", f"@{mark}|= *\\[?.*{mark}", "--", "*.py"]
+    found = subprocess.run(words, cwd=ROOT, capture_output=True, text=True).stdout.split()
     assert found
     assert all(path.startswith(REALTIME + MIXED) for path in found), found
     for start in REALTIME + MIXED:

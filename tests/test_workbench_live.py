@@ -17,7 +17,6 @@ from playwright.sync_api import Browser, expect
 from tests.live_graph import own_domain
 
 __all__ = ["browser"]  # a fixture
-pytestmark = pytest.mark.realtime
 
 ROOT = Path(__file__).resolve().parents[1]
 RIG = "rig_a_fitted.yaml"

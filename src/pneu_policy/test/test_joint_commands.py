@@ -61,7 +61,9 @@ def settings(**changes: object) -> JointTuneSettings:
     return JointTuneSettings(**{**plain, **changes})
 
 
-@pytest.mark.parametrize("kind", ["joint_pid", "computed_torque"])
+@pytest.mark.parametrize(
+    "kind", ["joint_pid", pytest.param("computed_torque", marks=pytest.mark.long)]
+)
 def test_tuning_finds_the_same_gains_again(kind: str, tmp_path: Path) -> None:
     found = tune_joint(settings(kind=kind))
     assert found.history == sorted(found.history, reverse=True)

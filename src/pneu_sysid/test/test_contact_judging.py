@@ -100,7 +100,7 @@ def test_one_that_explains_as_much_and_misses_being_sure_by_little_is_a_rival() 
     """Drawn anew, the other of the two would be named: neither is ruled out."""
     rng = np.random.default_rng(8)
     tied, flipped, alone, unsure = 0, 0, 0, 0
-    for _ in range(1000):
+    for _ in range(400):
         common = 0.07 + 0.13 * rng.normal(size=32)  # what both explain
         two = [_named(n, common + 0.03 * rng.normal(size=32)) for n in ("damping", "friction")]
         nothing = _named("bias", 0.02 + 0.05 * rng.normal(size=32))  # explains a little
