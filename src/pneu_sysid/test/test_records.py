@@ -9,6 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
+from mcap.opcode import Opcode
+from mcap.writer import CompressionType as McapCompression
+from mcap.writer import Writer as McapWriter
 from numpy.typing import NDArray
 from pydantic import ValidationError
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -663,6 +666,44 @@ def test_bag_cut_behind_its_last_chunk_is_read(tmp_path: Path) -> None:
     assert "message_count: 800" in meta
     (folder / "metadata.yaml").write_text(meta.replace("message_count: 800", "message_count: 900"))
     assert "holds 800 of the 900 messages" in refusal(folder)
+
+
+def test_a_bag_cut_anywhere_says_what_is_lost(tmp_path: Path) -> None:
+    """In a chunk, messages are lost and it is refused; behind the last one, only the index is."""
+    whole = tmp_path / "whole.mcap"
+    text, _ = STORE.generate_msgdef("std_msgs/msg/Float64")
+    t = even(400)
+    with whole.open("wb") as file:
+        writer = McapWriter(file, chunk_size=2000, compression=McapCompression.NONE)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/Float64", "ros2msg", text.encode())
+        channels = [writer.register_channel(name, "cdr", schema) for name in ("/volts", "/end")]
+        for stamp in t:
+            for channel, value in zip(channels, (5.0, 2e5), strict=True):
+                message = STORE.types["std_msgs/msg/Float64"](data=value)
+                raw = bytes(STORE.serialize_cdr(message, "std_msgs/msg/Float64"))
+                writer.add_message(channel, int(stamp), raw, int(stamp))
+        writer.finish()
+    data = whole.read_bytes()
+    records, at = [], len(b"\x89MCAP0\r\n")
+    while data[at] != Opcode.DATA_END:
+        end = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+        records.append((data[at], at, end))
+        at = end
+    chunks = [k for k, (opcode, _, _) in enumerate(records) if opcode == Opcode.CHUNK]
+    assert len(chunks) > 5
+    mapped = {
+        "commands": {"valve": Channel(topic="/volts")},
+        "pressures": {"end": Channel(topic="/end")},
+    }
+    for k in range(chunks[1], len(records)):
+        opcode, begin, end = records[k]
+        cut = tmp_path / f"cut_{k}.mcap"
+        cut.write_bytes(data[: (begin + end) // 2])
+        if opcode == Opcode.CHUNK:
+            assert "truncated or damaged" in refusal(cut, **mapped)
+        elif k > chunks[-1]:  # in the index of the last chunk
+            assert kinds(read(cut, **mapped), cut.name) == {"truncated": 1}
 
 
 def test_flipped_bytes_are_refused(tmp_path: Path) -> None:
