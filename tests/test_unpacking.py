@@ -159,7 +159,7 @@ def test_a_sound_bag_of_every_packing_is_read(tmp_path, good):
     from mcap.reader import make_reader
 
     from pneu_graph.bag.reader import BagReader
-    from pneu_sysid.records.bag import bag_topics
+    from pneu_sysid.records.container import bag_topics
 
     counts = set()
     for packing in CompressionType:

@@ -20,3 +20,7 @@ def main() -> None:
     from pneu_common.cli import main as command_line
 
     command_line()
+
+
+if __name__ == "__main__":
+    main()

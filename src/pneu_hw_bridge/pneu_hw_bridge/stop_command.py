@@ -20,9 +20,11 @@ def at_once(words: Sequence[str]) -> int | None:
     Returns:
         The exit status; None where the words need more than this understands.
     """
-    if list(words) not in ([], ["--local"]):
-        return None
-    return stop("pneu stop", bool(words))
+    left = [word for word in words if word != "--local"]
+    reason = "pneu stop"
+    if len(left) == 2 and left[0] == "--reason":
+        reason, left = left[1], []
+    return None if left else stop(reason, "--local" in words)
 
 
 def stop(reason: str, local: bool) -> int:

@@ -7,6 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+PRESSURES = (
+    ("bar", 1e5),
+    ("kPa", 1e3),
+    ("psi", 6894.757),
+    ("mbar", 1e2),
+    ("MPa", 1e6),
+    ("atm", 101325.0),
+    ("pascals", 1.0),
+)
+"""Units of pressure by name, in Pa; each may be absolute or above the room's."""
 BEYOND = 1e30
 """No sensor reads that much, in whatever unit."""
 

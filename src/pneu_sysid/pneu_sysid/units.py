@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
+from pneu_sim.channels import PRESSURES
 from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
@@ -16,16 +17,6 @@ from pneu_sysid.records import Finding, Recording
 
 Floats = NDArray[np.float64]
 
-PRESSURES = (
-    ("bar", 1e5),
-    ("kPa", 1e3),
-    ("psi", 6894.757),
-    ("mbar", 1e2),
-    ("MPa", 1e6),
-    ("atm", 101325.0),
-    ("pascals", 1.0),
-)
-"""Units of pressure by name, in Pa; each may be absolute or above the room's."""
 STRANGE_LOW, STRANGE_HIGH = 0.3, 3.0
 """Readings below and above these multiples of the rig's own pressures are not believed."""
 MEANT_LOW, MEANT_HIGH = 0.7, 1.3

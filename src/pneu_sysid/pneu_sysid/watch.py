@@ -21,6 +21,9 @@ from pneu_sysid.sensor_units import apart
 
 Floats = NDArray[np.float64]
 
+WARN_TIMES, ERROR_TIMES = 3.0, 10.0
+"""Multiples of the expected error that are worth a warning, and from which on a model does not
+describe its rig."""
 CLOSE = 0.9
 """Readings closer than this many periods are one too many."""
 MARGIN = 4.0

@@ -9,6 +9,7 @@ from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from pneu_common.errors import InputError
+from pneu_sim.channels import TextFormat
 from pneu_sysid.records.peek import POINTS, peek
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -16,7 +17,9 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
 def test_a_bag_tells_every_number_that_it_holds() -> None:
-    found = {(one.topic, one.field): one for one in peek(ROOT / "data" / "bags" / "a_leak")}
+    found = {
+        (one.topic, one.field): one for one in peek(ROOT / "data" / "bags" / "a_leak", TextFormat())
+    }
     volts = found["/valve/voltage", "data"]
     assert (volts.type, volts.count) == ("std_msgs/msg/Float64", 7500)
     assert (volts.least, volts.most, len(volts.outline)) == (0.0, 10.0, POINTS)
@@ -50,7 +53,7 @@ def test_elements_of_arrays_are_told_and_pictures_are_not(tmp_path: Path) -> Non
             for k in range(10):
                 writer.add_message(channel, k, raw, k)
         writer.finish()
-    found = {(one.topic, one.field): one for one in peek(path)}
+    found = {(one.topic, one.field): one for one in peek(path, TextFormat())}
     assert set(found) == {
         ("/JointState", "position[0]"), ("/JointState", "position[1]"),
         ("/JointState", "velocity[0]"),
@@ -64,15 +67,23 @@ def test_columns_of_text_are_told_but_for_those_of_words(tmp_path: Path) -> None
     path = tmp_path / "run.csv"
     rows = [f"{0.01 * k},{k % 7},on,{5.0 - k}" for k in range(300)]
     path.write_text("time,volts,state,p end\n" + "\n".join(rows) + "\n", encoding="utf-8")
-    found = {one.field: one for one in peek(path)}
+    found = {one.field: one for one in peek(path, TextFormat())}
     assert set(found) == {"time", "volts", "p end"}
     assert (found["volts"].least, found["volts"].most) == (0.0, 6.0)
     assert found["p end"].outline[0] == 5.0 and len(found["p end"].outline) == POINTS
 
 
+def test_text_is_read_as_the_rig_file_lays_it_out(tmp_path: Path) -> None:
+    path = tmp_path / "run.txt"
+    path.write_text("\n".join(f"{k};{k},5" for k in range(50)), encoding="utf-8")
+    layout = TextFormat(delimiter=";", decimal=",", names=["t", "volts"])
+    found = {one.field: one for one in peek(path, layout)}
+    assert (found["volts"].least, found["volts"].most) == (0.5, 49.5)
+
+
 def test_what_cannot_be_read_says_so(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
-        peek(tmp_path / "no.mcap")
+        peek(tmp_path / "no.mcap", TextFormat())
     (tmp_path / "broken.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(50))
     with pytest.raises(InputError):
-        peek(tmp_path / "broken.mcap")
+        peek(tmp_path / "broken.mcap", TextFormat())

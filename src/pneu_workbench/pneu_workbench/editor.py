@@ -14,6 +14,7 @@ from nicegui import run, ui
 
 from pneu_common.documents import read_yaml
 from pneu_common.errors import InputError
+from pneu_sim.channels import PRESSURES, TextFormat
 from pneu_sim.init import TEMPLATES, kinds
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.records.peek import Peeked, peek
@@ -29,19 +30,14 @@ from pneu_workbench.rig_fields import (
 from pneu_workbench.schematic import schematic
 
 PRESENT = "what is open, or the chosen file"
-UNITS = {
-    "Pa": (1.0, 0.0), "kPa": (1e3, 0.0), "bar": (1e5, 0.0), "mbar": (1e2, 0.0),
-    "psi": (6894.757293168, 0.0), "bar gauge": (1e5, 101325.0),
-    "psi gauge": (6894.757293168, 101325.0),
-    "V": (1.0, 0.0), "mV": (1e-3, 0.0), "rad": (1.0, 0.0), "degrees": (math.pi / 180.0, 0.0),
-    "m": (1.0, 0.0), "mm": (1e-3, 0.0),
-}  # fmt: skip
-"""Scale and offset of a channel by the unit of what was recorded; gauges in standard air."""
-OF_PART = {
-    "commands": ("V", "mV"),
-    "taps": ("Pa", "kPa", "bar", "mbar", "psi", "bar gauge", "psi gauge"),
-    "encoders": ("rad", "degrees", "m", "mm"),
+GAUGE = " above the room's"
+"""A gauge shows 0 at the pressure of the room."""
+OF_PART: dict[str, dict[str, float]] = {
+    "commands": {"V": 1.0, "mV": 1e-3},
+    "taps": dict(PRESSURES) | {f"{name}{GAUGE}": scale for name, scale in PRESSURES},
+    "encoders": {"rad": 1.0, "degrees": math.pi / 180.0, "m": 1.0, "mm": 1e-3},
 }
+"""How much of the SI a unit is in which a channel may be recorded."""
 AS_IT_IS = "as the file has it"
 WIDE, HIGH = 160, 36
 
@@ -71,6 +67,7 @@ class Editor:
         self._faults: dict[Keys, str] = {}
         self._peeked: list[Peeked] = []
         self._rig: Rig | None = None
+        self._room_pa, self._layout = math.nan, TextFormat()  # of what was valid last
         templates = {f"{kind}": f"new: {what}" for kind, what in kinds().items()}
         with ui.row().classes("w-full items-end"):
             self._from = ui.select(
@@ -152,6 +149,9 @@ class Editor:
         fault = next(iter(self._faults.values()), fault)
         self._wrong.set_text(fault)
         self._rig = None if fault else rig
+        if rig is not None:
+            self._room_pa = rig.ambient.pressure_pa
+            self._layout = rig.text or TextFormat()
         if self._rig is not None:
             self._drawing.set_content(schematic(self._rig, None, None))
         self._done.set_enabled(self._rig is not None)
@@ -163,13 +163,13 @@ class Editor:
             self._say("recording: none was chosen")
             return
         try:
-            self._peeked = await run.cpu_bound(peek, path) or []
+            self._peeked = await run.cpu_bound(peek, path, self._layout) or []
         except InputError as error:
             self._say(str(error))
             return
         self._channels.clear()
         with self._channels:
-            for keys, words, _ in channels_of(self._data):
+            for keys, words in channels_of(self._data):
                 self._channel(keys, words)
 
     def _channel(self, keys: Keys, words: str) -> None:
@@ -199,7 +199,9 @@ class Editor:
                 channel |= place if one.topic else dict(column=one.field)
                 self._changes[keys] = f"{words} from {one.topic} {one.field}".replace("  ", " ")
             if unit.value != AS_IT_IS:
-                channel["scale"], channel["offset"] = UNITS[str(unit.value)]
+                chosen = str(unit.value)
+                channel["scale"] = OF_PART[keys[0]][chosen]
+                channel["offset"] = self._room_pa if chosen.endswith(GAUGE) else 0.0
                 self._changes[keys] = f"{words} from {one.topic} {one.field} in {unit.value}"
             self._data = with_value(self._data, keys, channel)
             shown.set_content(outline(one))

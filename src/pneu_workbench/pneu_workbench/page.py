@@ -14,6 +14,7 @@ from typing import Any
 from nicegui import events, run, ui
 
 from pneu_common.errors import InputError
+from pneu_common.progress import clock
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.tasks.regime_masks import Key
 from pneu_workbench.cards import Cards, heading, refusing
@@ -252,7 +253,7 @@ class Page:
         running = task is not None and task.running
         self._live.look()
         if task is not None and running:
-            self._took.set_text(_minutes(time.monotonic() - task.begun_s))
+            self._took.set_text(clock(time.monotonic() - task.begun_s))
         if work.changes != self._changes:
             self._changes = work.changes
             self._busy.set_visibility(running)
@@ -357,8 +358,3 @@ class Page:
         if self._chart is not None:
             edge = 0.1 * (end_s - begin_s)
             self._chart.run_method("show", begin_s - edge, end_s + edge)
-
-
-def _minutes(seconds: float) -> str:
-    """A duration as minutes and seconds."""
-    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"

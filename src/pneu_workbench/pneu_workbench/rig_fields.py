@@ -14,28 +14,20 @@ from typing import Any
 from pneu_common.errors import InputError
 from pneu_sim.rig.load import check_rig
 from pneu_sim.rig.schema import Rig
+from pneu_sysid.parameter_units import PURE, SUFFIXES, unit_of_name
+from pneu_sysid.report.quantities import pretty_unit
 
 Keys = tuple[str, ...]
 
 UNITS = {
-    "_m3_s_pa": ("l/(min bar)", 6e9),
-    "_kg_m2": ("kg m²", 1.0),
-    "_m_s2": ("m/s²", 1.0),
-    "_m_s": ("m/s", 1.0),
-    "_m3": ("ml", 1e6),
-    "_m2": ("mm²", 1e6),
-    "_m": ("mm", 1e3),
-    "_pa": ("bar", 1e-5),
-    "_hz": ("Hz", 1.0),
-    "_kg": ("kg", 1.0),
-    "_rad": ("rad", 1.0),
-    "_v": ("V", 1.0),
-    "_k": ("K", 1.0),
-    "_s": ("ms", 1e3),
-    "_n": ("N", 1.0),
+    "Pa": ("bar", 1e-5),
+    "m": ("mm", 1e3),
+    "m^2": ("mm²", 1e6),
+    "m^3": ("ml", 1e6),
+    "m^3/(s Pa)": ("l/(min bar)", 6e9),
+    "s": ("ms", 1e3),
 }
-"""Unit that a number is shown in, and how many of them one of the SI is, by the end of its name;
-the longest that fits counts."""
+"""Units that people use instead of the SI's, and how many of them one of those is."""
 PARTS = (
     "ambient", "reservoirs", "pipes", "chambers", "valves", "cylinders", "taps", "encoders",
     "effects", "mechanism", "grid",
@@ -77,10 +69,8 @@ def shown_unit(name: str) -> tuple[str, float]:
     Args:
         name: Its name in the rig file.
     """
-    for end in sorted(UNITS, key=len, reverse=True):
-        if name.endswith(end):
-            return UNITS[end]
-    return "", 1.0
+    unit = unit_of_name(name)
+    return UNITS.get(unit or "", (pretty_unit(unit), 1.0))
 
 
 def fields_of(data: dict[str, Any]) -> list[Field]:
@@ -108,10 +98,8 @@ def _fields(value: Any, keys: Keys) -> Iterator[Field]:
     elif isinstance(value, int | float) and not isinstance(value, bool):
         unit, scale = shown_unit(keys[-1])
         words = keys[-1]
-        for end in sorted(UNITS, key=len, reverse=True):
-            if words.endswith(end):
-                words = words.removesuffix(end)
-                break
+        if words not in PURE:
+            words = words.removesuffix(next((e for e, _ in SUFFIXES if words.endswith(e)), ""))
         part = ", ".join(keys[:-1])
         yield Field(keys, part, words.replace("_", " "), unit, scale, float(value) * scale)
 
@@ -171,18 +159,17 @@ def checked(data: dict[str, Any], path: Path) -> tuple[Rig | None, str]:
         return None, str(error).removeprefix(f"{path}: ")
 
 
-def channels_of(data: dict[str, Any]) -> list[tuple[Keys, str, str]]:
+def channels_of(data: dict[str, Any]) -> list[tuple[Keys, str]]:
     """Commands, taps and encoders of a rig file that a recording has channels of.
 
     Args:
         data: The file as plain values.
 
     Returns:
-        Where the channel stands in the file, what it is of, and the unit that it is shown in.
+        Where the channel stands in the file, and what it is of.
     """
-    units = {"commands": "V", "taps": "bar", "encoders": ""}
     return [
-        ((part, name, "channel"), f"{part.removesuffix('s')} {name}", unit)
-        for part, unit in units.items()
+        ((part, name, "channel"), f"{part.removesuffix('s')} {name}")
+        for part in ("commands", "taps", "encoders")
         for name in data.get(part) or {}
     ]

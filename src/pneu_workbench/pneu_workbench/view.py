@@ -7,7 +7,7 @@ errors over the parts that somebody looks at.
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -78,7 +78,7 @@ class Seen:
     beside: int | None = None
     early: str = ""
     tried: str = ""
-    diagnosis: dict[str, Any] | None = field(default=None)
+    diagnosis: dict[str, Any] | None = None
 
 
 class View:
@@ -217,10 +217,9 @@ class View:
             told = _told_by(kind, trace, signals.about.noise[name], key)
             if regime is None:
                 return trace.time_s, told
-            mask = self._mask(name, regime)
-            if mask is None or mask.size != told.size:
-                return trace.time_s, np.full(told.size, np.nan)
-            return trace.time_s, np.where(mask, told, np.nan)
+            return trace.time_s, np.where(
+                self._within(name, trace, Part(regime=regime)), told, np.nan
+            )
 
         own = key if kind == "candidate" else kind if kind in KINDS else "model"
         if kind == "residual_beside":
@@ -269,13 +268,7 @@ class View:
             return {}
         out = {}
         for name, trace in signals.sensors.items():
-            mask = _between(trace, part)
-            if part.regime is not None:
-                of_regime = self._mask(name, part.regime)
-                if of_regime is None or of_regime.size != mask.size:
-                    continue
-                mask &= of_regime
-            value = _rms(trace, mask, signals.about.noise[name])
+            value = _rms(trace, self._within(name, trace, part), signals.about.noise[name])
             if value is not None:
                 out[name] = value
         return out
@@ -290,13 +283,7 @@ class View:
         signals = self._signals()
         if signals is None or sensor not in signals.sensors:
             return False
-        mask = _between(signals.sensors[sensor], part)
-        if part.regime is not None:
-            of_regime = self._mask(sensor, part.regime)
-            if of_regime is None or of_regime.size != mask.size:
-                return False
-            mask &= of_regime
-        return bool(mask.any())
+        return bool(self._within(sensor, signals.sensors[sensor], part).any())
 
     def map(self, part: Part) -> list[MapRow]:
         """Errors by regime, in order, within a part; what is of frequencies is of all time.
@@ -319,22 +306,24 @@ class View:
         if part.begin_s is not None or part.end_s is not None:
             for key in told:
                 if key[0] != "frequency":
-                    told[key] = self._within(signals, key, part)
+                    told[key] = self.errors(replace(part, regime=key))
         return [
             MapRow(key, words_of(key), told.get(key, {}), key[0] != "frequency")
             for key in sorted(order, key=lambda k: order[k])
         ]
 
-    def _within(self, signals: Signals, key: Key, part: Part) -> dict[str, float]:
-        out = {}
-        for name, trace in signals.sensors.items():
-            mask = self._mask(name, key)
-            if mask is None or mask.size != trace.time_s.size:
-                continue
-            value = _rms(trace, mask & _between(trace, part), signals.about.noise[name])
-            if value is not None:
-                out[name] = value
-        return out
+    def _within(self, sensor: str, trace: Trace, part: Part) -> Mask:
+        """(n,) which readings of a sensor lie in a part."""
+        mask = np.ones(trace.time_s.size, dtype=bool)
+        if part.begin_s is not None:
+            mask &= trace.time_s >= part.begin_s
+        if part.end_s is not None:
+            mask &= trace.time_s <= part.end_s
+        if part.regime is not None:
+            of_regime = self._mask(sensor, part.regime)
+            known = of_regime is not None and of_regime.size == mask.size
+            mask &= of_regime if known else False
+        return mask
 
     def _mask(self, sensor: str, regime: Key) -> Mask | None:
         masks = self._regimes()
@@ -354,15 +343,6 @@ def _told_by(kind: Kind, trace: Trace, noise: float, candidate: str) -> Floats:
     if kind == "candidate":
         return trace.changes[candidate] / noise
     return trace.model
-
-
-def _between(trace: Trace, part: Part) -> Mask:
-    mask = np.ones(trace.time_s.size, dtype=bool)
-    if part.begin_s is not None:
-        mask &= trace.time_s >= part.begin_s
-    if part.end_s is not None:
-        mask &= trace.time_s <= part.end_s
-    return mask
 
 
 def _rms(trace: Trace, mask: Mask, noise: float) -> float | None:

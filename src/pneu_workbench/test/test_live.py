@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pneu_workbench.live.link import SHOWN_S, Live
+from pneu_workbench.live.link import SHOWN_S, Course, Live
 from pneu_workbench.live.samples import KEPT_S, Samples
 
 from pneu_common.errors import InputError
@@ -84,7 +84,7 @@ def test_what_is_shown_is_of_late(tmp_path: Path) -> None:
         live.take(5.0, lambda path: None)
     assert live.shown() == ({}, {}) and live.state() == []
     live._forget()
-    live.courses = {name: _course() for name in load_rig(RIG).taps}
+    live.courses = {name: Course("Pa") for name in load_rig(RIG).taps}
     for k in range(200):
         live._heard(_window(BEGIN_S + 0.5 * (k + 1)))
     sensors, _ = live.shown()
@@ -102,12 +102,6 @@ def test_what_is_shown_is_of_late(tmp_path: Path) -> None:
     live._heard({"fault": "the model cannot be run along"})
     assert live.fault == "the model cannot be run along"
     assert len(changed) > 200
-
-
-def _course() -> Any:
-    from pneu_workbench.live.link import Course
-
-    return Course("Pa")
 
 
 def test_a_rig_that_is_wrong_is_not_listened_to(tmp_path: Path) -> None:

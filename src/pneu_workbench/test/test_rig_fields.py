@@ -73,7 +73,7 @@ def test_what_is_wrong_is_said_in_one_sentence() -> None:
 def test_channels_are_matched_by_hand() -> None:
     path = ROOT / "rigs" / "rig_a.yaml"
     data = read_yaml(path, "rig file")
-    places = {words: keys for keys, words, _ in channels_of(data)}
+    places = {words: keys for keys, words in channels_of(data)}
     assert {"command voltage", "tap end"} <= set(places)
     data = with_value(data, places["tap end"], {"column": "p4", "scale": 1e5})
     rig, fault = checked(data, path)
@@ -86,7 +86,9 @@ def test_channels_are_matched_by_hand() -> None:
 
 
 def test_the_longest_end_of_a_name_says_the_unit() -> None:
-    assert shown_unit("conductance_m3_s_pa") == UNITS["_m3_s_pa"]
+    assert shown_unit("conductance_m3_s_pa") == UNITS["m^3/(s Pa)"]
     assert shown_unit("dead_volume_m3") == ("ml", 1e6)
     assert shown_unit("speed_m_s") == ("m/s", 1.0)
     assert shown_unit("damping") == ("", 1.0)
+    assert shown_unit("inertia_kg_m2") == ("kg m²", 1.0)
+    assert shown_unit("loss_to") == ("", 1.0)

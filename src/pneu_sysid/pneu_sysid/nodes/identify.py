@@ -6,9 +6,7 @@ Each goal runs in a process of its own, which a cancel ends for good. With the p
 what it leaves unexplained. Parameters and topics: see ``ros_ws/README.md``.
 """
 
-import threading
 import uuid
-from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,16 +22,14 @@ from pneu_graph.nodes import common
 from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.nodes.listening import Listening
+from pneu_sysid.nodes.watching import Watching
 from pneu_sysid.sensor_units import encoder_units
 from pneu_sysid.tasks.process import TaskProcess
 from pneu_sysid.tasks.request import Outcome, Request, check
-from pneu_sysid.watch import Verdict, Watch, Window
+from pneu_sysid.watch import ERROR_TIMES, WARN_TIMES, Verdict, Watch, Window
 
 RESIDUALS_TOPIC = "taps/residuals"
 ENCODER_RESIDUALS_TOPIC = "encoders/residuals"
-LOOK_S = 0.02
-"""How often the watch looks for new samples."""
 LEVELS = {0: DiagnosticStatus.OK, 1: DiagnosticStatus.WARN, 2: DiagnosticStatus.ERROR}
 
 
@@ -58,13 +54,13 @@ class IdentifyParameters(Parameters):
         read_only=True,
     )
     warn_times: float = parameter(
-        3.0,
+        WARN_TIMES,
         "Multiple of the expected error that is worth a warning.",
         within=(1.0, 1e6),
         read_only=True,
     )
     error_times: float = parameter(
-        10.0,
+        ERROR_TIMES,
         "Multiple of the expected error at which the model does not describe the rig.",
         within=(1.0, 1e6),
         read_only=True,
@@ -192,7 +188,7 @@ class IdentifyNode(Node):
 
 
 class Watcher:
-    """Feeds a watch from the graph, runs it in a thread, and publishes what it finds."""
+    """Runs a model alongside the graph, and publishes and reports what it leaves."""
 
     def __init__(self, node: Node, rig: Rig, watch: Watch, verdict: Verdict) -> None:
         """Subscribes; `start` sets it going.
@@ -205,14 +201,6 @@ class Watcher:
         """
         self._node = node
         self._rig = rig
-        self._watch = watch
-        self._verdict = verdict
-        self._newest: Window | None = None
-        self._failure = ""
-        # Callbacks append, the thread takes: a deque needs no lock for that.
-        self._arrived: deque[Any] = deque(maxlen=100_000)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
         self._publisher = node.create_publisher(TapResiduals, RESIDUALS_TOPIC, 10)
         self._units = encoder_units(rig)
         self._encoder_publisher: Any = None
@@ -220,31 +208,27 @@ class Watcher:
             self._encoder_publisher = node.create_publisher(
                 EncoderResiduals, ENCODER_RESIDUALS_TOPIC, 10
             )
-        self._listening = Listening(node, rig, self._heard)
-
-    def _heard(self, *sample: Any) -> None:
-        self._arrived.append(sample)
+        self._watching = Watching(node, rig, watch, verdict, self._publish)
 
     def start(self) -> None:
         """Starts the thread."""
-        self._thread.start()
+        self._watching.start()
 
     def stop(self) -> None:
         """Ends the thread and waits for it."""
-        self._ended.set()
-        if self._thread.is_alive():
-            self._thread.join()
+        self._watching.stop()
 
     def report(self) -> DiagnosticStatus:
         """How well the model describes the rig."""
         name = f"{self._node.get_name()}: model {self._rig.name}"
-        level, window = self._verdict.level, self._newest
-        if self._failure:
-            return common.status(DiagnosticStatus.ERROR, name, self._failure, {}, self._rig.name)
+        watching = self._watching
+        level, window = watching.verdict.level, watching.newest
+        if watching.failure:
+            return common.status(DiagnosticStatus.ERROR, name, watching.failure, {}, self._rig.name)
         if window is None or level < 0:
             text = "too few samples of sensors and commands to judge the model yet"
             return common.status(DiagnosticStatus.STALE, name, text, {}, self._rig.name)
-        times = self._verdict.times_expected
+        times = watching.verdict.times_expected
         text = f"as expected: {times:.2g} times the error known from its calibration"
         if level > 0:
             what = "worse than expected" if level == 1 else "the model does not describe the rig"
@@ -254,22 +238,6 @@ class Watcher:
             for name, rms in zip(window.sensors, window.rms, strict=True)
         }
         return common.status(LEVELS[level], name, text, values, self._rig.name)
-
-    def _run(self) -> None:
-        while not self._ended.wait(LOOK_S):
-            while self._arrived:
-                is_command, name, time_s, value = self._arrived.popleft()
-                (self._watch.command if is_command else self._watch.reading)(name, time_s, value)
-            try:
-                window = self._watch.window()
-                self._failure = ""
-            except InputError as error:
-                self._failure = f"the model cannot be run along: {error}"
-                continue
-            if window is not None and self._node.context.ok() and not self._ended.is_set():
-                self._verdict.add(window)
-                self._newest = window
-                self._publish(window)
 
     def _publish(self, window: Window) -> None:
         taps = len(self._rig.taps)

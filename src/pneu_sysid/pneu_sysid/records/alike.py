@@ -236,15 +236,13 @@ class Decoded:
             path: Field of the stamp.
             of: Gets it of a decoded message.
         """
-        seconds, parts = (
-            self._filled(
-                np.int64,
-                lambda g, n=name: g.column(f"{path}.{n}"),  # type: ignore[misc]
-                lambda m, n=name: getattr(of(m), n),  # type: ignore[misc]
+
+        def part(name: str) -> NDArray[np.int64]:
+            return self._filled(
+                np.int64, lambda g: g.column(f"{path}.{name}"), lambda m: getattr(of(m), name)
             )
-            for name in ("sec", "nanosec")
-        )
-        return seconds * 1_000_000_000 + parts
+
+        return part("sec") * 1_000_000_000 + part("nanosec")
 
     def of_name(self, wanted: str, row: str) -> tuple[Floats, NDArray[np.bool_], list[str]]:
         """What messages say of one of the names that they carry.

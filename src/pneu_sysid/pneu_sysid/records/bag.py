@@ -1,41 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Channels out of rosbag2 MCAP recordings, decoded by the definitions inside the file.
-
-The container is walked record by record in file order (``mcap``), because a reader
-that sorts by time would hide clocks that jump back and messages that came late. The
-messages are decoded by ``rosbags`` from the schemas the file carries.
-"""
+"""Channels out of rosbag2 MCAP recordings: which topic, which field, which values."""
 
 import difflib
-import io
-import re
-import struct
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from functools import reduce
+from dataclasses import dataclass
 from operator import attrgetter
-from pathlib import Path, PurePath
-from typing import Any, cast
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-import zstandard
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.records import Channel as McapChannel
-from mcap.records import Chunk, DataEnd, McapRecord, Message, Schema, Statistics
-from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
-from pneu_common.documents import read_yaml
 from pneu_common.errors import InputError
-from pneu_graph.bag.unpacking import (
-    Allowance,
-    Bounded,
-    WithoutIndex,
-    chunk_records,
-    unzstd,
-)
 from pneu_sim.channels import Channel
 from pneu_sim.signals import velocity_of
 from pneu_sim.topics import (
@@ -47,61 +21,23 @@ from pneu_sim.topics import (
     same_topic,
 )
 from pneu_sysid.records.alike import Decoded
+from pneu_sysid.records.container import RawTopic, Topics, collect
+from pneu_sysid.records.decode import (
+    check_number,
+    columns_of,
+    getter_of,
+    messages_of,
+    split_field,
+    stamp_path,
+    typestore_of,
+)
 from pneu_sysid.records.recording import Finding, absent
-from pneu_sysid.records.stream import STAMP_LIMIT_NS, Role, Stream
+from pneu_sysid.records.stream import Role, Stream
 
 OF_JOINTS = NAMED_VALUES[JOINT_STATE]
 """Fields of a ``JointState`` that hold a number for each joint that it names."""
 OF_NAMES = {kind: NAMED_VALUES[kind] for kind in (VALVE_COMMAND, TAP_PRESSURES)}
 """Fields of other types with a number for each name; as nodes read them."""
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no CDR message starts so: its first byte is 0
-_DATA_OPCODES = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK}
-_STEP = re.compile(r"([A-Za-z]\w*)((?:\[\d+\])*)$")
-_IDL_SEPARATOR = "=" * 80 + "\n"
-
-
-@dataclass
-class RawTopic:
-    """Raw messages of one topic with one type.
-
-    Attributes:
-        name: Its name.
-        msgtype: Type of its messages.
-        schema: Their definition, where the bag has one.
-        encoding: How they are encoded.
-        count: How many there are.
-        arrival: Where in the file each came, of those that were wanted.
-        log_ns: When each was written, ns.
-        data: They.
-    """
-
-    name: str
-    msgtype: str
-    schema: Schema | None
-    encoding: str
-    count: int = 0
-    arrival: list[int] = field(default_factory=list)
-    log_ns: list[int] = field(default_factory=list)
-    data: list[bytes] = field(default_factory=list)
-
-
-Topics = dict[str, dict[str, RawTopic]]  # by topic name, then by message type
-
-
-def bag_topics(path: Path) -> dict[str, tuple[str, int]]:
-    """Return message type and number of messages of every topic in a bag.
-
-    Args:
-        path: rosbag2 folder or .mcap file.
-
-    Raises:
-        InputError: The bag is missing, damaged or not an MCAP recording.
-    """
-    topics, _ = collect(path, set())
-    return {
-        name: (" or ".join(sorted(kinds)), sum(kind.count for kind in kinds.values()))
-        for name, kinds in sorted(topics.items())
-    }
 
 
 def read_bag(
@@ -165,7 +101,7 @@ def read_bag(
             )
             named = _named_field(topic.msgtype, channel.field)
             if not of_joint:
-                _check_number(where, store, topic.msgtype, channel.field)
+                check_number(where, store, topic.msgtype, channel.field)
             key = (topic.name, topic.msgtype)
             if key not in decoded:
                 decoded[key] = columns_of(where, store, topic)
@@ -178,7 +114,7 @@ def read_bag(
                 raw = _values(where, messages, channel.field)
                 said = np.ones(raw.size, dtype=bool)
             log_ns = np.array(topic.log_ns, dtype=np.int64)
-            stamp = _stamp_path(store, topic.msgtype)
+            stamp = stamp_path(store, topic.msgtype)
             if channel.stamp == "header" and stamp is None:
                 raise InputError(
                     f"{where} has no header stamp, but stamp 'header' was asked for "
@@ -231,7 +167,7 @@ def read_joints(
     topic = _find_topic(path, wanted, channel, of_joints)
     where = f"{path}: topic '{topic.name}' ({topic.msgtype})"
     store = typestore_of(where, topic, wanted, findings)
-    messages = _decode(where, store, topic)
+    messages = messages_of(where, store, topic)
     log_ns = np.array(topic.log_ns, dtype=np.int64)
     stream = Stream(
         name=wanted,
@@ -258,189 +194,6 @@ def _is_in(topics: Topics, wanted: str | None) -> bool:
         same_topic(full, wanted) and any(kind.count for kind in kinds.values())
         for full, kinds in topics.items()
     )
-
-
-# ---- the container ------------------------------------------------------------------------
-
-
-def collect(path: Path, wanted: set[str]) -> tuple[Topics, list[Finding]]:
-    """Return every topic of all files of a bag, with the messages of the wanted ones.
-
-    Args:
-        path: rosbag2 folder or bare .mcap file.
-        wanted: Names of topics.
-
-    Raises:
-        InputError: The bag is unreadable or cut.
-    """
-    files, expected, findings = _bag_files(path)
-    topics: Topics = {}
-    total = 0
-    for file in files:
-        total = _scan_file(file, wanted, topics, total, findings)
-    if expected is not None and total < expected:
-        raise InputError(
-            f"{path}: the bag is truncated: it holds {total} of the {expected} messages "
-            "that metadata.yaml lists"
-        )
-    return topics, findings
-
-
-def _bag_files(path: Path) -> tuple[list[Path], int | None, list[Finding]]:
-    """Return the storage files of a bag in order and its listed number of messages."""
-    if not path.exists():
-        raise InputError(f"{path}: no such file or folder")
-    if path.is_file():
-        return [path], None, []
-    meta_path = path / "metadata.yaml"
-    if not meta_path.exists():
-        files = sorted(
-            (p for p in path.iterdir() if p.name.endswith((".mcap", ".mcap.zstd"))),
-            key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)],
-        )
-        if not files:
-            raise InputError(
-                f"{path}: neither metadata.yaml nor a .mcap file is in this folder, "
-                "so it is not a rosbag2 MCAP recording"
-            )
-        note = f"no metadata.yaml; the {len(files)} .mcap file(s) were read in order of name"
-        return files, None, [Finding(path.name, "no_metadata", 1, note)]
-    data = read_yaml(meta_path, "description of a bag")
-    try:
-        info = data["rosbag2_bagfile_information"]
-        storage = str(info["storage_identifier"])
-        names = [PurePath(str(p)).name for p in info["relative_file_paths"]]
-        expected = int(info["message_count"])
-    except (KeyError, TypeError, ValueError, OverflowError) as err:  # a size of infinity
-        what = " ".join(str(err).split())[:120]
-        raise InputError(f"{meta_path}: not valid rosbag2 metadata ({what})") from err
-    if storage != "mcap":
-        raise InputError(
-            f"{path}: the storage is '{storage}', only 'mcap' is read "
-            "(convert it with 'ros2 bag convert')"
-        )
-    for name in names:
-        if not (path / name).is_file():
-            raise InputError(f"{path}: metadata.yaml lists '{name}', which is not in the folder")
-    return [path / name for name in names], expected, []
-
-
-def _records(file: Bounded, limit: int) -> Iterator[McapRecord]:
-    yield from WithoutIndex(
-        cast(Any, file), emit_chunks=True, validate_crcs=True, record_size_limit=limit
-    ).records
-
-
-def _scan_file(
-    path: Path, wanted: set[str], topics: Topics, arrival: int, findings: list[Finding]
-) -> int:
-    """Add the messages of one MCAP file to ``topics``; return the running message count."""
-    allowance = Allowance(path, path.stat().st_size if path.is_file() else 0)
-    file, size = _open(path, allowance)
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, tuple[RawTopic, bool]] = {}
-    first = arrival
-    good = 0  # end of the last complete record, in bytes
-    data_ended = False
-    listed: int | None = None
-    damage: str | None = None
-    with file:
-        try:
-            for record in _records(file, size):
-                inner = chunk_records(record, allowance) if isinstance(record, Chunk) else [record]
-                for item in inner:
-                    if isinstance(item, Message):
-                        topic, keep = channels[item.channel_id]
-                        topic.count += 1
-                        if keep:
-                            topic.arrival.append(arrival)
-                            topic.log_ns.append(min(item.log_time, STAMP_LIMIT_NS))
-                            topic.data.append(item.data)
-                        arrival += 1
-                    elif isinstance(item, Schema):
-                        schemas[item.id] = item
-                    elif isinstance(item, McapChannel):
-                        channels[item.id] = _add_topic(item, schemas, wanted, topics)
-                    elif isinstance(item, DataEnd):
-                        data_ended = True
-                    elif isinstance(item, Statistics):
-                        listed = item.message_count
-                good = file.tell()
-        except InputError:  # before its base, ValueError
-            raise
-        except (
-            McapError,
-            zstandard.ZstdError,
-            struct.error,
-            ValueError,
-            KeyError,
-            RuntimeError,
-            OverflowError,
-            MemoryError,
-            EOFError,
-        ) as err:
-            damage = " ".join(str(err).split())[:100] or type(err).__name__
-        if damage is not None:
-            file.seek(good)
-            opcode = file.read(1) if good < size else b""
-    if listed is not None and arrival - first < listed:
-        raise InputError(
-            f"{path}: damaged: it holds {arrival - first} of the {listed} messages that its "
-            "summary lists"
-        )
-    if damage is None:
-        return arrival
-    if good == 0:
-        raise InputError(f"{path}: not an MCAP file, or cut off in its first record ({size} bytes)")
-    only_index = (
-        data_ended
-        or not opcode
-        or (opcode[0] not in _DATA_OPCODES and 0 < opcode[0] <= Opcode.DATA_END)
-    )
-    if not only_index or arrival == first:
-        raise InputError(
-            f"{path}: truncated or damaged: of {size} bytes only the first {good} are whole "
-            f"records, with {arrival - first} messages ('mcap recover' saves what is left)"
-        )
-    note = (
-        f"the file ends after its last whole chunk, at byte {good} of {size}, without "
-        f"index or footer; its {arrival - first} messages were read"
-    )
-    findings.append(Finding(path.name, "truncated", 1, note))
-    return arrival
-
-
-def _open(path: Path, allowance: Allowance) -> tuple[Bounded, int]:
-    """Open a storage file, unpacked first where the file as a whole is compressed."""
-    try:
-        with path.open("rb") as file:
-            compressed = file.read(4) == _ZSTD_MAGIC
-        if not compressed:
-            size = path.stat().st_size
-            return Bounded(path.open("rb"), size), size
-        # Whole-file compression has no index into it, so it is unpacked in memory.
-        with path.open("rb") as file:
-            data = unzstd(file, allowance)
-        return Bounded(io.BytesIO(data), len(data)), len(data)
-    except OSError as err:
-        raise InputError(f"{path}: cannot be read ({err.strerror})") from err
-    except zstandard.ZstdError as err:
-        raise InputError(f"{path}: the zstd compression of the file is damaged ({err})") from err
-
-
-def _add_topic(
-    channel: McapChannel, schemas: dict[int, Schema], wanted: set[str], topics: Topics
-) -> tuple[RawTopic, bool]:
-    schema = schemas.get(channel.schema_id)
-    msgtype = schema.name if schema else "unknown"
-    kinds = topics.setdefault(channel.topic, {})
-    topic = kinds.setdefault(
-        msgtype, RawTopic(channel.topic, msgtype, schema, channel.message_encoding)
-    )
-    return topic, any(same_topic(channel.topic, name) for name in wanted)
-
-
-# ---- topics, types and fields ---------------------------------------------------------------
 
 
 def _full_type(name: str) -> str:
@@ -494,218 +247,6 @@ def _find_topic(path: Path, name: str, channel: Channel, topics: Topics) -> RawT
             f"'{match.encoding}', only 'cdr' (ROS 2) is read"
         )
     return match
-
-
-def typestore_of(where: str, topic: RawTopic, name: str, findings: list[Finding]) -> Typestore:
-    """Return the types that a topic's embedded definition declares.
-
-    Args:
-        where: What messages to people begin with.
-        topic: The topic.
-        name: What findings are said of.
-        findings: Receives what was found.
-
-    Raises:
-        InputError: There is no definition, or it cannot be read.
-    """
-    schema = topic.schema
-    if schema is None or not schema.data:
-        # Recorders write an empty definition when they cannot find the package.
-        store = get_typestore(Stores.ROS2_JAZZY)
-        if topic.msgtype not in store.fielddefs:
-            raise InputError(f"{where}: the bag has no definition of this message type")
-        note = f"the bag has no definition of {topic.msgtype}; that of ROS 2 Jazzy was used"
-        findings.append(Finding(name, "no_definition", 1, note))
-        return store
-    store = get_typestore(Stores.EMPTY)
-    try:
-        text = schema.data.decode()
-        if schema.encoding == "ros2msg":
-            store.register(get_types_from_msg(text, topic.msgtype))
-        elif schema.encoding in ("ros2idl", "omgidl"):
-            parts = [text]
-            if text.startswith(_IDL_SEPARATOR + "IDL: "):
-                parts = [part.split("\n", 1)[1] for part in text.split(_IDL_SEPARATOR)[1:]]
-            for part in parts:
-                store.register(get_types_from_idl(part))
-        else:
-            raise InputError(
-                f"{where}: the definition is written in '{schema.encoding}' "
-                "(allowed: ros2msg, ros2idl)"
-            )
-    except InputError:
-        raise
-    except Exception as err:  # a parser fed hostile text raises many kinds
-        what = " ".join(str(err).split())[:120]
-        raise InputError(f"{where}: the embedded definition cannot be parsed ({what})") from err
-    _check_defined(where, store, topic.msgtype, set())
-    return store
-
-
-def _check_defined(where: str, store: Typestore, name: str, seen: set[str]) -> None:
-    """Raise unless a message type and all that it consists of are defined, and end somewhere."""
-    if name not in store.fielddefs:
-        have = ", ".join(sorted(store.fielddefs)) or "nothing"
-        raise InputError(f"{where}: the embedded definition has no {name}, it defines {have}")
-    if name in seen:
-        raise InputError(f"{where}: the embedded definition of {name} contains itself")
-    for kind, detail in fields_of(store, name).values():
-        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-            kind, detail = detail[0]
-        if kind == Nodetype.NAME:
-            _check_defined(where, store, detail, {*seen, name})
-
-
-def fields_of(store: Typestore, msgtype: str) -> dict[str, Any]:
-    """Fields of a type and what they hold.
-
-    Args:
-        store: Definitions of types.
-        msgtype: The type.
-    """
-    return dict(store.fielddefs[msgtype][1])
-
-
-def split_field(where: str, path: str) -> list[tuple[str, list[int]]]:
-    """Names and indices of which the path of a field consists.
-
-    Args:
-        where: What messages to people begin with.
-        path: The path.
-
-    Raises:
-        InputError: It is none.
-    """
-    steps = []
-    for part in path.split("."):
-        match = _STEP.match(part)
-        if match is None:
-            raise InputError(
-                f"{where}: field '{path}' is not a path such as 'data' or 'position[0]'"
-            )
-        steps.append((match[1], [int(i) for i in re.findall(r"\d+", match[2])]))
-    return steps
-
-
-def _check_number(where: str, store: Typestore, msgtype: str, path: str) -> None:
-    """Raise unless a field path leads to one number of the message type."""
-    current = msgtype
-    steps = split_field(where, path)
-    for depth, (name, indices) in enumerate(steps):
-        fields = fields_of(store, current)
-        if name not in fields:
-            raise InputError(
-                f"{where} has no field '{path}': the fields of {current} are "
-                f"{', '.join(n for n in fields if n != 'structure_needs_at_least_one_member')}"
-            )
-        kind, detail = fields[name]
-        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-            if len(indices) != 1:
-                raise InputError(
-                    f"{where}: field '{path}': '{name}' is an array, write '{name}[0]'"
-                )
-            (kind, detail), length = detail
-            if fields[name][0] == Nodetype.ARRAY and indices[0] >= length:
-                raise InputError(f"{where}: field '{path}': '{name}' has only {length} elements")
-        elif indices:
-            raise InputError(f"{where}: field '{path}': '{name}' is not an array")
-        last = depth == len(steps) - 1
-        if kind == Nodetype.NAME:
-            if last:
-                raise InputError(
-                    f"{where}: field '{path}' is a {detail}, not a number: its fields are "
-                    f"{', '.join(fields_of(store, detail))}"
-                )
-            current = detail
-        elif not last:
-            raise InputError(f"{where}: field '{path}': '{name}' is a {detail[0]}, without fields")
-        elif detail[0] in ("string", "wstring", "wchar"):
-            raise InputError(f"{where}: field '{path}' is a {detail[0]}, not a number")
-
-
-def _stamp_path(store: Typestore, msgtype: str) -> str | None:
-    """Return the path of a message's own time stamp, if it has one."""
-    fields = fields_of(store, msgtype)
-    if fields.get("header") == (Nodetype.NAME, "std_msgs/msg/Header"):
-        return "header.stamp"
-    if fields.get("stamp") == (Nodetype.NAME, "builtin_interfaces/msg/Time"):
-        return "stamp"
-    return None
-
-
-# ---- values ---------------------------------------------------------------------------------
-
-
-def columns_of(where: str, store: Typestore, topic: RawTopic) -> Decoded:
-    """The messages of a topic, to be read by field.
-
-    Args:
-        where: What messages to people begin with.
-        store: Definitions of types.
-        topic: The topic.
-
-    Raises:
-        InputError: One does not decode.
-    """
-    one = _decoder(where, store, topic)
-    return Decoded(topic.data, store, topic.msgtype, one)
-
-
-def _decode(where: str, store: Typestore, topic: RawTopic) -> list[Any]:
-    one = _decoder(where, store, topic)
-    return [one(number) for number in range(len(topic.data))]
-
-
-def _decoder(where: str, store: Typestore, topic: RawTopic) -> Callable[[int], Any]:
-    """What decodes the message of a number; those that are packed one by one are unpacked."""
-    allowance = Allowance(where, sum(map(len, topic.data)))
-
-    def refuse(number: int, err: Exception) -> InputError:
-        what = " ".join(str(err).split())[:100]
-        return InputError(
-            f"{where}: message {number + 1} of {topic.count} does not decode ({what})"
-        )
-
-    for number, raw in enumerate(topic.data):
-        if raw[:4] == _ZSTD_MAGIC:
-            try:
-                topic.data[number] = unzstd(io.BytesIO(raw), allowance)
-            except InputError:
-                raise
-            except Exception as err:
-                raise refuse(number, err) from err
-
-    def one(number: int) -> Any:
-        try:
-            return store.deserialize_cdr(topic.data[number], topic.msgtype)
-        except Exception as err:  # generated code meets hostile bytes
-            raise refuse(number, err) from err
-
-    return one
-
-
-def getter_of(steps: list[tuple[str, list[int]]]) -> Callable[[Any], float]:
-    """What gets a number of a message; NaN where an array is too short to have it.
-
-    Args:
-        steps: Where, as `split_field` has it.
-    """
-    if not any(indices for _, indices in steps):
-        return attrgetter(".".join(name for name, _ in steps))
-
-    def step(value: Any, part: tuple[str, list[int]]) -> Any:
-        value = getattr(value, part[0])
-        for index in part[1]:
-            value = value[index]
-        return value
-
-    def get(message: Any) -> float:
-        try:
-            return float(reduce(step, steps, message))
-        except IndexError:  # a variable-length array may be shorter in some messages
-            return float("nan")
-
-    return get
 
 
 def _values(where: str, messages: Decoded, path: str) -> np.ndarray:
@@ -797,8 +338,8 @@ def read_messages(path: Path, wanted: dict[str, str]) -> tuple[dict[str, Message
         topic = _find_topic(path, name, Channel(topic=asked), topics)
         where = f"{path}: topic '{topic.name}' ({topic.msgtype})"
         store = typestore_of(where, topic, name, findings)
-        messages = _decode(where, store, topic)
-        stamp = _stamp_path(store, topic.msgtype)
+        messages = messages_of(where, store, topic)
+        stamp = stamp_path(store, topic.msgtype)
         stamps = np.array(topic.log_ns, dtype=np.int64)
         if stamp is not None and np.any(own := _stamps_ns(messages, stamp)):
             stamps = own

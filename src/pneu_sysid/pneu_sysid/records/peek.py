@@ -14,8 +14,16 @@ from rosbags.typesys.store import Typestore
 
 from pneu_common.errors import InputError
 from pneu_sim.channels import TextFormat
-from pneu_sysid.records import bag, text
+from pneu_sysid.records.container import bag_topics, collect
+from pneu_sysid.records.decode import (
+    columns_of,
+    fields_of,
+    getter_of,
+    split_field,
+    typestore_of,
+)
 from pneu_sysid.records.recording import Finding
+from pneu_sysid.records.text import numbers_of, read_rows
 
 Floats = NDArray[np.float64]
 
@@ -56,7 +64,7 @@ class Peeked:
     outline: tuple[float, ...]
 
 
-def peek(path: Path, layout: TextFormat | None = None) -> list[Peeked]:
+def peek(path: Path, layout: TextFormat) -> list[Peeked]:
     """All numbers of a recording, in the order of topics and fields, or of columns.
 
     Args:
@@ -68,14 +76,14 @@ def peek(path: Path, layout: TextFormat | None = None) -> list[Peeked]:
     """
     if path.is_dir() or path.name.endswith((".mcap", ".mcap.zstd")):
         return _of_bag(path)
-    rows, lines, names, _ = text.read_rows(path, layout or TextFormat())
+    rows, lines, names, _ = read_rows(path, layout)
     width = min(len(row) for row in rows)
     out = []
     for k in range(width):
         name = names[k] if k < len(names) else str(k)
         found: list[Finding] = []
         try:
-            values = text.numbers_of(path, name, rows, lines, k, layout or TextFormat(), found)
+            values = numbers_of(path, name, rows, lines, k, layout, found)
         except InputError:  # a column of words
             continue
         out.append(_peeked("", "", name, values))
@@ -83,8 +91,8 @@ def peek(path: Path, layout: TextFormat | None = None) -> list[Peeked]:
 
 
 def _of_bag(path: Path) -> list[Peeked]:
-    every = set(bag.bag_topics(path))
-    topics, _ = bag.collect(path, every)
+    every = set(bag_topics(path))
+    topics, _ = collect(path, every)
     out: list[Peeked] = []
     for name in sorted(topics):
         for msgtype, topic in sorted(topics[name].items()):
@@ -93,25 +101,23 @@ def _of_bag(path: Path) -> list[Peeked]:
                 continue
             where = f"{path}: topic '{name}' ({msgtype})"
             try:
-                store = bag.typestore_of(where, topic, name, [])
-                messages = bag.columns_of(where, store, topic)
+                store = typestore_of(where, topic, name, [])
+                messages = columns_of(where, store, topic)
             except InputError:  # of which nothing can be told; it may be wanted by nobody
                 continue
             first = next(messages.kinds())
-            for field in _numbers_of(store, msgtype, first, "", 0):
-                steps = bag.split_field(where, field)
-                values = messages.numbers(field, bag.getter_of(steps))
+            for field in _paths_of(store, msgtype, first, "", 0):
+                steps = split_field(where, field)
+                values = messages.numbers(field, getter_of(steps))
                 out.append(_peeked(name, msgtype, field, values))
                 if len(out) >= MOST:
                     return out
     return out
 
 
-def _numbers_of(
-    store: Typestore, msgtype: str, message: Any, path: str, depth: int
-) -> Iterator[str]:
+def _paths_of(store: Typestore, msgtype: str, message: Any, path: str, depth: int) -> Iterator[str]:
     """Paths of the numbers of a type, arrays as long as a message has them."""
-    for name, (kind, detail) in bag.fields_of(store, msgtype).items():
+    for name, (kind, detail) in fields_of(store, msgtype).items():
         here = f"{path}.{name}" if path else name
         if here in LEFT_OUT:
             continue
@@ -121,7 +127,7 @@ def _numbers_of(
             count = min(len(reduce(getattr, here.split("."), message)), WIDEST)
         if kind == Nodetype.NAME:
             if count is None and depth < DEEPEST:
-                yield from _numbers_of(store, detail, message, here, depth + 1)
+                yield from _paths_of(store, detail, message, here, depth + 1)
         elif detail[0] not in ("string", "wstring", "wchar", "bool"):
             yield from [here] if count is None else [f"{here}[{k}]" for k in range(count)]
 

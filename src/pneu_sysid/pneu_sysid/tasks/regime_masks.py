@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_common.files import whole
-from pneu_sysid.tasks.signals import readings_order
+from pneu_sysid.tasks.signals import readings_in_order
 
 if TYPE_CHECKING:  # whoever looks at signals loads no solver
     from pneu_sysid.problem import Problem
@@ -62,7 +62,7 @@ def regime_masks(problem: Problem, work: Operation) -> RegimeMasks:
 
     sensors: dict[str, dict[Key, Mask]] = {}
     for k, name in enumerate(problem.taps):
-        there, order = readings_order(problem, k)
+        there, order, _ = readings_in_order(problem, k)
         sensors[name] = {
             (one.kind, one.of, one.label): one.mask[there][order]
             for one in work.sets(name)

@@ -96,14 +96,11 @@ def signals_of(
     sensors = {}
     for k, name in enumerate(problem.taps):
         measured = problem.measured[:, :, k]
-        there, order = readings_order(problem, k)
-        time = (problem.time_s[:, :, k] + since)[there]
+        there, order, time = readings_in_order(problem, k)
         told = {
             label: of[:, :, k][there][order].astype(float) for label, of in (changes or {}).items()
         }
-        sensors[name] = Trace(
-            time[order], measured[there][order], readings[:, :, k][there][order], told
-        )
+        sensors[name] = Trace(time, measured[there][order], readings[:, :, k][there][order], told)
     commands = {}
     for name in problem.recordings[0].commands:
         parts = [
@@ -130,7 +127,9 @@ def signals_of(
     return Signals(sensors, commands, about)
 
 
-def readings_order(problem: Problem, sensor: int) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+def readings_in_order(
+    problem: Problem, sensor: int
+) -> tuple[NDArray[np.bool_], NDArray[np.int64], Floats]:
     """Where the readings of a sensor are in a problem, and how they follow one another.
 
     Args:
@@ -138,12 +137,14 @@ def readings_order(problem: Problem, sensor: int) -> tuple[NDArray[np.bool_], ND
         sensor: Number of the sensor.
 
     Returns:
-        (n_stretches, horizon) whether there is one; (n,) what puts those that are in order.
+        (n_stretches, horizon) whether there is one; (n,) what puts those that are in order; (n,)
+        their times in that order, s, recordings one after the other.
     """
     there = np.isfinite(problem.measured[:, :, sensor])
     since = np.array(begins_of(problem.recordings))[problem.of][:, None]
     time = (problem.time_s[:, :, sensor] + since)[there]
-    return there, np.argsort(time, kind="stable")
+    order = np.argsort(time, kind="stable")
+    return there, order, time[order]
 
 
 def save_signals(signals: Signals, path: Path) -> None:

@@ -6,9 +6,7 @@ of them does not hold up the page, and a stop waits for nothing else.
 """
 
 import os
-import signal
 import subprocess
-import sys
 import threading
 import time
 from collections import deque
@@ -24,6 +22,7 @@ from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sysid.sensor_units import encoder_units, unit_of
 from pneu_sysid.tasks.child import Child
+from pneu_workbench.live.recorder import CLI, Recorder
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +33,6 @@ STALE_S = 5.0
 RATE_HZ = 250.0
 """Rate at which model and sensors are compared; of faster ones readings are left out."""
 LISTENER = "pneu_workbench.nodes.listener"
-CLI = [sys.executable, "-m", "pneu_common.cli"]
 
 
 @dataclass
@@ -81,7 +79,6 @@ class Live:
         samples: How many came in.
         fault: What is wrong.
         stopped: What the last stop was answered with, line by line.
-        recording: Folder of the bag that is recorded; empty while none is.
     """
 
     def __init__(self, folder: Path, changed: Callable[[], None]) -> None:
@@ -94,11 +91,10 @@ class Live:
         self._folder, self._changed = folder, changed
         self._lock = threading.RLock()
         self._child: Child | None = None
-        self._recorder: subprocess.Popen[bytes] | None = None
+        self._recorder: Recorder | None = None
         self._taken: Callable[[str], None] | None = None
         self._count = 0
         self.stopped: list[str] = []
-        self.recording = ""
         self._forget()
 
     def _forget(self) -> None:
@@ -147,6 +143,12 @@ class Live:
     def listening(self) -> bool:
         """Whether it is listened to."""
         return self._child is not None
+
+    @property
+    def recording(self) -> str:
+        """Folder of the bag that is recorded; empty while none is."""
+        recorder = self._recorder
+        return "" if recorder is None else str(recorder.bag)
 
     def take(self, seconds: float, then: Callable[[str], None]) -> None:
         """Makes a bag of what came in of late.
@@ -264,13 +266,7 @@ class Live:
                 raise InputError("recording: one goes on already")
             self._count += 1
             bag = self._folder / f"recorded_{self._count}_{os.getpid()}"
-            words = [*CLI, "bag", "record", "-a", "-o", str(bag)]
-            words += ["--attach", self.rig] if self.rig else []
-            self._recorder = subprocess.Popen(
-                words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL, start_new_session=True,
-            )  # fmt: skip
-            self.recording = str(bag)
+            self._recorder = Recorder(bag, self.rig)
         self._changed()
 
     def stop_recording(self, then: Callable[[str], None] | None = None) -> None:
@@ -281,24 +277,17 @@ class Live:
         """
         with self._lock:
             recorder, self._recorder = self._recorder, None
-            bag, self.recording = self.recording, ""
         if recorder is None:
             return
-        recorder.send_signal(signal.SIGINT)
 
-        def wait() -> None:
-            try:
-                recorder.wait(15.0)
-            except subprocess.TimeoutExpired:
-                recorder.kill()
-                recorder.wait()
-            if not Path(bag).exists():
+        def ended(there: bool) -> None:
+            if not there:
                 self.fault = "recording: nothing came in that could be written"
             elif then is not None:
-                then(bag)
+                then(str(recorder.bag))
             self._changed()
 
-        threading.Thread(target=wait, daemon=True).start()
+        recorder.end(ended)
         self._changed()
 
     def e_stop(self) -> None:

@@ -21,7 +21,11 @@ FASTEST_HZ = 5000.0
 
 
 class Samples:
-    """What came in of late. Its methods may be called from any thread."""
+    """What came in of late. Its methods may be called from any thread.
+
+    Attributes:
+        count: How many came in all.
+    """
 
     def __init__(self, rig: Rig) -> None:
         """Starts empty.
@@ -35,6 +39,7 @@ class Samples:
             name: deque(maxlen=most) for name in (*rig.commands, *rig.taps, *rig.encoders)
         }
         self._lock = threading.Lock()
+        self.count = 0
 
     def add(self, name: str, time_s: float, value: float) -> None:
         """Notes a command or a reading.
@@ -45,6 +50,7 @@ class Samples:
             value: What, SI; what is not finite is left out.
         """
         with self._lock:
+            self.count += 1
             trace = self._of.get(name)
             if trace is None or not math.isfinite(value):
                 return

@@ -22,30 +22,38 @@ from pneu_runtime import hook
 from pneu_sim.rig import load_rig
 from pneu_sysid.records.write import write_bag
 from pneu_sysid.tasks.child import Say, answering
-from pneu_sysid.watch import Verdict, Watch
+from pneu_sysid.watch import ERROR_TIMES, WARN_TIMES, Verdict, Watch
 from pneu_workbench.live.samples import Samples, told_of
 
-LOOK_S = 0.05
-WARN_TIMES, ERROR_TIMES = 2.0, 4.0
-"""Times the expected error; those of the identification's watch."""
+TELL_S = 0.05
+"""How often it is told what came in."""
 SHOWN = 8
-"""Commands that are told at each look, at least; in between are others."""
+"""Commands that are told at a time, at least; in between are others."""
 
 
 def _serve(asked: dict[str, Any], say: Say) -> None:
     import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
+    from rclpy.clock import Clock, ClockType
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
-    from pneu_sysid.nodes.listening import Listening
+    from pneu_sysid.nodes.watching import Watching
 
     rig = load_rig(asked["rig"])
-    watch = Watch(rig, float(asked["rate_hz"]))
     verdict, samples = Verdict(WARN_TIMES, ERROR_TIMES), Samples(rig)
-    arrived: deque[tuple[bool, str, float, float]] = deque(maxlen=500_000)
+    commands: deque[tuple[str, float, float]] = deque(maxlen=500_000)
     rclpy.init(args=[])
     node = rclpy.create_node(f"workbench_{os.getpid()}")
-    Listening(node, rig, lambda *sample: arrived.append(sample))
+
+    def heard(is_command: bool, name: str, time_s: float, value: float) -> None:
+        samples.add(name, time_s, value)
+        if is_command:
+            commands.append((name, time_s, value))
+
+    watching = Watching(
+        node, rig, Watch(rig, float(asked["rate_hz"])), verdict,
+        lambda window: say({"window": told_of(window, verdict)}), heard,
+    )  # fmt: skip
 
     def on_status(message: Any) -> None:
         say({"status": [[s.name, _level(s.level), s.message] for s in message.status]})
@@ -62,33 +70,22 @@ def _serve(asked: dict[str, Any], say: Say) -> None:
                 say({"fault": str(error)})
         os._exit(0)  # whoever asked is gone
 
+    def tell() -> None:
+        news: dict[str, list[list[float]]] = {}
+        while commands:
+            name, time_s, value = commands.popleft()
+            news.setdefault(name, []).append([time_s, value])
+        if news:
+            some = {name: of[:: max(len(of) // SHOWN, 1)] for name, of in news.items()}
+            say({"commands": some})
+        if watching.failure:
+            say({"fault": watching.failure})
+        say({"alive": samples.count})
+
     threading.Thread(target=take, daemon=True).start()
-
-    def look() -> None:
-        ended, count = threading.Event(), 0
-        while not ended.wait(LOOK_S):
-            news: dict[str, list[tuple[float, float]]] = {}
-            while arrived:
-                is_command, name, time_s, value = arrived.popleft()
-                (watch.command if is_command else watch.reading)(name, time_s, value)
-                samples.add(name, time_s, value)
-                count += 1
-                if is_command:
-                    news.setdefault(name, []).append((time_s, value))
-            if news:
-                some = {name: of[:: max(len(of) // SHOWN, 1)] for name, of in news.items()}
-                say({"commands": {name: [list(s) for s in of] for name, of in some.items()}})
-            try:
-                window = watch.window()
-            except InputError as error:
-                say({"fault": f"the model cannot be run along: {error}"})
-                continue
-            if window is not None:
-                verdict.add(window)
-                say({"window": told_of(window, verdict)})
-            say({"alive": count})
-
-    threading.Thread(target=look, daemon=True).start()
+    watching.start()
+    # by the machine's time, whatever the graph's does
+    node.create_timer(TELL_S, tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     with contextlib.suppress(ExternalShutdownException):

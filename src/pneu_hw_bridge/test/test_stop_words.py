@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`pneu stop` waits for no library that it does not need, whoever calls for it."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from pneu_hw_bridge.stop_command import at_once
+
+
+@pytest.mark.parametrize("words", [["--local"], ["--local", "--reason", "the workbench"]])
+def test_it_begins_before_the_command_line_is_loaded(words, tmp_path):
+    program = (
+        "import sys\nfrom pneu_common.entry import main\n"
+        "try:\n    main()\nfinally:\n    print('loaded:', {'typer', 'numpy'} & set(sys.modules))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, "stop", *words],
+        env=os.environ | {"PNEU_RUN_DIR": str(tmp_path)},  # nobody else's bridges
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert "no bridge found on this machine" in done.stdout
+    assert "loaded: set()" in done.stdout, done.stderr
+
+
+def test_other_words_are_left_to_the_command_line():
+    for words in (["--help"], ["--reason"], ["--reason", "a", "b"], ["now"]):
+        assert at_once(words) is None

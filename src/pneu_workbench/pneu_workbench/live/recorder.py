@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`pneu bag record` as a process of its own, begun and ended from the page."""
+
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+CLI = (sys.executable, "-m", "pneu_common.entry")
+END_S = 15.0
+"""A recorder that takes longer to write its bag is killed; what it wrote can be recovered."""
+
+
+class Recorder:
+    """A bag that is being recorded.
+
+    Attributes:
+        bag: Its folder.
+    """
+
+    def __init__(self, bag: Path, rig: str) -> None:
+        """Begins with all topics.
+
+        Args:
+            bag: Folder of the bag; it must be new.
+            rig: Rig file that is kept in it; empty is none.
+        """
+        self.bag = bag
+        words = [*CLI, "bag", "record", "-a", "-o", str(bag), *(["--attach", rig] if rig else [])]
+        self._process = subprocess.Popen(
+            words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )  # fmt: skip
+
+    def end(self, then: Callable[[bool], None]) -> None:
+        """Ends it; does not wait.
+
+        Args:
+            then: Called from a thread, once the bag is whole, with whether there is one.
+        """
+        self._process.send_signal(signal.SIGINT)
+
+        def wait() -> None:
+            try:
+                self._process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+            then(self.bag.exists())
+
+        threading.Thread(target=wait, daemon=True).start()
