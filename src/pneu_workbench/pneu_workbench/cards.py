@@ -213,7 +213,7 @@ class Cards:
         self._worst(left)
         for finding in left.findings:
             ui.label(finding).classes("text-sm text-warning")
-        self.narrow(self._part)
+        self._narrow_errors(self._part)
         return True
 
     def regimes(self, left: CompareResult) -> bool:
@@ -244,7 +244,7 @@ class Cards:
                         for name in names:
                             with ui.element("td") as cell:
                                 self._map_cells[row.key, name] = cell, ui.label()
-        self.narrow(self._part)
+        self._narrow_map(self._part)
         return True
 
     def narrow(self, part: Part) -> None:
@@ -254,15 +254,17 @@ class Cards:
             part: The part.
         """
         self._part = part
-        if self._work.versions.now is None:
-            return
-        self._narrow_errors(part)
-        for row in self._work.view.map(part) if self._map_cells else ():
-            for name in row.times_noise.keys() | {n for k, n in self._map_cells if k == row.key}:
-                cell, label = self._map_cells[row.key, name]
-                times = row.times_noise.get(name)
-                label.set_text("" if times is None else f"{times:.{1 if times < 100 else 0}f}")
-                cell.classes(replace=heat_of(times))
+        if self._work.versions.now is not None:
+            self._narrow_errors(part)
+            self._narrow_map(part)
+
+    def _narrow_map(self, part: Part) -> None:
+        told = {row.key: row.times_noise for row in self._work.view.map(part)}
+        # the map may still be that of the version before
+        for (key, name), (cell, label) in self._map_cells.items():
+            times = told.get(key, {}).get(name)
+            label.set_text("" if times is None else f"{times:.{1 if times < 100 else 0}f}")
+            cell.classes(replace=heat_of(times))
         for key, link in self._map_links.items():
             link.props(f"aria-pressed={str(key == part.regime).lower()}")
             link.classes(**{"add" if key == part.regime else "remove": "pneu-chosen"})

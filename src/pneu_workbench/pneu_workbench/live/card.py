@@ -80,7 +80,8 @@ class LiveCard:
             self._end = ui.button("Listen no longer", on_click=do(self._live.end)).props("outline")
             self._record = ui.button("Record", on_click=do(self._live.record)).props("outline")
             self._stop = ui.button("Stop recording", on_click=do(self._stop_recording))
-            self._seconds = ui.number("Last seconds", value=TAKEN_S, min=1.0, max=MOST_S)
+            # what is out of range is refused in words, and not made another number silently
+            self._seconds = ui.number("Last seconds", value=TAKEN_S)
             self._seconds.classes("w-[8rem]").props("dense")
             self._ask = ui.button("Diagnose them", on_click=do(self._diagnose)).props("outline")
         self._answer = ui.label().classes("text-sm").props("role=status")
