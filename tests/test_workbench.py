@@ -202,8 +202,10 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
         "aria-label", re.compile(r"^Signals from")
     )
     # cancelled, begun again, and found running by a page that is loaded anew and by another
+    expect(page.get_by_text(re.compile(r"^That takes about \d"))).to_be_visible()
     button(page, "Find what is missing").click()
     expect(button(page, "Cancel")).to_be_visible()
+    expect(page.get_by_text(re.compile(r"\d:\d\d of about \d"))).to_be_visible()
     button(page, "Cancel").click()
     expect(page.get_by_role("alert").filter(has_text="cancelled")).to_be_visible()
     button(page, "Find what is missing").click()

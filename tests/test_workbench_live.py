@@ -14,7 +14,8 @@ import pytest
 from tests.workbench_pages import LONG_MS, Server, browser, button, open_page, pick  # isort: skip
 
 from playwright.sync_api import Browser, expect
-from tests.live_graph import own_domain
+from tests.live_graph import own_domain, running_graph, wait_and_see
+from tests.live_rig import HardwareRig
 
 __all__ = ["browser"]  # a fixture
 
@@ -38,6 +39,7 @@ def server(tmp_path: Path) -> Iterator[Server]:
     replay.wait(20.0)
 
 
+@pytest.mark.long
 def test_a_leak_is_seen_while_it_leaks(browser: Browser, server: Server) -> None:
     page, watch = open_page(browser, server)
     page.get_by_text("Live: a running graph").click()
@@ -78,3 +80,40 @@ def test_a_leak_is_seen_while_it_leaks(browser: Browser, server: Server) -> None
     button(page, "Listen no longer").click()
     expect(button(page, "Listen")).to_be_visible()
     assert watch.faults == []
+
+
+def test_the_emulated_lab_is_watched_and_stopped(browser: Browser, tmp_path: Path) -> None:
+    """Over bridge and bus, in a namespace of its own, with a controller that goes on commanding."""
+    with own_domain() as domain, running_graph() as graph:
+        rig = HardwareRig(tmp_path, graph, domain)
+        pages = tmp_path / "pages"
+        pages.mkdir()
+        shutil.copy(ROOT / "rigs" / "lab.yaml", pages / "lab.yaml")
+        server = Server(pages, tmp_path / "session")
+        try:
+            page, watch = open_page(browser, server)
+            page.get_by_text("Live: a running graph").click()
+            pick(page, "Rig file", "lab.yaml")
+            button(page, "Listen").click()
+            waits = page.get_by_text(re.compile("valve/command.*no node has these topics yet"))
+            expect(waits.first).to_be_visible(timeout=LONG_MS)
+            rig.start()
+            expect(page.get_by_text(re.compile(r"samples in /lab$"))).to_be_visible(timeout=LONG_MS)
+            expect(
+                page.get_by_text(re.compile(r"times the error known from its calibration"))
+            ).to_be_visible(timeout=LONG_MS)
+            follows = page.get_by_text(re.compile(r"^valve_bridge: safety: following"))
+            expect(follows).to_be_visible()
+            button(page, "Emergency stop").click()
+            answer = page.get_by_text("/lab/valve_bridge: safe, read back voltage 0 V")
+            expect(answer).to_be_visible(timeout=LONG_MS)
+            assert rig.lab.resting_since() is not None
+            expect(
+                page.get_by_text("valve_bridge: safety: e_stop: e-stop: workbench")
+            ).to_be_visible(timeout=LONG_MS)
+            assert wait_and_see(lambda: rig.lab.resting_since() is None, 1.0) is False
+            assert watch.faults == []
+        finally:
+            assert server.stop() in (0, -signal.SIGINT, 130), "".join(server.said)
+            rig.nodes.close()
+        assert not rig.nodes.complaints()

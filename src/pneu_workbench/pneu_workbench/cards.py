@@ -10,6 +10,7 @@ from nicegui import ui
 from pneu_common.errors import InputError
 from pneu_sysid.report.quantities import number, percent, with_error
 from pneu_sysid.results import Candidate, CompareResult
+from pneu_sysid.tasks.expect import expected_words
 from pneu_sysid.tasks.regime_masks import Key
 from pneu_workbench.chart import SHOWN
 from pneu_workbench.schematic import schematic
@@ -318,16 +319,25 @@ class Cards:
         if found is None:
             ask = ui.button("Find what is missing", on_click=self._do(self._work.suspect))
             ask.set_enabled(not self.running)
+            self._expect("suspect", "That takes")
             return True
         word, colour = VERDICTS[found.verdict]
         ui.badge(word, color=colour).classes("text-base p-2")
         ui.label(found.sentence)
         for statement in found.statements:
             ui.label(statement).classes("text-sm")
-        for k, one in enumerate(self._work.view.candidates()[:MOST]):
+        tried = self._work.view.candidates()[:MOST]
+        if tried:
+            self._expect("add", "Adding one and fitting it takes")
+        for k, one in enumerate(tried):
             with ui.card().classes("pneu-card").props("flat bordered"):
                 self._one(k, one)
         return True
+
+    def _expect(self, task: str, words: str) -> None:
+        expected = self._work.view.expected(task)
+        if expected is not None:
+            ui.label(f"{words} about {expected_words(expected)}").classes("text-sm")
 
     def _one(self, k: int, one: Candidate) -> None:
         """A candidate."""

@@ -16,6 +16,7 @@ from nicegui import events, run, ui
 from pneu_common.errors import InputError
 from pneu_common.progress import clock
 from pneu_sim.rig.schema import Rig
+from pneu_sysid.tasks.expect import expected_words
 from pneu_sysid.tasks.regime_masks import Key
 from pneu_workbench.cards import Cards, heading, refusing
 from pneu_workbench.chart import Chart
@@ -152,7 +153,7 @@ class Page:
         with ui.row().classes("w-full items-center no-wrap") as self._busy:
             self._stage = ui.label().classes("min-w-0").props("role=status aria-live=polite")
             self._bar = ui.linear_progress(show_value=False).props('aria-label="Progress"')
-            self._took = ui.label().classes("text-sm")
+            self._took = ui.label().classes("text-sm whitespace-nowrap")
             ui.button("Cancel", on_click=self._work.cancel, color="negative")
         self._falling = ui.label().classes("text-sm").props("aria-live=polite")
         self._fault = ui.label().classes("text-negative").props("role=alert")
@@ -253,7 +254,9 @@ class Page:
         running = task is not None and task.running
         self._live.look()
         if task is not None and running:
-            self._took.set_text(clock(time.monotonic() - task.begun_s))
+            took = clock(time.monotonic() - task.begun_s)
+            hoped = "" if task.expected is None else f" of about {expected_words(task.expected)}"
+            self._took.set_text(f"{took}{hoped}")
         if work.changes != self._changes:
             self._changes = work.changes
             self._busy.set_visibility(running)

@@ -18,6 +18,7 @@ from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.results import Candidate, CompareResult, DiagnoseResult, regime_order
+from pneu_sysid.tasks.expect import EXPECTED
 from pneu_sysid.tasks.regime_masks import Key, RegimeMasks
 from pneu_sysid.tasks.signals import SIGNALS, Signals, Trace
 from pneu_workbench.store import Store, as_steps
@@ -115,6 +116,18 @@ class View:
     def visited(self) -> dict[str, Any] | None:
         """Where the recordings have been, and what is kept aside of them; None without any."""
         return self._told("visited.json")
+
+    def expected(self, task: str) -> tuple[float, float] | None:
+        """How long a task is expected to take on the present version, s, at least and at most.
+
+        Args:
+            task: ``suspect`` or ``add``; of others nothing is expected.
+        """
+        try:
+            told = (self._told(EXPECTED) or {}).get(task)
+        except FileNotFoundError:  # of a session that an earlier version made
+            return None
+        return None if told is None else (float(told[0]), float(told[1]))
 
     def rig(self) -> Rig | None:
         """The present version's rig; None without one, or where its file is gone."""

@@ -52,6 +52,8 @@ class Task:
         begun_s: When it began, by the monotonic clock, s.
         fault: Why it failed; empty where it did not.
         errors: Of each sensor, in noise units, as they fell.
+        expected: How long it was expected to take, s, at least and at most; None where that is
+            not known.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Task:
     fault: str = ""
     begun_s: float = field(default_factory=time.monotonic)
     errors: list[dict[str, float]] = field(default_factory=list)
+    expected: tuple[float, float] | None = None
 
 
 class Work:
@@ -483,7 +486,8 @@ class Work:
         with self._lock:
             if self.task is not None and self.task.running:
                 raise InputError(f"{self.task.title}: is still going on; cancel it, or wait")
-            task = self.task = Task(request.task, title)
+            expected = self.view.expected(request.task)
+            task = self.task = Task(request.task, title, expected=expected)
             self._changed(keep=False)
 
             def tell(stage: str, done: float) -> None:

@@ -25,6 +25,7 @@ from pneu_sysid.records import Recording
 from pneu_sysid.regimes import operation
 from pneu_sysid.report import write_report
 from pneu_sysid.results import write_json
+from pneu_sysid.tasks.expect import EXPECTED, RUNS, RunClock, expected_s
 from pneu_sysid.tasks.regime_masks import REGIMES, regime_masks, save_regimes
 from pneu_sysid.tasks.request import Outcome, Request, Tell, check
 from pneu_sysid.tasks.signals import SIGNALS, save_signals, signals_of
@@ -200,13 +201,21 @@ def _looked(job: _Job, problem: Problem, rig: Rig) -> None:
     job.tell("predicting", 0.0)
     save_rig(rig, job.written / "rig.yaml")
     file = str(Path(job.request.output) / "rig.yaml")
-    out = problem.simulate([rig], progress=lambda f: job.tell("predicting", f), flows=True)
+    timed = RunClock()
+
+    def told(done: float) -> None:
+        timed.tell(done)
+        job.tell("predicting", done)
+
+    out = problem.simulate([rig], progress=told, flows=True)
     job.tell("comparing", math.nan)
     save_signals(signals_of(problem, rig, out.readings[0]), job.written / SIGNALS)
     save_regimes(regime_masks(problem, operation(problem, rig, out)), job.written / REGIMES)
     compared = compare(problem, [(rig.name, rig, file)], refine=False, ran=[out])
     write_json(job.written / "compare.json", compared)
     write_whole(job.written / "visited.json", json.dumps(visited(rig, problem)))
+    expected = {task: expected_s(task, timed.run_s, rig.moves) for task in RUNS}
+    write_whole(job.written / EXPECTED, json.dumps(expected))
 
 
 def _suspect(job: _Job) -> str:

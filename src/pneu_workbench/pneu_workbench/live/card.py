@@ -77,6 +77,8 @@ class LiveCard:
             stop = ui.button("Emergency stop", on_click=self._live.e_stop, color="negative")
             stop.props('icon=report aria-label="Emergency stop"')
             self._listen = ui.button("Listen", on_click=do(self._begin))
+            self._namespace = ui.input("Namespace", placeholder="found by itself")
+            self._namespace.classes("w-[9rem]").props("dense")
             self._end = ui.button("Listen no longer", on_click=do(self._live.end)).props("outline")
             self._record = ui.button("Record", on_click=do(self._live.record)).props("outline")
             self._stop = ui.button("Stop recording", on_click=do(self._stop_recording))
@@ -97,7 +99,7 @@ class LiveCard:
         path = self._rig()
         if path is None:
             raise InputError("rig file: none was chosen whose model could run alongside")
-        self._live.listen(path)
+        self._live.listen(path, str(self._namespace.value or "").strip())
 
     def _stop_recording(self) -> None:
         self._live.stop_recording(self._open)
@@ -130,7 +132,8 @@ class LiveCard:
         self._seen = self._work.changes
         on = live.listening
         for part, there in (
-            (self._listen, not on), (self._end, on), (self._stop, bool(live.recording)),
+            (self._listen, not on), (self._namespace, not on), (self._end, on),
+            (self._stop, bool(live.recording)),
             (self._record, not live.recording), (self._ask, on), (self._seconds, on),
             (self._level, bool(live.rig)), (self._words, bool(live.rig)),
         ):  # fmt: skip
@@ -153,7 +156,8 @@ class LiveCard:
             if course.rms / course.noise > 0.0
         )
         over = f"; over noise: {each}" if each else ""
-        self._words.set_text(f"{told}{over}; {live.samples} samples")
+        where = f" in {live.namespace}" if live.namespace not in ("", "/") else ""
+        self._words.set_text(f"{told}{over}; {live.samples} samples{where}")
         self._states.clear()
         with self._states:
             for name, level, message in live.state():

@@ -79,6 +79,7 @@ class Live:
         samples: How many came in.
         fault: What is wrong.
         stopped: What the last stop was answered with, line by line.
+        namespace: Where the rig is on the graph; empty until that is known.
     """
 
     def __init__(self, folder: Path, changed: Callable[[], None]) -> None:
@@ -98,7 +99,7 @@ class Live:
         self._forget()
 
     def _forget(self) -> None:
-        self.rig, self.fault, self.worst = "", "", ""
+        self.rig, self.fault, self.worst, self.namespace = "", "", "", ""
         self.statuses: dict[str, Status] = {}
         self.times: float | None = None
         self.level, self.samples = -1, 0
@@ -108,11 +109,12 @@ class Live:
 
     # ---- listening --------------------------------------------------------------------------
 
-    def listen(self, rig_file: Path) -> None:
+    def listen(self, rig_file: Path, namespace: str = "") -> None:
         """Runs a model alongside what comes in.
 
         Args:
             rig_file: Its rig file.
+            namespace: Where the rig's relative topics are; empty is the one where they all are.
 
         Raises:
             InputError: It is wrong.
@@ -126,7 +128,7 @@ class Live:
             names = (*rig.taps, *rig.encoders)
             self.courses = {name: Course(unit_of(name, units).si) for name in names}
             self.commands = {name: deque() for name in rig.commands}
-            first = {"rig": self.rig, "rate_hz": RATE_HZ}
+            first = {"rig": self.rig, "rate_hz": RATE_HZ, "namespace": namespace}
             self._child = Child(LISTENER, first, self._heard, self._gone)
         self._changed()
 
@@ -188,6 +190,8 @@ class Live:
                 if told["alive"] == self.samples:
                     return
                 self.samples = told["alive"]
+            elif "namespace" in told:
+                self.namespace, self.fault = told["namespace"], ""
             elif "taken" in told:
                 then, self._taken = self._taken, None
             elif "fault" in told:
