@@ -3,6 +3,7 @@
 
 REALTIME = (
     "src/pneu_hw_bridge/test/",
+    "src/pneu_policy/test/test_play_node",
     "src/pneu_policy/test/test_policy_nodes",
     "src/pneu_policy/test/test_robot_node",
     "src/pneu_graph/test/test_recorder",

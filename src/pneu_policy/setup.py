@@ -31,6 +31,7 @@ setup(
             "push = pneu_policy.nodes.push:main",
             "teleoperate = pneu_policy.nodes.teleoperate:main",
             "excite = pneu_policy.nodes.excite:main",
+            "play = pneu_policy.nodes.play:main",
             "press = pneu_policy.nodes.press:main",
             "joint = pneu_policy.nodes.joint:main",
             "joint_target = pneu_policy.nodes.joint_target:main",

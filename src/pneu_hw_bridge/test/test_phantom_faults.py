@@ -387,8 +387,10 @@ def test_openhaptics_drives_a_device_with_its_c_interface(libhd: Path, tmp_path:
         bench.follow()
         del bench.joints[:]
         bench.effort = 0.0
-        time.sleep(0.5)
-        assert len(bench.joints) > 300
+        end_s = time.monotonic() + PATIENCE_S
+        while len(bench.joints) <= 300:  # it goes on telling; how fast is the machine's affair
+            assert time.monotonic() < end_s
+            time.sleep(0.02)
         assert all(j.device_ns < 0 for j in bench.joints)  # HDAPI has no stamps
         bench.effort = 0.1
         bench.follow()

@@ -19,6 +19,7 @@ from pneu_common.outputs import check_folder, check_output
 from pneu_common.progress import progress
 from pneu_common.tables import Column, NamedTable
 from pneu_sysid.contacts.table_commands import contacts
+from pneu_sysid.design.command import excite
 
 if TYPE_CHECKING:
     from pneu_sim.rig.schema import FitParameter, Rig
@@ -73,6 +74,7 @@ def register(app: typer.Typer) -> None:
     app.command("learn")(learn)
     app.command("friction")(friction)
     app.command("contacts")(contacts)
+    app.command("excite")(excite)
 
 
 def _console() -> Console:

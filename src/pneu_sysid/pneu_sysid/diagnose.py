@@ -429,6 +429,7 @@ def result_of_diagnosis(name: str, found: Diagnosis, findings: list[str]) -> Dia
                 indistinguishable_from=found.alike(k),
                 next_experiment=effect.next_experiment,
                 tested=True,
+                parameters=dict(r.rig.effects[-1].parameters),
             )
         )
     refitted = {(r.site.effect.name, r.site.place) for r in found.finalists}

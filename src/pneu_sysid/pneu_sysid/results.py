@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The JSON results of ``compare``, ``fit``, ``diagnose``, ``learn``, ``friction``: schema and page.
+"""The JSON results of ``compare``, ``fit``, ``diagnose`` and others: schema and page.
 
 These models are the only source of the schema; ``docs/json.md`` is made from them. A number that is
 not finite becomes null on the way in, so no file ever holds NaN.
@@ -19,6 +19,7 @@ from pydantic import Field, ValidationError
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
 from pneu_common.validation import sentence
+from pneu_sysid.design.plan import Plan
 from pneu_sysid.result_base import Number, Perhaps, Result, Verdict
 from pneu_sysid.scene_results import (
     SceneCompareResult,
@@ -512,6 +513,8 @@ class Candidate(Result):
     """Recording that would tell them apart."""
     tested: bool
     """Whether it was refitted, or only scored."""
+    parameters: dict[str, Perhaps] = {}
+    """All its numbers as a rig file has them, the strength among them, where it was refitted."""
 
 
 class Dependence(Result):
@@ -730,6 +733,7 @@ RESULTS: tuple[type[Result], ...] = (
     SceneFitResult,
     SceneDiagnoseResult,
     SceneLearnResult,
+    Plan,
 )
 
 
@@ -789,12 +793,13 @@ _PAGE = """\
 # JSON results
 
 `--json FILE` of `pneu compare`, `fit`, `diagnose`, `learn` and `friction` writes one object as
-below; where a scene stands for a rig, one of those whose names begin with `pneu.scene`. All
-quantities are SI, pressures absolute pascals, times from the start of the recording; the unit is in
-a key's name (`rmse_pa`). Encoders stand apart from taps: their keys have no unit in their names
-(`rmse`), and `encoders` says of each whether it is rad or m. There is never NaN or
-infinity: where a number does not exist, `null` stands. `schema` names the command and the version;
-the version rises when a key changes its meaning or goes away, not when one is added.
+below, and so does `pneu excite -o FILE`; where a scene stands for a rig, one of those whose names
+begin with `pneu.scene`. All quantities are SI, pressures absolute pascals, times from the start
+of the recording; the unit is in a key's name (`rmse_pa`). Encoders stand apart from taps: their
+keys have no unit in their names (`rmse`), and `encoders` says of each whether it is rad or m.
+There is never NaN or infinity: where a number does not exist, `null` stands. `schema` names the
+command and the version; the version rises when a key changes its meaning or goes away, not when
+one is added.
 
 Residuals are measured minus model everywhere: `bias_pa` is positive where the sensor reads above
 the model. `lag_s` is positive where the measurement is later than the model.

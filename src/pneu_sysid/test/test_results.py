@@ -94,7 +94,8 @@ def test_schemas_are_named_after_their_command() -> None:
     names = [kind.model_fields["schema_"].default for kind in RESULTS]
     commands = ("compare", "fit", "diagnose", "learn", "friction")
     assert names[:5] == [f"pneu.{command}/1" for command in commands]
-    assert names[5:] == [f"pneu.scene_{command}/1" for command in commands[:4]]
+    assert names[5:9] == [f"pneu.scene_{command}/1" for command in commands[:4]]
+    assert names[9:] == ["pneu.plan/1"]  # of `pneu excite`
 
 
 def test_regimes_are_sorted_as_numbers() -> None:

@@ -13,6 +13,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 
 from pneu_common.errors import InputError
 from pneu_common.log import LOG, hand_on
@@ -31,11 +32,15 @@ def _end(number: int, frame: FrameType | None) -> None:
 def run_controller(make: Callable[[], ControllingNode], args: list[str] | None) -> None:
     """Runs one node until it is told to end. Bad input ends the process with one line and status 2.
 
+    One with something to bring to an end, a future ``done``, ends by itself once that has a result;
+    the status is then 0 where that is true, else 1.
+
     Args:
         make: Builds the node.
         args: Command line; None is the process's own.
     """
     node: ControllingNode | None = None
+    done: Future | None = None
     numbers = [signal.SIGINT, signal.SIGTERM]
     if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:  # else nohup wants it to go on
         numbers.append(signal.SIGHUP)
@@ -47,7 +52,11 @@ def run_controller(make: Callable[[], ControllingNode], args: list[str] | None) 
             hand_on(get_logger(LOG).info)
             node = make()
             say_ready(node, "")
-            rclpy.spin(node)
+            done = getattr(node, "done", None)
+            if done is None:
+                rclpy.spin(node)
+            else:
+                rclpy.spin_until_future_complete(node, done)
         finally:
             for number in numbers:
                 signal.signal(number, signal.SIG_IGN)  # being asked again does not hurry it
@@ -61,3 +70,5 @@ def run_controller(make: Callable[[], ControllingNode], args: list[str] | None) 
     except InputError as error:
         print(" ".join(str(error).split()), file=sys.stderr)
         sys.exit(EXIT_BAD_INPUT)
+    if done is not None and not (done.done() and done.result()):
+        sys.exit(1)

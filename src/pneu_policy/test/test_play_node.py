@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The play node: a plan commanded once as it is written; what is wrong breaks it off for good."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.live_graph import own_domain, running_graph, wait_and_see, wait_for  # isort: skip
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from pneu_msgs.msg import ValveCommand
+from sensor_msgs.msg import FluidPressure
+
+from pneu_common.errors import InputError
+from pneu_graph.nodes import common
+from pneu_policy.nodes.play import PlayNode
+from pneu_sim.rig import load_rig, save_rig
+from pneu_sysid.design.plan import Bounds, Expected, Plan, Volts, save_plan
+
+ROOT = Path(__file__).parents[3]
+SAFE_V = 5.0
+
+
+@pytest.fixture(scope="module", autouse=True)
+def domain():
+    with own_domain():
+        yield
+
+
+@pytest.fixture
+def graph():
+    with running_graph() as graph:
+        yield graph
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A rig with one tap, and a plan for it of half a minute in three steps."""
+    lab = load_rig(ROOT / "rigs" / "lab.yaml")
+    rig = lab.model_copy(update={"taps": {"end": lab.taps["end"]}})
+    save_rig(rig, tmp_path / "rig.yaml")
+    plan = Plan(
+        pneu_version="test",
+        rig="lab",
+        kind="steps",
+        seconds=1.5,
+        seed=0,
+        commands={"voltage": Volts(time_s=[0.0, 0.5, 1.0], volts=[6.0, 7.0, 4.0])},
+        limits=Bounds(
+            low_v={"voltage": 0.0}, high_v={"voltage": 10.0}, slew_v_s=2000.0, highest_pa=6e5,
+            lowest_pa=0.0,
+        ),
+        expected=Expected(highest_pa={}, lowest_pa={}, fastest_pa_s={}, air_kg=None),
+    )  # fmt: skip
+    save_plan(plan, tmp_path / "plan.json")
+    return {"rig": str(tmp_path / "rig.yaml"), "plan": str(tmp_path / "plan.json")}
+
+
+class Plant:
+    """A tap that is read, and a bridge that tells whether it follows."""
+
+    def __init__(self, graph):
+        self.readings, self.level = True, None
+        self.probe = graph.probe
+        self.pressure = self.probe.create_publisher(FluidPressure, "taps/end/pressure", 10)
+        self.told = self.probe.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.commands = graph.listen(ValveCommand, "valve/command", common.COMMAND_QOS)
+        self.probe.create_timer(0.01, self.tick, clock=common.steady_clock())
+
+    def tick(self):
+        now = self.probe.get_clock().now().to_msg()
+        if self.readings:
+            message = FluidPressure(fluid_pressure=2e5)
+            message.header.stamp = now
+            self.pressure.publish(message)
+        if self.level is not None:
+            status = DiagnosticStatus(name="valve_bridge: safety", message="as the test has it")
+            status.level = bytes([self.level])
+            self.told.publish(DiagnosticArray(status=[status]))
+
+    def volts(self):
+        """All that was commanded, without repetitions."""
+        volts = [command.voltage_v[0] for command in list(self.commands)]
+        return [v for k, v in enumerate(volts) if k == 0 or v != volts[k - 1]]
+
+
+def play(graph, files, **more):
+    return graph.add(PlayNode, autostart=True, settle_s=0.2, rate_hz=100.0, **files, **more)
+
+
+def test_it_plays_once_and_ends_safe(graph, files):
+    node = play(graph, files)
+    plant = Plant(graph)
+    wait_for(node.done.done)
+    assert node.done.result() is True
+    wait_for(lambda: plant.volts()[-1] == SAFE_V)
+    assert plant.volts() == [SAFE_V, 6.0, 7.0, 4.0, SAFE_V]
+
+
+def test_it_waits_for_the_bridge(graph, files):
+    node = play(graph, files)
+    plant = Plant(graph)
+    plant.level = 1
+    wait_for(lambda: plant.commands)
+    wait_and_see(lambda: False, 1.0)
+    assert plant.volts() == [SAFE_V]
+    plant.level = 0
+    wait_for(node.done.done)
+    assert node.done.result() is True
+
+
+@pytest.mark.parametrize("what", ["the bridge trips", "a tap falls silent"])
+def test_what_is_wrong_breaks_it_off_for_good(graph, files, what):
+    node = play(graph, files, sensor_timeout_s=0.5)
+    plant = Plant(graph)
+    wait_for(lambda: 6.0 in plant.volts())
+    if what == "the bridge trips":
+        plant.level = 2
+    else:
+        plant.readings = False
+    wait_for(node.done.done)
+    assert node.done.result() is False
+    wait_for(lambda: plant.volts()[-1] == SAFE_V)
+    plant.level, plant.readings = 0, True  # all is well again: it does not go on
+    assert not wait_and_see(lambda: plant.volts()[-1] != SAFE_V, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"plan": ""}, "parameter plan: found nothing"),
+        ({"plan": "nowhere.json"}, "nowhere.json: No such file"),
+        ({"rig": ""}, "parameter rig: found nothing"),
+        ({"rig": str(ROOT / "rigs" / "kokoro.yaml")}, "is for rig 'lab' with commands voltage"),
+    ],
+)
+def test_what_it_cannot_play_is_refused(graph, files, wrong, words):
+    with pytest.raises(InputError, match=words):
+        play(graph, {**files, **wrong})
+
+
+def test_as_a_process_its_status_says_whether_all_was_played(graph, files):
+    words = [sys.executable, "-m", "pneu_common.cli", "run", "pneu_policy", "play", "--ros-args"]
+    words += ["-p", "autostart:=true", "-p", "settle_s:=0.1", "-p", f"rig:={files['rig']}"]
+    plant = Plant(graph)
+    assert subprocess.run([*words, "-p", f"plan:={files['plan']}"], timeout=120).returncode == 0
+    assert plant.volts()[-1] == SAFE_V
+    plan = json.loads(Path(files["plan"]).read_text())
+    plan["commands"]["voltage"]["volts"][1] = 99.0
+    Path(files["plan"]).write_text(json.dumps(plan))
+    done = subprocess.run(
+        [*words, "-p", f"plan:={files['plan']}"], timeout=120, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert "commands.voltage: found 4 to 99 V, its limits are 0 to 10" in done.stderr

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hypotheses of a design from the result of a diagnosis."""
+
+import json
+from pathlib import Path
+
+from pneu_common.errors import InputError
+from pneu_sim.effects import find_effect
+from pneu_sim.rig.schema import AttachedEffect, Rig
+from pneu_sysid.design.told import Hypothesis
+from pneu_sysid.results import Candidate, DiagnoseResult, result_of
+
+MOST = 4
+"""Candidates that are told apart at once."""
+NEAR = 0.7
+"""Of an unsure diagnosis those count that explain this share of what the best one does."""
+
+
+def hypotheses_of(rig: Rig, result: DiagnoseResult, source: Path | str) -> list[Hypothesis]:
+    """What a diagnosis could not tell apart, as rigs.
+
+    Args:
+        rig: The rig that was diagnosed.
+        result: The diagnosis.
+        source: Its file.
+
+    Raises:
+        InputError: It is of another rig, or left nothing to be told apart.
+    """
+    if rig.name not in result.rigs:
+        raise InputError(
+            f"{source}: is a diagnosis of {', '.join(result.rigs)}, and not of rig {rig.name!r}"
+        )
+    tested = [c for c in result.candidates if c.tested and c.strength is not None]
+    if result.verdict == "nothing_missing" or len(tested) < 2:
+        raise InputError(
+            f"{source}: its verdict is {result.verdict} with {len(tested)} candidates that were"
+            " tried; at least two are needed that are to be told apart"
+        )
+    best = tested[0]
+    alike = set(best.indistinguishable_from)
+    chosen = [best] + [c for c in tested[1:] if _label(c) in alike]
+    if len(chosen) < 2:  # unsure: what comes near
+        most = max(c.held_out_gain or 0.0 for c in tested)
+        near = [c for c in tested[1:] if (c.held_out_gain or 0.0) >= NEAR * most]
+        chosen += near or tested[1:2]
+    return [hypothesis(rig, c, source) for c in chosen[:MOST]]
+
+
+def hypothesis(rig: Rig, candidate: Candidate, source: Path | str) -> Hypothesis:
+    """A candidate as a rig that has it.
+
+    Args:
+        rig: The rig without it.
+        candidate: It.
+        source: File that it is from.
+    """
+    if not candidate.parameters:
+        raise InputError(
+            f"{source}: candidates: {_label(candidate)} has no parameters; it was made by an"
+            " earlier version, and `pneu diagnose --json` makes it anew"
+        )
+    find_effect(candidate.effect)
+    values = {k: float(v) for k, v in candidate.parameters.items() if v is not None}
+    extra = AttachedEffect(effect=candidate.effect, place=candidate.place, parameters=values)
+    return Hypothesis(_label(candidate), rig.model_copy(update={"effects": [*rig.effects, extra]}))
+
+
+def _label(candidate: Candidate) -> str:
+    at = "" if candidate.position_m is None else f":{candidate.position_m:.2f}"
+    return f"{candidate.effect}@{candidate.place}{at}"
+
+
+def read_diagnosis(path: Path) -> DiagnoseResult:
+    """Reads the result of ``pneu diagnose --json``.
+
+    Args:
+        path: The file.
+
+    Raises:
+        InputError: It is none.
+    """
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+    except ValueError as error:
+        raise InputError(f"{path}: is no JSON ({error})") from None
+    try:
+        result = result_of(told if isinstance(told, dict) else {})
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    if not isinstance(result, DiagnoseResult):
+        raise InputError(f"{path}: is no result of `pneu diagnose --json`")
+    return result

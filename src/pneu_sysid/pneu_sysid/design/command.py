@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`pneu excite`: plans the next experiment of a rig."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from pneu_common.errors import InputError
+from pneu_common.options import Force
+from pneu_common.outputs import check_output
+from pneu_common.progress import progress
+from pneu_common.tables import Column, NamedTable
+
+if TYPE_CHECKING:
+    from pneu_sysid.design.plan import Plan
+
+KINDS = "designed, steps, multisine, sweep, decay, reversal"
+
+
+def excite(
+    rig: Annotated[Path, typer.Argument(help="Rig file, calibrated where it can be.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Plan (JSON) to write.")],
+    seconds: Annotated[float, typer.Option(help="How long, s.", min=0.5, max=600.0)] = 10.0,
+    separate: Annotated[
+        Path | None,
+        typer.Option(
+            help="Result of `pneu diagnose --json`: what tells its candidates apart, instead of"
+            " most about the rig's parameters.",
+            show_default=False,
+        ),
+    ] = None,
+    kind: Annotated[str, typer.Option(help=f"How it is made: {KINDS}.")] = "designed",
+    low: Annotated[float | None, typer.Option(help="Lowest volts.", show_default=False)] = None,
+    high: Annotated[
+        float | None, typer.Option(help="Highest voltage, V.", show_default=False)
+    ] = None,
+    slew: Annotated[
+        float | None, typer.Option(help="Fastest change of a command, V/s.", show_default=False)
+    ] = None,
+    highest_pa: Annotated[
+        float | None,
+        typer.Option(help="Pressure nothing may exceed, Pa absolute.", show_default=False),
+    ] = None,
+    lowest_pa: Annotated[
+        float | None,
+        typer.Option(help="Pressure nothing may fall below, Pa absolute.", show_default=False),
+    ] = None,
+    joint: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=FROM:TO",
+            help="How far a joint may go, rad or m. May be given several times.",
+        ),
+    ] = None,
+    air_kg: Annotated[
+        float | None, typer.Option(help="Air that may be taken, kg.", show_default=False)
+    ] = None,
+    rate: Annotated[float, typer.Option(help="Readings of a sensor per second.", min=5.0)] = 500.0,
+    seed: Annotated[int, typer.Option(help="Of what is drawn.", min=0)] = 0,
+    effects: Annotated[
+        Path | None,
+        typer.Option(help="Python file with effects of your own.", show_default=False),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Threads; all cores by default.", min=1)
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Plan the recording that tells most about a rig, or what sets candidates apart."""
+    from pneu_sim.effects import load_effect_file
+    from pneu_sim.rig import load_rig
+    from pneu_sysid.design.candidates import hypotheses_of, read_diagnosis
+    from pneu_sysid.design.design import Asked, design
+    from pneu_sysid.design.limits import limits_of
+    from pneu_sysid.design.plan import save_plan
+    from pneu_sysid.design.unknown import open_parameters, parameters_to_learn
+    from pneu_sysid.design.waves import KINDS as WAVES
+
+    if kind != "designed" and kind not in WAVES:
+        raise InputError(f"--kind: found {kind!r}, allowed are {KINDS}")
+    check_output(output, force)
+    if effects is not None:
+        load_effect_file(effects)
+    loaded = load_rig(rig)
+    limits = limits_of(
+        loaded, low, high, slew, highest_pa, lowest_pa, joints_of(joint or []), air_kg
+    )
+    hypotheses = []
+    parameters = parameters_to_learn(loaded)
+    if separate is not None:
+        hypotheses = hypotheses_of(loaded, read_diagnosis(separate), separate)
+        parameters = open_parameters(loaded, rig)
+    wanted = next((w for w in WAVES if w == kind), None)
+    asked = Asked(seconds, limits, hypotheses, parameters, wanted, rate, seed, workers)
+    with progress("designing") as tell:
+        plan = design(loaded, asked, tell)
+    save_plan(plan, output)
+    console = Console(markup=False, emoji=False)
+    console = console if console.is_terminal else Console(width=140, markup=False, emoji=False)
+    for table in tables(plan):
+        console.print(table)
+    for words in plan.expected.words:
+        console.print(words, style="yellow")
+    console.print(f"plan: {output}")
+
+
+def joints_of(told: list[str]) -> dict[str, tuple[float, float]]:
+    """Ranges of joints as they are told on the command line.
+
+    Args:
+        told: Such as ``elbow=-0.5:1.2``.
+
+    Raises:
+        InputError: One is something else.
+    """
+    out = {}
+    for text in told:
+        name, _, span = text.partition("=")
+        low, _, high = span.partition(":")
+        try:
+            out[name] = float(low), float(high)
+        except ValueError:
+            raise InputError(
+                f"--joint: found {text!r}, needed is NAME=FROM:TO in rad or m"
+            ) from None
+    return out
+
+
+def tables(plan: "Plan") -> list[NamedTable]:
+    """What a plan promises, to be printed.
+
+    Args:
+        plan: The plan.
+    """
+    expected = plan.expected
+    out = []
+    if expected.separations:
+        table = NamedTable(
+            "Expected to be told apart",
+            [
+                Column("one"),
+                Column("other"),
+                Column("standard errors", "number"),
+                Column("needed", "number"),
+            ],
+        )
+        for s in expected.separations:
+            errors = "-" if s.standard_errors is None else f"{s.standard_errors:.1f}"
+            table.add_row(s.one, s.other, errors, f"{s.needed:g}")
+        out.append(table)
+    if expected.std_errors:
+        columns = [Column("parameter"), Column("error", "number")]
+        table = NamedTable("Expected standard errors", columns)
+        for name, error in expected.std_errors.items():
+            table.add_row(name, "-" if error is None else f"{error:.3g}")
+        out.append(table)
+    return out

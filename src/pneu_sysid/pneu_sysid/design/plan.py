@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A plan of an experiment as a file: commands over time, for which rig, and what it is to tell."""
+
+import json
+import math
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError
+
+from pneu_common.errors import InputError
+from pneu_common.files import write_whole
+from pneu_common.validation import sentence
+from pneu_sim.rig.schema import Rig
+from pneu_sim.signals import Signal
+from pneu_sysid.result_base import Number, Perhaps, Result
+
+Floats = NDArray[np.float64]
+
+
+class Volts(Result):
+    """A command over time, held from one point to the next."""
+
+    time_s: list[Number]
+    """Times from the beginning of the plan, rising from 0."""
+    volts: list[Number]
+    """The command from each on."""
+
+
+class Separation(Result):
+    """How well a plan tells two candidates apart."""
+
+    one: str
+    """Effect and place of one of them."""
+    other: str
+    """Of the other."""
+    standard_errors: Perhaps
+    """By how many standard errors the right one is expected to lead."""
+    needed: Number
+    """From how many on they count as told apart."""
+    told_apart: bool
+    """Whether it is expected to tell them."""
+
+
+class Bounds(Result):
+    """Limits that a plan keeps to."""
+
+    low_v: dict[str, Number]
+    """Lowest voltage of each command."""
+    high_v: dict[str, Number]
+    """Highest."""
+    slew_v_s: Number
+    """Fastest change of a command."""
+    highest_pa: Number
+    """Pressure that nothing may exceed."""
+    lowest_pa: Number
+    """Pressure that nothing may fall below."""
+    joints: dict[str, list[Number]] = {}
+    """Per joint how far it may go, rad or m."""
+    air_kg: Perhaps = None
+    """Air that may be taken from the supplies; null for any amount."""
+
+
+class Expected(Result):
+    """What the model foresees of a plan."""
+
+    highest_pa: dict[str, Perhaps]
+    """Highest pressure at each tap."""
+    lowest_pa: dict[str, Perhaps]
+    """Lowest."""
+    fastest_pa_s: dict[str, Perhaps]
+    """Fastest change of the pressure at each tap, from reading to reading."""
+    joints: dict[str, list[Number]] = {}
+    """From where to where each joint goes."""
+    air_kg: Perhaps
+    """Air that is taken from the supplies."""
+    std_errors: dict[str, Perhaps] = {}
+    """Standard error of each parameter after a fit to this recording, in its own unit."""
+    separations: list[Separation] = []
+    """Of every two candidates."""
+    words: list[str] = []
+    """What no such experiment can tell, and the like, a sentence each."""
+
+
+class Plan(Result):
+    """``pneu excite``: what is to be commanded, and what that is to tell."""
+
+    schema_: Literal["pneu.plan/1"] = Field(default="pneu.plan/1", alias="schema")
+    """Name and version of this schema."""
+    pneu_version: str
+    """Version of the program."""
+    rig: str
+    """Name of the rig that it is for."""
+    kind: str
+    """How it was made: ``parameters``, ``separate``, or one kind of waves."""
+    seconds: Number
+    """How long it lasts."""
+    seed: int
+    """Of its draws."""
+    commands: dict[str, Volts]
+    """What is commanded."""
+    limits: Bounds
+    """What it keeps to."""
+    expected: Expected
+    """What the model foresees."""
+
+    def signals(self) -> dict[str, Signal]:
+        """The commands."""
+        return {
+            name: Signal(np.array(of.time_s, dtype=float), np.array(of.volts, dtype=float))
+            for name, of in self.commands.items()
+        }
+
+    def at(self, time_s: float) -> dict[str, float]:
+        """The commands in force at a time, V.
+
+        Args:
+            time_s: Since the beginning, s; before it the first holds.
+        """
+        return {name: float(signal.held(time_s)) for name, signal in self.signals().items()}
+
+
+def thinned(volts: Floats, step_s: float) -> Volts:
+    """A command without what only repeats it.
+
+    Args:
+        volts: (T,) volts.
+        step_s: Between them, s.
+    """
+    rounded = np.round(volts, 4)
+    kept = np.flatnonzero(np.concatenate(([True], np.diff(rounded) != 0.0)))
+    return Volts(time_s=np.round(kept * step_s, 6).tolist(), volts=rounded[kept].tolist())
+
+
+def save_plan(plan: Plan, path: Path) -> None:
+    """Writes a plan, whole or not at all.
+
+    Args:
+        plan: The plan.
+        path: Where.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    write_whole(path, json.dumps(plan.model_dump(by_alias=True), indent=1) + "\n")
+
+
+def load_plan(path: Path) -> Plan:
+    """Reads a plan and checks it.
+
+    Args:
+        path: The file.
+
+    Raises:
+        InputError: It is no plan.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "is no text"
+        raise InputError(f"{path}: {reason}") from None
+    try:
+        told = json.loads(text)
+    except ValueError as error:
+        raise InputError(f"{path}: is no JSON ({error})") from None
+    if not isinstance(told, dict) or not str(told.get("schema", "")).startswith("pneu.plan/"):
+        raise InputError(f"{path}: is no plan of `pneu excite`: no schema pneu.plan/1")
+    try:
+        plan = Plan.model_validate(told)
+    except ValidationError as error:
+        raise InputError(f"{path}: {sentence(error, Plan)}") from None
+    for name, of in plan.commands.items():
+        time_s, volts = np.array(of.time_s, dtype=float), np.array(of.volts, dtype=float)
+        where = f"{path}: commands.{name}"
+        if time_s.size != volts.size or time_s.size == 0:
+            raise InputError(
+                f"{where}: found {time_s.size} times and {volts.size} volts, as many are needed"
+            )
+        if not (np.isfinite(time_s).all() and np.isfinite(volts).all()):
+            raise InputError(f"{where}: found a number that is not finite")
+        if time_s[0] != 0.0 or np.any(np.diff(time_s) <= 0.0):
+            raise InputError(f"{where}: its times have to begin with 0 and to rise")
+        low, high = plan.limits.low_v.get(name), plan.limits.high_v.get(name)
+        if low is None or high is None:
+            raise InputError(f"{where}: has no limits; low_v and high_v of it are needed")
+        if volts.min() < low - 1e-3 or volts.max() > high + 1e-3:
+            raise InputError(
+                f"{where}: found {volts.min():g} to {volts.max():g} V, its limits are"
+                f" {low:g} to {high:g}"
+            )
+    if not (math.isfinite(plan.seconds) and plan.seconds > 0.0):
+        raise InputError(f"{path}: seconds: found {plan.seconds:g}, it must be positive")
+    return plan
+
+
+def check_plan(plan: Plan, rig: Rig, path: Path | str = "plan") -> None:
+    """Raises InputError where a plan is for another rig.
+
+    Args:
+        plan: The plan.
+        rig: The rig.
+        path: File of the plan.
+    """
+    if plan.rig != rig.name or set(plan.commands) != set(rig.commands):
+        raise InputError(
+            f"{path}: is for rig {plan.rig!r} with commands {', '.join(plan.commands)}; this is"
+            f" {rig.name!r} with {', '.join(rig.commands) or 'none'}"
+        )

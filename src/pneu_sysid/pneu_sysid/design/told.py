@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What pieces of a recording tell: of parameters, and of what sets candidates apart.
+
+Each piece is one matrix of inner products of all that may change the prediction within it; what
+several pieces tell together is the sum of theirs. Fisher information and the squared distance
+between two models are small linear algebra on that sum.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_sim.rig import with_parameters
+from pneu_sim.rig.schema import FitParameter, Rig
+from pneu_sysid.gauss_newton import Variable
+from pneu_sysid.parameters import one_each, rig_at, variables_of
+from pneu_sysid.problem import Problem
+from pneu_sysid.refits import effect_variables
+
+Floats = NDArray[np.float64]
+
+RIDGE = 1e-9
+"""Of the largest inner product: what is known no better than to rounding counts for nothing."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A candidate for what a rig is missing.
+
+    Attributes:
+        label: Effect and place.
+        rig: The rig with it, the last of its effects, at what was found.
+    """
+
+    label: str
+    rig: Rig
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Where what changes the prediction stands in the matrices.
+
+    Attributes:
+        change: Per hypothesis the column of what it changes at what was found.
+        own: Per hypothesis the columns of what its own numbers change about that.
+        parameters: Columns of the parameters, each per standard deviation of what was known.
+    """
+
+    change: list[int]
+    own: list[list[int]]
+    parameters: list[int]
+
+    @property
+    def count(self) -> int:
+        """Of all columns."""
+        return len(self.change) + sum(len(of) for of in self.own) + len(self.parameters)
+
+
+@dataclass(frozen=True)
+class Told:
+    """What pieces tell.
+
+    Attributes:
+        columns: What stands where.
+        of_pieces: (n_pieces, C, C) inner products, in noise deviations.
+        variables: The parameters.
+        known_std: (P,) what was known of each before, in its own variable.
+    """
+
+    columns: Columns
+    of_pieces: Floats = field(repr=False)
+    variables: list[Variable] = field(repr=False)
+    known_std: Floats = field(repr=False)
+
+    def covariance(self, gram: Floats) -> Floats:
+        """(P, P) covariance of the parameters after a fit, per standard deviation known before.
+
+        Args:
+            gram: (C, C) sum over pieces.
+        """
+        at = self.columns.parameters
+        return np.asarray(np.linalg.inv(gram[np.ix_(at, at)] + np.eye(len(at))))
+
+    def information(self, gram: Floats) -> float:
+        """Logarithm of how much smaller the volume of what is possible becomes (D-optimality).
+
+        Args:
+            gram: (C, C) sum over pieces.
+        """
+        at = self.columns.parameters
+        return float(np.linalg.slogdet(gram[np.ix_(at, at)] + np.eye(len(at)))[1])
+
+    def distance(self, gram: Floats, true: int, other: int) -> float:
+        """How far the other hypothesis stays from the true one, its numbers fitted (T-optimality).
+
+        Args:
+            gram: (C, C) sum over pieces.
+            true: Which is the case.
+            other: Which is fitted.
+
+        Returns:
+            Root of the squared difference that is left, in noise deviations.
+        """
+        a, b = self.columns.change[true], self.columns.change[other]
+        free = [*self.columns.own[other], *self.columns.parameters]
+        apart = gram[a, a] - 2.0 * gram[a, b] + gram[b, b]
+        slope = gram[free, a] - gram[free, b]
+        inner = gram[np.ix_(free, free)].copy()
+        # base parameters were known to a deviation; of a candidate's numbers nothing was
+        own = len(self.columns.own[other])
+        inner[np.arange(own, len(free)), np.arange(own, len(free))] += 1.0
+        inner[np.diag_indices(len(free))] += RIDGE * max(float(np.trace(gram)), 1e-12)
+        left = apart - float(slope @ np.linalg.solve(inner, slope)) if free else apart
+        return float(np.sqrt(max(left, 0.0)))
+
+    def lead(self, gram: Floats, one: int, other: int) -> float:
+        """By how many standard errors the right one of two is expected to lead, whichever it is.
+
+        Two models whose predictions differ by D deviations of noise leave squares that differ by
+        D^2, which noise scatters by 2 D (`evidence.lead`).
+
+        Args:
+            gram: (C, C) sum over pieces.
+            one: One of them.
+            other: The other.
+        """
+        return 0.5 * min(self.distance(gram, one, other), self.distance(gram, other, one))
+
+
+def told_by(
+    problem: Problem,
+    rig: Rig,
+    hypotheses: Sequence[Hypothesis],
+    parameters: Sequence[FitParameter],
+    edges_s: Floats,
+    progress: Callable[[float], None] | None = None,
+) -> Told:
+    """What each piece of a recording that is foreseen tells.
+
+    Args:
+        problem: The recording as the rig alone predicts it.
+        rig: The rig.
+        hypotheses: What it may lack.
+        parameters: Its numbers that are not known exactly.
+        edges_s: (n_pieces + 1,) where pieces begin and end, s.
+        progress: Called with the fraction done.
+    """
+    listed = one_each(list(parameters), [r.name for r in problem.recordings])
+    variables = variables_of(rig, listed) if listed else []
+    known = np.array([min(v.std, v.upper - v.lower) for v in variables])
+    x = np.array([v.value for v in variables])
+    rigs, of = [rig], []  # (rig at the other end, step) by column
+    change: list[int] = []
+    own: list[list[int]] = []
+    column = 0
+    for one in hypotheses:
+        at = len(rigs)
+        rigs.append(one.rig)
+        of.append((at, 0, 1.0))
+        change.append(column)
+        column += 1
+        mine = []
+        for v in effect_variables(one.rig, len(one.rig.effects) - 1):
+            step = v.step if v.value + v.step <= v.upper else -v.step
+            of.append((len(rigs), at, step))
+            rigs.append(with_parameters(_with_default(one.rig, v), {v.name: v.value + step}))
+            mine.append(column)
+            column += 1
+        own.append(mine)
+    numbers = []
+    for k, v in enumerate(variables):
+        step = v.step if x[k] + v.step <= v.upper else -v.step
+        y = x.copy()
+        y[k] += step
+        of.append((len(rigs), 0, step / known[k]))
+        rigs.append(rig_at(rig, listed, y))
+        numbers.append(column)
+        column += 1
+    readings = problem.simulate(rigs, progress, strict=False).readings
+    missing = ~np.isfinite(problem.target())
+    columns = np.empty((problem.stretches, missing[0].size, column))
+    for c, (there, here, step) in enumerate(of):
+        diff = (readings[there] - readings[here]) / (problem.noise_pa * step)
+        diff[missing] = 0.0
+        columns[:, :, c] = np.nan_to_num(diff.reshape(problem.stretches, -1))
+    per_stretch = np.einsum("smi,smj->sij", columns, columns, optimize=True)
+    middle = problem.span_s.mean(axis=1)
+    piece = np.clip(np.searchsorted(edges_s, middle, "right") - 1, 0, edges_s.size - 2)
+    grams = np.zeros((edges_s.size - 1, column, column))
+    np.add.at(grams, piece, per_stretch)
+    return Told(Columns(change, own, numbers), grams, variables, known)
+
+
+def _with_default(rig: Rig, variable: Variable) -> Rig:
+    """The rig with a number of an effect written down, that was left at its default."""
+    _, index, _, name = variable.name.split(".")
+    out = rig.model_copy(deep=True)
+    out.effects[int(index)].parameters.setdefault(name, variable.value)
+    return out

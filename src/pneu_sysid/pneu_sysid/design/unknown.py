@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which numbers of a rig an experiment is to tell, and which may hide what is missing."""
+
+from pathlib import Path
+
+from pneu_common.errors import InputError
+from pneu_sim.models import kind_of
+from pneu_sim.rig.schema import FitParameter, Rig
+from pneu_sysid.parameters import calibrated_parameters, default_parameters, listed_parameters
+
+
+def parameters_to_learn(rig: Rig) -> list[FitParameter]:
+    """What ``pneu fit`` would estimate.
+
+    Args:
+        rig: The rig.
+    """
+    base = rig.fit.parameters or (
+        calibrated_parameters(rig) if kind_of(rig).along_lines else default_parameters(rig)
+    )
+    listed, held = listed_parameters(rig, base)
+    return [p for p in listed if p.path not in held]
+
+
+def open_parameters(rig: Rig, source: Path | str) -> list[FitParameter]:
+    """What a calibration could not see of a rig, and may hide what it is missing.
+
+    Args:
+        rig: The rig.
+        source: Its file.
+
+    Raises:
+        InputError: It has no calibration: all its numbers may hide anything.
+    """
+    if rig.calibration is None:
+        raise InputError(
+            f"{source}: has no calibration; what is missing can be told only from numbers that are"
+            " known, so `pneu fit` comes first"
+        )
+    return [p for p in rig.fit.parameters if p.std_error is None]

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plans of experiments: within limits, told by linear algebra that is checked, and chosen well."""
+
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pneu_common.errors import InputError
+from pneu_sim.rig import load_rig
+from pneu_sim.rig.schema import AttachedEffect, Calibration
+from pneu_sysid.design.choose import choose
+from pneu_sysid.design.command import joints_of
+from pneu_sysid.design.design import Asked, design
+from pneu_sysid.design.foreseen import foresee
+from pneu_sysid.design.limits import limits_of, volts_of
+from pneu_sysid.design.plan import check_plan, load_plan, save_plan
+from pneu_sysid.design.told import Columns, Hypothesis, Told
+from pneu_sysid.design.waves import KINDS, STEP_S, draw_piece, joined
+
+ROOT = Path(__file__).resolve().parents[3]
+LAB = load_rig(ROOT / "rigs" / "lab.yaml")
+FITTED = LAB.model_copy(
+    update={
+        "taps": {"end": LAB.taps["end"]},
+        "grid": LAB.grid.model_copy(update={"dx_m": 0.1}),
+        "calibration": Calibration(
+            recording="healthy", rmse_pa={"end": 260.0}, noise_floor_pa={"end": 250.0}
+        ),
+        "fit": LAB.fit.model_copy(
+            update={
+                "parameters": [
+                    LAB.fit.parameters[0].model_copy(update={"std": 1e-3, "std_error": 1e-5})
+                ]
+            }
+        ),
+    }
+)
+
+
+def with_effect(effect: str, place: str, **parameters: float) -> Hypothesis:
+    extra = AttachedEffect(effect=effect, place=place, parameters=parameters)
+    return Hypothesis(f"{effect}@{place}", FITTED.model_copy(update={"effects": [extra]}))
+
+
+# ---- limits -----------------------------------------------------------------------------------
+
+
+def test_volts_are_those_of_the_opening_curves():
+    # supply from 5.1 to 10 V, exhaust its mirror image about 5 V
+    assert volts_of(LAB) == {"voltage": pytest.approx((0.0, 10.0))}
+    limits = limits_of(LAB, low_v=-3.0, high_v=7.0)
+    assert (limits.low_v["voltage"], limits.high_v["voltage"]) == pytest.approx((0.0, 7.0))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"low_v": 6.0, "high_v": 6.01}, "6 to 6.01 V for command 'voltage', which leaves nothing"),
+        ({"low_v": 12.0}, "which leaves nothing to excite; its valves open between 0 and 10 V"),
+        ({"highest_pa": 5.0e4}, "pressures are absolute"),
+        ({"lowest_pa": 3e5, "highest_pa": 2e5}, "300000 to 200000 Pa, which leaves nothing"),
+        ({"slew_v_s": 0.0}, "slew_v_s: found 0"),
+        ({"air_kg": float("nan")}, "air_kg: found nan"),
+        ({"joints": {"elbow": (0.0, 1.0)}}, "joints: found 'elbow', rig 'lab' has none"),
+    ],
+)
+def test_limits_that_leave_nothing_are_refused(wrong, words):
+    with pytest.raises(InputError, match=words):
+        limits_of(LAB, **wrong)
+
+
+def test_joints_on_the_command_line():
+    assert joints_of(["elbow=-0.5:1.2"]) == {"elbow": (-0.5, 1.2)}
+    for wrong in ("elbow", "elbow=1", "elbow=a:b"):
+        with pytest.raises(InputError, match="needed is NAME=FROM:TO"):
+            joints_of([wrong])
+
+
+# ---- waves ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_waves_keep_to_volts_and_slew_and_repeat(kind):
+    kokoro = load_rig(ROOT / "rigs" / "kokoro.yaml")
+    limits = limits_of(kokoro, low_v=2.0, high_v=7.5, slew_v_s=100.0)
+    for seed in range(20):
+        drawn = [
+            draw_piece(kokoro, limits, 1.0, kind, np.random.default_rng(seed)) for _ in range(2)
+        ]
+        volts = joined(drawn, limits)
+        assert volts.keys() == kokoro.commands.keys()
+        for name, series in volts.items():
+            np.testing.assert_array_equal(drawn[0][name], drawn[1][name])
+            assert series.size == round(2.0 / STEP_S)
+            assert limits.low_v[name] <= series.min() <= series.max() <= limits.high_v[name]
+            assert np.abs(np.diff(series)).max() <= 100.0 * STEP_S * (1.0 + 1e-9)
+
+
+# ---- what pieces tell -------------------------------------------------------------------------
+
+
+def made_up(rng: np.random.Generator, pieces: int, m: int = 200) -> tuple[np.ndarray, Told]:
+    """Columns of two hypotheses (with one and two numbers of their own) and of two parameters."""
+    columns = rng.normal(size=(pieces, m, 7))
+    columns[..., 1] += 0.5 * columns[..., 0]
+    grams = np.einsum("smi,smj->sij", columns, columns)
+    layout = Columns(change=[0, 2], own=[[1], [3, 4]], parameters=[5, 6])
+    return columns, Told(layout, grams, [], np.ones(2))
+
+
+def test_distance_is_what_a_fit_leaves():
+    """Against least squares on the columns themselves, the parameters with their priors."""
+    columns, told = made_up(np.random.default_rng(3), 4)
+    flat = columns.reshape(-1, 7)
+    for true, other, own in ((0, 2, [3, 4]), (2, 0, [1])):
+        free = flat[:, [*own, 5, 6]]
+        prior = np.zeros((2, len(own) + 2))
+        prior[:, len(own) :] = np.eye(2)
+        a = np.concatenate([free, prior])
+        b = np.concatenate([flat[:, true] - flat[:, other], np.zeros(2)])
+        left = b - a @ np.linalg.lstsq(a, b, rcond=None)[0]
+        found = told.distance(told.of_pieces.sum(axis=0), true // 2, other // 2)
+        assert found == pytest.approx(np.linalg.norm(left), rel=1e-6)
+
+
+def test_covariance_is_that_of_a_fit():
+    columns, told = made_up(np.random.default_rng(5), 3)
+    j = columns.reshape(-1, 7)[:, 5:]
+    rng = np.random.default_rng(0)
+    inverse = np.linalg.inv(j.T @ j + np.eye(2))
+    drawn = [
+        inverse @ (j.T @ (j @ (x := rng.normal(size=2)) + rng.normal(size=j.shape[0]))) - x
+        for _ in range(4000)
+    ]
+    found = told.covariance(told.of_pieces.sum(axis=0))
+    np.testing.assert_allclose(np.cov(np.array(drawn).T), found, rtol=0.1, atol=2e-5)
+
+
+def test_the_choice_is_the_best_of_all():
+    _, told = made_up(np.random.default_rng(11), 6, 8)
+    best = max(
+        told.information(told.of_pieces[list(which)].sum(axis=0))
+        for which in itertools.combinations_with_replacement(range(6), 3)
+    )
+    chosen = choose(told.of_pieces, 3, range(6), told.information)
+    assert told.information(told.of_pieces[chosen].sum(axis=0)) >= best - 0.02 * abs(best)
+    assert set(choose(told.of_pieces, 3, [1, 4], told.information)) <= {1, 4}
+
+
+# ---- plans ------------------------------------------------------------------------------------
+
+
+def test_a_chosen_plan_tells_more_than_a_random_one_and_keeps_to_its_limits(tmp_path):
+    limits = limits_of(FITTED, highest_pa=5.5e5, air_kg=2e-3)
+    pair = [
+        with_effect("leak", "tube", area_m2=2e-9, position_m=1.4),
+        with_effect("spool_leakage", "valve.exhaust", fraction=2e-3),
+    ]
+    plans = [
+        design(FITTED, Asked(3.0, limits, pair, [], kind, rate_hz=100.0, seed=2))
+        for kind in (None, "steps")
+    ]
+    leads = [plan.expected.separations[0].standard_errors for plan in plans]
+    assert leads[0] > 1.5 * leads[1]
+    for plan in plans:
+        expected = plan.expected
+        assert expected.highest_pa["end"] <= 5.5e5
+        assert 0.0 < expected.air_kg <= 2e-3
+        assert expected.fastest_pa_s["end"] > 0.0
+    save_plan(plans[0], tmp_path / "plan.json")
+    again = load_plan(tmp_path / "plan.json")
+    assert again == plans[0]
+    check_plan(again, FITTED)
+    # it is what was foreseen: played, it gives the same pressures
+    at = np.arange(round(again.seconds / STEP_S)) * STEP_S
+    volts = {name: signal.held(at) for name, signal in again.signals().items()}
+    seen = foresee(FITTED, volts, 100.0)
+    assert seen.recording.pressures["end"].values.max() == pytest.approx(
+        again.expected.highest_pa["end"], rel=1e-3
+    )
+
+
+def test_what_no_experiment_can_tell_is_said_before():
+    """With one tap, a valve that acts late and a clock that is late are one and the same."""
+    pair = [
+        with_effect("valve_delay", "valve", delay_s=3e-3),
+        with_effect("clock_offset", "end", offset_s=3e-3),
+    ]
+    plan = design(FITTED, Asked(2.0, limits_of(FITTED), pair, [], rate_hz=100.0))
+    (told,) = plan.expected.separations
+    assert not told.told_apart
+    assert plan.expected.words[0].startswith(
+        "No experiment within these limits can tell valve_delay@valve from clock_offset@end"
+    )
+
+
+def test_limits_that_nothing_keeps_to_are_told_with_what_would_be():
+    with pytest.raises(InputError, match="nothing that was drawn keeps to them; pressures would"):
+        design(
+            FITTED,
+            Asked(2.0, limits_of(FITTED, lowest_pa=2e5), [], FITTED.fit.parameters, rate_hz=50.0),
+        )
+
+
+BAD = (
+    ("no json", "{", "is no JSON"),
+    ("other", '{"schema": "pneu.fit/1"}', "is no plan of `pneu excite`"),
+    ("list", "[1]", "is no plan of `pneu excite`"),
+)
+
+
+@pytest.mark.parametrize(("name", "text", "words"), BAD, ids=[one[0] for one in BAD])
+def test_files_that_are_no_plan(tmp_path, name, text, words):
+    path = tmp_path / "plan.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words):
+        load_plan(path)
+
+
+HOSTILE = (
+    ({"time_s": [0.0, 1.0], "volts": [5.0]}, "found 2 times and 1 volts"),
+    ({"time_s": [0.0, 0.0], "volts": [5.0, 6.0]}, "to begin with 0 and to rise"),
+    ({"time_s": [1.0], "volts": [5.0]}, "to begin with 0 and to rise"),
+    ({"time_s": [0.0], "volts": [50.0]}, "found 50 to 50 V, its limits are 0 to 10"),
+    ({"time_s": [], "volts": []}, "found 0 times and 0 volts"),
+)
+
+
+@pytest.mark.parametrize(("commands", "words"), HOSTILE)
+def test_hostile_plans_are_refused(tmp_path, commands, words):
+    plan = design(
+        FITTED, Asked(1.0, limits_of(FITTED), [], FITTED.fit.parameters, "steps", rate_hz=50.0)
+    ).as_dict()
+    plan["commands"]["voltage"] = commands
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(plan))
+    with pytest.raises(InputError, match=words):
+        load_plan(path)
+
+
+def test_a_plan_for_another_rig():
+    plan = design(
+        FITTED, Asked(1.0, limits_of(FITTED), [], FITTED.fit.parameters, "sweep", rate_hz=50.0)
+    )
+    other = load_rig(ROOT / "rigs" / "kokoro.yaml")
+    with pytest.raises(InputError, match="plan: is for rig 'lab' with commands voltage; this is"):
+        check_plan(plan, other)
