@@ -40,7 +40,7 @@ from studies.stages import add_stages
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "out" / "experiments"
-PLANT_S = 1e-3
+PLANT_S = 2e-4
 RATE_HZ = 500.0
 SECONDS = 10.0
 PIECE_S = 1.25

@@ -605,9 +605,37 @@ def step_table(steps: "list[Step]", encoders: Mapping[str, str]) -> NamedTable:
 
 
 def learn(
-    bag: BagPaths,
     rig: RigPath,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")],
+    bag: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="BAG...",
+            help="rosbag2 folders, .mcap files, or text recordings, of one rig; none is needed of"
+            " one that is live.",
+        ),
+    ] = None,
+    plan: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Plan of `pneu excite` that a recording was made by: what it was to tell is set"
+            " beside what it told. May be given several times.",
+        ),
+    ] = None,
+    rig_is_live: Annotated[
+        bool,
+        typer.Option(
+            "--rig-is-live",
+            help="Run experiments on the rig, which is on the graph, until it is known what is"
+            " missing.",
+        ),
+    ] = False,
+    budget: Annotated[int, typer.Option(help="Experiments at most.", min=1, max=50)] = 4,
+    seconds: Annotated[float, typer.Option(help="Length of each, s.", min=1.0, max=600.0)] = 10.0,
+    namespace: Annotated[str, typer.Option(help="Where the live rig's topics are.")] = "lab",
+    sim_time: Annotated[bool, typer.Option(help="Whether the graph goes by /clock.")] = False,
+    low: Annotated[float | None, typer.Option(help="Lowest volts.", show_default=False)] = None,
+    high: Annotated[float | None, typer.Option(help="Highest volts.", show_default=False)] = None,
     effects: EffectsPath = None,
     json_path: JsonPath = None,
     workers: Workers = None,
@@ -617,6 +645,12 @@ def learn(
     from pneu_sim.rig import save_rig
     from pneu_sysid.compare import compare as run_compare
     from pneu_sysid.compare import recordings_table
+    from pneu_sysid.design.command import experiments_table
+    from pneu_sysid.design.judge import judged
+    from pneu_sysid.design.limits import limits_of
+    from pneu_sysid.design.live import LiveRig
+    from pneu_sysid.design.loop import Budget, run
+    from pneu_sysid.design.plan import check_plan, load_plan
     from pneu_sysid.diagnose import result_of_diagnosis
     from pneu_sysid.learn import learn as run_learn
     from pneu_sysid.learn import result_of_learning
@@ -626,21 +660,45 @@ def learn(
     from pneu_sysid.sensor_units import encoder_units
 
     console = _console()
+    bags = list(bag or [])
+    if not bags and not rig_is_live:
+        raise InputError("BAG: none was given; --rig-is-live has them recorded")
     check_output(json_path, force)
     _folder(output, rig, force)
     if _is_scene(rig, effects):
         from pneu_sysid.contacts.commands import learn as learn_scene
 
-        return learn_scene(bag, rig, output, json_path, workers, console)
+        if rig_is_live or plan:
+            raise InputError(f"{rig}: is a scene; --rig-is-live and --plan are of rigs")
+        return learn_scene(bags, rig, output, json_path, workers, console)
     loaded = _load(rig, effects)
-    recordings = _read(bag, loaded, console)
+    plans = [(path, load_plan(path)) for path in plan or []]
+    for path, one in plans:
+        check_plan(one, loaded, path)
+    recordings = _read(bags, loaded, console)
+    experiments = []
+    if rig_is_live:
+        limits = limits_of(loaded, low, high)
+        allowed = Budget(budget, seconds, limits, workers=workers)
+        with progress("experimenting") as tell:
+            state = run(
+                loaded, rig.resolve(), bags, output.resolve(), allowed,
+                LiveRig(namespace, sim_time), tell,
+            )  # fmt: skip
+        recordings, experiments = state.recordings, state.experiments
+        console.print(f"{len(experiments)} experiments, ended: {state.ended.replace('_', ' ')}")
+        if state.words:
+            console.print(state.words)
     with progress("learning") as tell:
         learned = run_learn(loaded, recordings, out=output, workers=workers, progress=tell)
+    experiments += [judged(str(path), one, learned.diagnoses[0]) for path, one in plans]
+    if experiments:
+        console.print(experiments_table(experiments))
     console.print(step_table(learned.steps, encoder_units(learned.rig)))
     console.print(learned.sentence, style="bold")
     problem = make_problem(learned.rig, recordings)
     findings = read_findings(recordings)
-    result = result_of_learning(loaded.name, learned, problem, findings, str(output))
+    result = result_of_learning(loaded.name, learned, problem, findings, str(output), experiments)
     save_rig(learned.rig, output / "rig.yaml")
     write_json(output / "learn.json", result)
     if json_path is not None:

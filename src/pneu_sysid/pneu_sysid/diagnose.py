@@ -14,7 +14,7 @@ from pneu_sysid import words
 from pneu_sysid.bench import Bench, bench_of
 from pneu_sysid.candidates import Score, best_per_place, residual_matrix, scores_of, to_refit
 from pneu_sysid.dependence import dependences, seldom
-from pneu_sysid.evidence import lead
+from pneu_sysid.evidence import cosine, lead
 from pneu_sysid.fit import sensor_rmse
 from pneu_sysid.heading import heading
 from pneu_sysid.left_open import left_open
@@ -257,7 +257,32 @@ def look(
                     again if known is None or again.explained > known.explained else known
                 )
             result = _judge(bench, base, refits, best, readings, taken)
+    # None is named while another that changes the prediction alike was only scored.
+    more = _alike_but_scored(result, refits, best, limits)
+    if more:
+        refits += refitted(more, False)
+        result = _judge(bench, base, refits, best, readings, taken)
     return result
+
+
+def _alike_but_scored(
+    result: Diagnosis, refits: list[Refit], best: list[Score], limits: Thresholds
+) -> list[Score]:
+    """Candidates that were not refitted and change the prediction as the best one does."""
+    if not result.believed:
+        return []
+    top, tried = result.finalists[0].site.part, {r.site.part for r in refits}
+    own = next((score.projected for score in best if score.site.part == top), None)
+    if own is None:
+        return []
+    least = limits.contender * best[0].explained
+    return [
+        score
+        for score in best
+        if score.site.part not in tried
+        and score.explained >= least
+        and abs(cosine(score.projected, own)) >= limits.alike
+    ][: limits.finalists]
 
 
 def _is_answer(result: Diagnosis, bench: Bench) -> bool:

@@ -28,7 +28,7 @@ from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.refits import effect_variables, refit_effects
-from pneu_sysid.results import LearnResult, Step, Verdict, write_json
+from pneu_sysid.results import Experiment, LearnResult, Step, Verdict, write_json
 from pneu_sysid.sensor_units import apart
 from pneu_sysid.sites import all_sites
 from pneu_sysid.thresholds import Thresholds
@@ -528,7 +528,12 @@ def _conclude(
 
 
 def result_of_learning(
-    name: str, learned: Learned, problem: Problem, findings: list[str], output: str | None
+    name: str,
+    learned: Learned,
+    problem: Problem,
+    findings: list[str],
+    output: str | None,
+    experiments: Sequence[Experiment] = (),
 ) -> LearnResult:
     """The JSON result of the loop.
 
@@ -538,6 +543,7 @@ def result_of_learning(
         problem: The problem.
         findings: What was found while reading the recording.
         output: Folder of the results.
+        experiments: Those that were designed for it.
     """
     return LearnResult(
         **heading(problem, learned.rig, name, findings),
@@ -545,6 +551,7 @@ def result_of_learning(
         verdict=learned.verdict,
         sentence=learned.sentence,
         output=output,
+        experiments=list(experiments),
     )
 
 

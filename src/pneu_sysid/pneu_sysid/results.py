@@ -597,6 +597,37 @@ class Step(Result):
         return {**self.held_out_rmse_pa, **self.held_out_rmse} or {**self.rmse_pa, **self.rmse}
 
 
+class ToldApart(Result):
+    """Two candidates that an experiment was to tell apart."""
+
+    one: str
+    """Effect and place of one of them."""
+    other: str
+    """Of the other."""
+    expected: Perhaps
+    """By how many standard errors the right one was expected to lead."""
+    found: Perhaps
+    """By how many the first leads now; negative where the other does. Null where one of them was
+    not refitted, having little to say."""
+    needed: Number
+    """From how many on they count as told apart."""
+
+
+class Experiment(Result):
+    """An experiment: what it was expected to tell, and what it told."""
+
+    plan: str
+    """File of its plan."""
+    kind: str
+    """How that was made."""
+    seconds: Number
+    """How long it lasts."""
+    told_apart: list[ToldApart] = []
+    """Candidates that it was to tell apart."""
+    words: list[str] = []
+    """What was said of it before."""
+
+
 class LearnResult(Head):
     """``pneu learn --json``: effect after effect, the error after each."""
 
@@ -610,6 +641,8 @@ class LearnResult(Head):
     """The same in words."""
     output: str | None
     """Folder that was written."""
+    experiments: list[Experiment] = []
+    """Experiments that were designed for it, as far as their plans were given."""
 
 
 # ---- friction ------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from pneu_sysid.results import Candidate, DiagnoseResult, result_of
 MOST = 4
 """Candidates that are told apart at once."""
 NEAR = 0.7
-"""Of an unsure diagnosis those count that explain this share of what the best one does."""
+"""Candidates count that explain this share of what the best one does."""
 
 
 def hypotheses_of(rig: Rig, result: DiagnoseResult, source: Path | str) -> list[Hypothesis]:
@@ -39,11 +39,11 @@ def hypotheses_of(rig: Rig, result: DiagnoseResult, source: Path | str) -> list[
         )
     best = tested[0]
     alike = set(best.indistinguishable_from)
-    chosen = [best] + [c for c in tested[1:] if _label(c) in alike]
-    if len(chosen) < 2:  # unsure: what comes near
-        most = max(c.held_out_gain or 0.0 for c in tested)
-        near = [c for c in tested[1:] if (c.held_out_gain or 0.0) >= NEAR * most]
-        chosen += near or tested[1:2]
+    tied = [c for c in tested[1:] if _label(c) in alike]
+    most = max(c.held_out_gain or 0.0 for c in tested)
+    # what is just told from the best here may be its look-alike in another recording
+    near = [c for c in tested[1:] if c not in tied and (c.held_out_gain or 0.0) >= NEAR * most]
+    chosen = [best, *tied, *(near or (tested[1:2] if not tied else []))]
     return [hypothesis(rig, c, source) for c in chosen[:MOST]]
 
 

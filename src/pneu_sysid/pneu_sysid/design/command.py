@@ -14,7 +14,10 @@ from pneu_common.progress import progress
 from pneu_common.tables import Column, NamedTable
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pneu_sysid.design.plan import Plan
+    from pneu_sysid.results import Experiment
 
 KINDS = "designed, steps, multisine, sweep, decay, reversal"
 
@@ -157,3 +160,31 @@ def tables(plan: "Plan") -> list[NamedTable]:
             table.add_row(name, "-" if error is None else f"{error:.3g}")
         out.append(table)
     return out
+
+
+def experiments_table(experiments: "Sequence[Experiment]") -> NamedTable:
+    """What experiments were expected to tell, and what they told, to be printed.
+
+    Args:
+        experiments: They.
+    """
+    table = NamedTable(
+        "Experiments: standard errors by which the first candidate leads",
+        [
+            Column("plan"),
+            Column("one"),
+            Column("other"),
+            Column("expected", "number"),
+            Column("found", "number"),
+            Column("needed", "number"),
+        ],
+    )
+    for one in experiments:
+        for told in one.told_apart:
+            numbers = [
+                "-" if x is None else f"{x:.1f}" for x in (told.expected, told.found, told.needed)
+            ]
+            table.add_row(Path(one.plan).name, told.one, told.other, *numbers)
+        if not one.told_apart:
+            table.add_row(Path(one.plan).name, one.kind, "", "-", "-", "-")
+    return table

@@ -193,19 +193,20 @@ def _expected(
     for a, b in _pairs(asked):
         lead = promised.lead(gram, a, b)
         one, other = asked.hypotheses[a].label, asked.hypotheses[b].label
+        best = lead
+        if pool is not None:
+            # the best of all pieces played over and over; leads grow with the root of time
+            alone = max(pool.lead(pool.of_pieces[k], a, b) for k in allowed)
+            best = max(best, math.sqrt(count) * alone)
         separations.append(
             Separation(
                 one=one, other=other, standard_errors=lead, needed=needed,
                 told_apart=lead >= needed,
+                inseparable=best * math.sqrt(MUCH_LONGER) < needed,
             )
         )  # fmt: skip
         if lead < needed:
-            best = lead
-            if pool is not None:
-                # the best of all pieces played over and over; leads grow with the root of time
-                alone = max(pool.lead(pool.of_pieces[k], a, b) for k in allowed)
-                best = max(best, math.sqrt(count) * alone)
-            words.append(_short(one, other, best, needed, asked.seconds))
+            words.append(_short(separations[-1], best, asked.seconds))
     errors: dict[str, float | None] = {}
     if not asked.hypotheses:
         share = np.sqrt(np.diag(promised.covariance(gram)))
@@ -236,8 +237,10 @@ def _is_log(asked: Asked, path: str) -> bool:
     return any(p.path == path and p.log for p in asked.parameters)
 
 
-def _short(one: str, other: str, lead: float, needed: float, seconds: float) -> str:
-    if lead * math.sqrt(MUCH_LONGER) < needed:
+def _short(of: Separation, lead: float, seconds: float) -> str:
+    """What is said of two that are not expected to be told apart; lead is the best there is."""
+    one, other, needed = of.one, of.other, of.needed
+    if of.inseparable:
         return (
             f"No experiment within these limits can tell {one} from {other}: what either changes"
             f" the other does too, but for {lead:.2g} standard errors of the {needed:g} that are"

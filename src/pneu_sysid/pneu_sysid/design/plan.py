@@ -42,6 +42,8 @@ class Separation(Result):
     """From how many on they count as told apart."""
     told_apart: bool
     """Whether it is expected to tell them."""
+    inseparable: bool = False
+    """Whether no experiment within the limits is expected to, of whatever length."""
 
 
 class Bounds(Result):

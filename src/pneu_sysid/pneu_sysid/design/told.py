@@ -46,16 +46,14 @@ class Columns:
         change: Per hypothesis the column of what it changes at what was found.
         own: Per hypothesis the columns of what its own numbers change about that.
         parameters: Columns of the parameters, each per standard deviation of what was known.
+        doubtful: Columns of what the model gets wrong in a way that is known, such as its cells,
+            each as much as may be.
     """
 
     change: list[int]
     own: list[list[int]]
     parameters: list[int]
-
-    @property
-    def count(self) -> int:
-        """Of all columns."""
-        return len(self.change) + sum(len(of) for of in self.own) + len(self.parameters)
+    doubtful: list[int] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -80,8 +78,10 @@ class Told:
         Args:
             gram: (C, C) sum over pieces.
         """
-        at = self.columns.parameters
-        return np.asarray(np.linalg.inv(gram[np.ix_(at, at)] + np.eye(len(at))))
+        count = len(self.columns.parameters)
+        at = [*self.columns.parameters, *self.columns.doubtful]
+        whole = np.linalg.inv(gram[np.ix_(at, at)] + np.eye(len(at)))
+        return np.asarray(whole[:count, :count])
 
     def information(self, gram: Floats) -> float:
         """Logarithm of how much smaller the volume of what is possible becomes (D-optimality).
@@ -89,8 +89,7 @@ class Told:
         Args:
             gram: (C, C) sum over pieces.
         """
-        at = self.columns.parameters
-        return float(np.linalg.slogdet(gram[np.ix_(at, at)] + np.eye(len(at)))[1])
+        return -float(np.linalg.slogdet(self.covariance(gram))[1])
 
     def distance(self, gram: Floats, true: int, other: int) -> float:
         """How far the other hypothesis stays from the true one, its numbers fitted (T-optimality).
@@ -104,7 +103,7 @@ class Told:
             Root of the squared difference that is left, in noise deviations.
         """
         a, b = self.columns.change[true], self.columns.change[other]
-        free = [*self.columns.own[other], *self.columns.parameters]
+        free = [*self.columns.own[other], *self.columns.parameters, *self.columns.doubtful]
         apart = gram[a, a] - 2.0 * gram[a, b] + gram[b, b]
         slope = gram[free, a] - gram[free, b]
         inner = gram[np.ix_(free, free)].copy()
@@ -178,19 +177,37 @@ def told_by(
         rigs.append(rig_at(rig, listed, y))
         numbers.append(column)
         column += 1
+    doubtful = [] if problem.grid_pa is None else [column]
     readings = problem.simulate(rigs, progress, strict=False).readings
     missing = ~np.isfinite(problem.target())
-    columns = np.empty((problem.stretches, missing[0].size, column))
+    trusted = _trusted(problem)
+    columns = np.empty((problem.stretches, missing[0].size, column + len(doubtful)))
+    if problem.grid_pa is not None:
+        wrong = np.where(missing, 0.0, problem.grid_pa * trusted / problem.noise_pa)
+        columns[:, :, column] = np.nan_to_num(wrong.reshape(problem.stretches, -1))
     for c, (there, here, step) in enumerate(of):
-        diff = (readings[there] - readings[here]) / (problem.noise_pa * step)
+        diff = (readings[there] - readings[here]) * trusted / (problem.noise_pa * step)
         diff[missing] = 0.0
         columns[:, :, c] = np.nan_to_num(diff.reshape(problem.stretches, -1))
     per_stretch = np.einsum("smi,smj->sij", columns, columns, optimize=True)
     middle = problem.span_s.mean(axis=1)
     piece = np.clip(np.searchsorted(edges_s, middle, "right") - 1, 0, edges_s.size - 2)
-    grams = np.zeros((edges_s.size - 1, column, column))
+    grams = np.zeros((edges_s.size - 1, *per_stretch.shape[1:]))
     np.add.at(grams, piece, per_stretch)
-    return Told(Columns(change, own, numbers), grams, variables, known)
+    return Told(Columns(change, own, numbers, doubtful), grams, variables, known)
+
+
+def _trusted(problem: Problem) -> Floats:
+    """(n_stretches, horizon, n_taps) weight of each reading: less where cells get it wrong.
+
+    A front that is steeper than cells can hold is smeared by them, and that looks like a lag or a
+    volume; on a rig, whose gas has no cells, what is said there would be believed. What cells of
+    twice the length get wrong besides is about as much as what the rig's own do, near fronts.
+    """
+    if problem.grid_pa is None:
+        return np.ones_like(problem.measured)
+    wrong = np.nan_to_num(problem.grid_pa / problem.noise_pa)
+    return np.asarray(1.0 / np.sqrt(1.0 + wrong**2))
 
 
 def _with_default(rig: Rig, variable: Variable) -> Rig:

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
+from pneu_graph.bag.process import CLI, Recorder
 from pneu_sim.rig import load_rig
 from pneu_sysid.sensor_units import encoder_units, unit_of
 from pneu_sysid.tasks.child import Child
-from pneu_workbench.live.recorder import CLI, Recorder
 
 Floats = NDArray[np.float64]
 

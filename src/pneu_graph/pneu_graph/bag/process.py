@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`pneu bag record` as a process of its own, begun and ended from the page."""
+"""`pneu bag record` as a process of its own, begun and ended by whoever runs a rig."""
 
 import signal
 import subprocess
@@ -51,3 +51,20 @@ class Recorder:
             then(self.bag.exists())
 
         threading.Thread(target=wait, daemon=True).start()
+
+    def end_and_wait(self) -> bool:
+        """Ends it, waits until the bag is whole, and returns whether there is one."""
+        ended, there = threading.Event(), []
+
+        def told(is_there: bool) -> None:
+            there.append(is_there)
+            ended.set()
+
+        self.end(told)
+        ended.wait()
+        return there[0]
+
+    @property
+    def ended(self) -> bool:
+        """Whether the process has ended, by itself or not."""
+        return self._process.poll() is not None

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an experiment was expected to tell, beside what it told."""
+
+from pneu_sysid.design.plan import Plan
+from pneu_sysid.diagnose import Diagnosis
+from pneu_sysid.evidence import lead
+from pneu_sysid.refits import Refit
+from pneu_sysid.results import Experiment, ToldApart
+
+
+def judged(file: str, plan: Plan, found: Diagnosis) -> Experiment:
+    """A plan that separates candidates, judged by the diagnosis that it helped.
+
+    Args:
+        file: The plan's.
+        plan: It.
+        found: The diagnosis, of all recordings together.
+    """
+    apart = []
+    for one in plan.expected.separations:
+        a, b = _refit(found, one.one), _refit(found, one.other)
+        leads = None
+        if a is not None and b is not None:
+            leads = lead(a.residual, b.residual, found.bench.blocks)
+        apart.append(
+            ToldApart(
+                one=one.one,
+                other=one.other,
+                expected=one.standard_errors,
+                found=leads,
+                needed=one.needed,
+            )
+        )
+    return Experiment(
+        plan=file, kind=plan.kind, seconds=plan.seconds, told_apart=apart, words=plan.expected.words
+    )
+
+
+def _refit(found: Diagnosis, label: str) -> Refit | None:
+    """What was refitted of an effect at a place, wherever along a line."""
+    effect, _, place = label.partition("@")
+    part = effect, place.split(":")[0]
+    return next((r for r in found.finalists if r.site.part == part), None)

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Experiment after experiment until a verdict stands; plans are played on a simulated plant.
+
+The same on a graph, with processes for all: tests/test_live_experiments.py.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pneu_common.errors import InputError
+from pneu_sim.rig import load_rig, save_rig
+from pneu_sim.rig.schema import AttachedEffect, Calibration, Rig
+from pneu_sim.run import add_noise, run_from_rest
+from pneu_sysid.design.limits import limits_of
+from pneu_sysid.design.live import LiveRig, play
+from pneu_sysid.design.loop import Budget, run
+from pneu_sysid.design.plan import load_plan
+from pneu_sysid.design.waves import STEP_S
+from pneu_sysid.records import Recording, even_recording
+from pneu_sysid.records.write import write_bag
+
+ROOT = Path(__file__).resolve().parents[3]
+LAB = load_rig(ROOT / "rigs" / "lab.yaml")
+RIG = LAB.model_copy(
+    update={
+        "taps": {"end": LAB.taps["end"]},
+        "grid": LAB.grid.model_copy(update={"dx_m": 0.1}),
+        "calibration": Calibration(
+            recording="healthy", rmse_pa={"end": 255.0}, noise_floor_pa={"end": 250.0}
+        ),
+        "fit": LAB.fit.model_copy(
+            update={"parameters": [LAB.fit.parameters[0].model_copy(update={"std_error": 1e-5})]}
+        ),
+    }
+)
+RATE_HZ = 100.0
+
+
+class Plant:
+    """Plays plans on a rig with what is hidden, and writes bags."""
+
+    def __init__(self, rig: Rig, hidden: AttachedEffect) -> None:
+        self._rig = rig
+        self._plant = rig.model_copy(
+            update={
+                "effects": [hidden],
+                "grid": rig.grid.model_copy(update={"flux": "exact", "dx_m": 0.07}),
+            }
+        )
+        self.played: list[str] = []
+
+    def recording(self, volts: dict[str, np.ndarray], name: str) -> Recording:
+        at = np.arange(len(volts["voltage"])) * STEP_S
+        out = run_from_rest(self._plant, volts, STEP_S)
+        every = round(1.0 / (RATE_HZ * STEP_S))
+        rng = np.random.default_rng([len(self.played), 3])
+        taps = add_noise(self._plant, {n: x[::every] for n, x in out.taps.items()}, rng)
+        shown = even_recording(name, at[::every], {}, taps)
+        shown.commands.update(even_recording(name, at, volts, {}).commands)
+        return shown
+
+    def __call__(self, plan, plan_file, rig_file, bag, where, tell) -> None:
+        assert load_plan(plan_file) == plan
+        at = np.arange(round(plan.seconds / STEP_S)) * STEP_S
+        volts = {name: signal.held(at) for name, signal in plan.signals().items()}
+        write_bag(bag, self._rig, self.recording(volts, plan_file.stem))
+        self.played.append(plan.kind)
+
+
+def outcome(tmp_path: Path, hidden: AttachedEffect, **more):
+    save_rig(RIG, tmp_path / "rig.yaml")
+    plant = Plant(RIG, hidden)
+    limits = limits_of(RIG, **more)
+    budget = Budget(3, 4.0, limits, RATE_HZ)
+    state = run(RIG, tmp_path / "rig.yaml", [], tmp_path, budget, LiveRig(), None, plant)
+    return plant, state
+
+
+def test_from_nothing_to_a_name(tmp_path):
+    hidden = AttachedEffect(
+        effect="leak", place="tube", parameters={"area_m2": 6e-9, "position_m": 1.4}
+    )
+    plant, state = outcome(tmp_path, hidden)
+    assert state.ended == "name"
+    assert state.found.finalists[0].site.part == ("leak", "tube")
+    assert plant.played[0] == "steps" and set(plant.played[1:]) <= {"separate"}
+    assert len(state.bags) == len(plant.played) == len(state.experiments)
+
+
+def test_what_is_inseparable_is_said_and_no_more_is_run(tmp_path):
+    """A valve that acts late or the late clock of the only sensor."""
+    hidden = AttachedEffect(effect="valve_delay", place="valve", parameters={"delay_s": 6e-3})
+    plant, state = outcome(tmp_path, hidden)
+    assert state.ended == "inseparable"
+    assert plant.played == ["steps"]
+    assert "valve_delay@valve" in state.words and "clock_offset@end" in state.words
+
+
+def test_without_a_calibration_nothing_is_run(tmp_path):
+    bare = RIG.model_copy(update={"calibration": None})
+    budget = Budget(3, 4.0, limits_of(RIG), RATE_HZ)
+    with pytest.raises(InputError, match=r"rig\.yaml: has no calibration; what is missing can be"):
+        run(bare, tmp_path / "rig.yaml", [], tmp_path, budget, LiveRig(), None, None)
+
+
+def test_a_bag_is_never_written_over(tmp_path):
+    (tmp_path / "bag").mkdir()
+    with pytest.raises(InputError, match="exists already; each experiment is recorded anew"):
+        play(
+            None, tmp_path / "plan.json", tmp_path / "rig.yaml", tmp_path / "bag", LiveRig(),
+            lambda stage, done: None,
+        )  # fmt: skip
