@@ -16,6 +16,7 @@ REALTIME = (
     "tests/test_faults",
     "tests/test_graph",
     "tests/test_hand_graph",
+    "tests/test_live_experiments",
     "tests/test_pressure_study",
     "tests/test_robot",
     "tests/test_workbench_live",

@@ -112,6 +112,15 @@ def test_it_waits_for_the_bridge(graph, files):
     assert node.done.result() is True
 
 
+def test_it_gives_up_where_it_cannot_begin(graph, files):
+    node = play(graph, files, begin_within_s=1.0)
+    plant = Plant(graph)
+    plant.level = 2
+    wait_for(node.done.done)
+    assert node.done.result() is False
+    assert plant.volts() in ([], [SAFE_V])
+
+
 @pytest.mark.parametrize("what", ["the bridge trips", "a tap falls silent"])
 def test_what_is_wrong_breaks_it_off_for_good(graph, files, what):
     node = play(graph, files, sensor_timeout_s=0.5)

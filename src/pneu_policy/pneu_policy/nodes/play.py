@@ -35,12 +35,27 @@ class PlayParameters(ControllingParameters):
     plan: str = parameter("", "Plan of `pneu excite` (JSON).", read_only=True)
     settle_s: float = parameter(
         2.0,
-        "So long the safe voltage is commanded before, for the bridge to follow and the gas to"
-        " come to rest, s.",
+        "So long the safe voltage is commanded before, for the bridge to follow and the gas to come"
+        " to rest, s.",
         within=(0.0, 600.0),
         read_only=True,
     )
+    begin_within_s: float = parameter(
+        60.0,
+        "A plan that cannot begin for so long, by the machine's time, is given up, s: no sensors,"
+        " or a bridge that was stopped and waits to be released.",
+        within=(0.1, 3600.0),
+        read_only=True,
+    )
     rate_hz: float = parameter(500.0, "Commands per second.", within=(50.0, 2000.0), read_only=True)
+    sensor_timeout_s: float = parameter(
+        0.5,
+        "Age of the newest reading at which the plan is broken off, s. The bridge, which is"
+        " nearer, vents long before; what it then applies is recorded, and a plan goes on over a"
+        " short gap.",
+        within=(0.001, 1.0),
+        read_only=True,
+    )
     frozen_after_s: float = parameter(
         0.0,
         "A tap whose readings stay the same for so long while the valve is driven is dead, s; 0"
@@ -71,7 +86,8 @@ class PlayNode(ControllingNode):
         """
         self.done: Future = Future()
         self._plan: Plan | None = None
-        self._settled_ns = self._begun_ns = math.nan
+        self._settled_ns = self._begun_ns = self._waiting_ns = math.nan
+        self._why = ""
         self._levels: dict[str, int] = {}
         super().__init__("play", **options)
 
@@ -106,8 +122,24 @@ class PlayNode(ControllingNode):
             if status.name.endswith(SAFETY):
                 level = status.level
                 self._levels[status.name] = level[0] if isinstance(level, bytes) else int(level)
+                if self._levels[status.name] != 0:
+                    self._why = f"{status.name}: {status.message}"
                 if self._levels[status.name] >= TRIPPED:
-                    self._break_off(f"{status.name}: {status.message}")
+                    self._break_off(self._why)
+
+    def _tick(self) -> None:
+        super()._tick()
+        if not math.isnan(self._begun_ns) or self.done.done():
+            return
+        now_ns = self._steady.now().nanoseconds
+        if math.isnan(self._waiting_ns):
+            self._waiting_ns = now_ns
+        if now_ns - self._waiting_ns > 1e9 * self._params.begin_within_s:
+            why = self._detail or self._why or "the bridge does not follow"
+            self.get_logger().error(
+                f"given up after {self._params.begin_within_s:g} s without a beginning: {why}"
+            )
+            self.done.set_result(False)
 
     @property
     def _playing(self) -> bool:
