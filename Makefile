@@ -14,7 +14,7 @@ GPU_VENV   := .venv-gpu
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-robot test test-long bench lint format gpu bags tosses hand-force hand-tables pushing kokoro simple-model ablations configurations cell-sizes learning folder-is-named exact calibration thinned \
+.PHONY: help demo demo-robot test test-long bench lint format gpu bags tosses experiments hand-force hand-tables pushing kokoro simple-model ablations configurations cell-sizes learning folder-is-named exact calibration thinned \
 	confusion thresholds moved faults fuzz study-pressure clean clean-kernels
 
 help:  ## list the targets
@@ -50,6 +50,9 @@ gpu: $(GPU_VENV)/.ready-gpu  ## the gas on this machine's NVIDIA GPU: beside the
 
 bags: folder-is-named $(VENV)/.ready-run  ## slow: fit and diagnose every bag of folders, BAGS=folders; PAGE=file
 	@$(RUN) -m studies.bags $(BAGS) $(if $(PAGE),--page $(PAGE))
+
+experiments: $(VENV)/.ready-dev  ## slow: do designed recordings tell what random ones left open? resumable
+	@$(RUN) -m studies.experiments $(STAGES)
 
 hand-force: $(VENV)/.ready-dev  ## slow: contact force estimated while an emulated arm moves; PAGE=file
 	@$(RUN) -m studies.hand_force $(if $(TRUTH),--truth $(TRUTH)) $(if $(PAGE),--page $(PAGE))

@@ -31,9 +31,11 @@ from pneu_sysid.design.candidates import hypotheses_of
 from pneu_sysid.design.design import Asked, design
 from pneu_sysid.design.limits import Limits, limits_of
 from pneu_sysid.design.plan import Plan
+from pneu_sysid.design.unknown import parameters_to_learn
 from pneu_sysid.design.waves import STEP_S, draw_piece, joined
 from pneu_sysid.diagnose import Diagnosis, diagnose, result_of_diagnosis
 from pneu_sysid.fit import fit_rig
+from pneu_sysid.parameters import rig_at, variables_of
 from pneu_sysid.records import Recording, even_recording
 from studies.digest import sources_digest
 from studies.stages import add_stages
@@ -228,10 +230,124 @@ def _designed(
     }
 
 
+CALIBRATED = ("rigs/lab.yaml", "rigs/rig_b.yaml", "rigs/rig_j.yaml")
+LONG_S, SHORT_S = 10.0, 5.0
+OFF = 0.5
+"""By this share of the standard deviation that is not known numbers of a datasheet are off."""
+
+
+def datasheet(rig: Rig, seed: int) -> Rig:
+    """A rig as its datasheet might have it: every number off by about what is not known of it."""
+    bare = rig.model_copy(
+        update={"calibration": None, "fit": rig.fit.model_copy(update={"parameters": []})}
+    )
+    listed = parameters_to_learn(bare)
+    rng = np.random.default_rng([seed, 47])
+    x = [
+        float(np.clip(v.value + OFF * std * rng.normal(), v.lower, v.upper))
+        for v in variables_of(bare, listed)
+        for std in [min(v.std, v.upper - v.lower)]
+    ]
+    return rig_at(bare, listed, np.array(x))
+
+
+def calibration_figures(file: str, console: Console) -> dict[str, Any]:
+    """One rig: a fit to ten random seconds, to five, and to five that were designed."""
+    true = load_rig(ROOT / file)
+    sheet = datasheet(true, 1)
+    limits = limits_of(sheet)
+    plant = plant_of(true)
+    listed = parameters_to_learn(sheet)
+    variables = variables_of(sheet, listed)
+    scale = np.array([min(v.std, v.upper - v.lower) for v in variables])
+    truth = np.array([v.value for v in variables_of(true, listed)])
+    begun = time.monotonic()
+    plan = design(sheet, Asked(SHORT_S, limits, [], listed, rate_hz=RATE_HZ, seed=1))
+    out: dict[str, Any] = {"design_s": time.monotonic() - begun, "parameters": len(listed)}
+    ways: list[tuple[str, Volts]] = [
+        (f"random {LONG_S:g} s", random_volts(sheet, limits, LONG_S, 3)),
+        (f"random {SHORT_S:g} s", random_volts(sheet, limits, SHORT_S, 4)),
+        (f"designed {SHORT_S:g} s", played(plan)),
+    ]
+    for name, volts in ways:
+        fitted = fit_rig(sheet, [record(plant, volts, "recording", 11)])
+        found = np.array([v.value for v in variables_of(fitted.rig, listed)])
+        out[name] = float(np.sqrt(np.mean(((found - truth) / scale) ** 2)))
+        console.print(f"{file}: {name}: {out[name]:.3f} of what was not known")
+    known = {p.path: p.std_error for p in fitted.rig.fit.parameters}
+    ratios = [
+        error / expected
+        for path, expected in plan.expected.std_errors.items()
+        if (error := known.get(path)) is not None and expected
+    ]
+    out["error_ratio"] = float(np.median(ratios)) if ratios else None
+    out["error_ratios"] = [float(x) for x in np.quantile(ratios, [0.1, 0.9])] if ratios else []
+    return out
+
+
+def page(path: Path) -> None:
+    """Writes the page of what was found."""
+    kept = {f.stem: json.loads(f.read_text(encoding="utf-8")) for f in sorted(OUT.glob("*.json"))}
+    sources = sorted({one["sources"] for one in kept.values()})
+    lines = [
+        "# Experiments", "",
+        f"Made by `make experiments`, from the sources {', '.join(sources)}.", "",
+        "## Two effects that a random recording does not tell apart", "",
+        "Plants with finer cells and another flux than the models. A random recording of"
+        f" {SECONDS:g} s leaves the two open; then a designed one of the same length, and another"
+        " random one for comparison, each diagnosed together with the first.", "",
+        "| hidden | first, random | expected | with the designed one | with another random one |"
+        " design [s] |",
+        "|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    right = count = 0
+    for k, pair in enumerate(PAIRS):
+        one = kept.get(f"pair_{k}")
+        if one is None:
+            continue
+        count += 1
+        f = one["figures"]
+        if not f["open"]:
+            lines.append(f"| {pair.name} | no random recording left it open | | | | |")
+            continue
+        named_right = f["both"][0] == "effect" and f["both"][1].startswith(f["hidden"])
+        right += named_right
+        expected = min(s["standard_errors"] for s in f["expected"] if s["one"] == f["first"][0])
+        values = ", ".join(f"{n} {v:.3g}" for n, v in f["values"].items())
+        lines.append(
+            f"| {f['hidden']} ({values}) | {', '.join(f['first'])} | {expected:.1f} standard errors"
+            f" | {'right' if named_right else 'NOT RIGHT'}: {', '.join(f['both'])}"
+            f" | {', '.join(f['random_again'])}"
+            f" | {f['design_s']:.0f} |"
+        )
+    lines += ["", f"Named rightly: {right} of {count}.", "", "## Calibration", ""]
+    lines += [
+        "Root mean square error of all parameters, in what was not known of each before; numbers of"
+        f" the datasheet are off by {OFF:g} of that. Found over expected: standard errors after the"
+        " fit over what the plan foresaw, median and the middle 80 %.", "",
+        f"| rig | parameters | random {LONG_S:g} s | random {SHORT_S:g} s"
+        f" | designed {SHORT_S:g} s | found over expected |",
+        "|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for file in CALIBRATED:
+        one = kept.get(f"calibration_{Path(file).stem}")
+        if one is None:
+            continue
+        f = one["figures"]
+        low, high = f["error_ratios"] or (float("nan"), float("nan"))
+        lines.append(
+            f"| {file} | {f['parameters']} | {f[f'random {LONG_S:g} s']:.3f}"
+            f" | {f[f'random {SHORT_S:g} s']:.3f} | {f[f'designed {SHORT_S:g} s']:.3f}"
+            f" | {f['error_ratio'] or float('nan'):.2f} ({low:.2f} to {high:.2f}) |"
+        )
+    write_whole(path, "\n".join(lines) + "\n")
+
+
 def main() -> int:
     """Runs the stages."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     add_stages(parser, ("pairs", "calibrations", "page"))
+    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "experiments.md")
     parser.add_argument("--only", type=int, nargs="*", help="pairs by their number")
     asked = parser.parse_args()
     OUT.mkdir(parents=True, exist_ok=True)
@@ -241,6 +357,14 @@ def main() -> int:
         for k, pair in enumerate(PAIRS):
             if asked.only is None or k in asked.only:
                 jobs.append((f"pair_{k}", lambda pair=pair: pair_figures(pair, console)))
+    if "calibrations" in asked.stages:
+        for rig in CALIBRATED:
+            jobs.append(
+                (
+                    f"calibration_{Path(rig).stem}",
+                    lambda rig=rig: calibration_figures(rig, console),
+                )
+            )
     for name, job in jobs:
         file = OUT / f"{name}.json"
         if file.is_file():
@@ -249,6 +373,9 @@ def main() -> int:
             figures = job()
         write_whole(file, json.dumps({"sources": sources, "figures": figures}))
         console.print(f"{name}: {json.dumps(figures)[:1500]}")
+    if "page" in asked.stages:
+        page(asked.page)
+        console.print(f"{asked.page} is written")
     return 0
 
 
