@@ -93,6 +93,10 @@ PAIRS = (
         voltages=(4.0, 6.0),
     ),
     Pair(
+        "compliance or dead volume", "rigs/lab.yaml", ("end",),
+        _effect("wall_compliance", "tube", compliance_per_pa=5e-8), voltages=(4.0, 6.0),
+    ),
+    Pair(
         "blockage or local loss", "rigs/lab.yaml", ("valve_out", "end"),
         _effect("blockage", "tube", fraction=0.4, position_m=0.8),
         voltages=(4.0, 6.0),

@@ -118,6 +118,19 @@ class Bench:
             self.grid_pa = longer.grid_pa
         return longer
 
+    @property
+    def doubtful(self) -> Floats | None:
+        """(n_stretches, m) what cells of twice the length get wrong about the rig, in noise units.
+
+        About as much as its own do near fronts, which they smear. None where that is not known.
+        """
+        if self.grid_pa is None:
+            return None
+        wrong = self.grid_pa / self.problem.noise_pa
+        wrong = np.where(np.isfinite(self.problem.measured), wrong, 0.0)
+        flat = np.nan_to_num(wrong).reshape(self.problem.stretches, -1)
+        return flat if self.project is None else np.asarray(self.project(flat))
+
     def faithful(self, rig: Rig, readings: Floats) -> tuple[Problem, Floats]:
         """The problem that effects of a rig are fitted on in the end: longer cells if they may be.
 

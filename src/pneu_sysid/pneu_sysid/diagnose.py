@@ -361,6 +361,7 @@ def _judge(
     finalists = believed + sorted(
         (c for c in refits if c not in believed), key=lambda c: -c.held_out
     )
+    doubtful = bench.doubtful
     tied = [
         [
             other.site.label
@@ -368,7 +369,7 @@ def _judge(
             if other is not one
             and one.site.part != other.site.part
             and one in believed
-            and abs(lead(one.residual, other.residual, bench.blocks)) < limits.tied
+            and abs(lead(one.residual, other.residual, bench.blocks, doubtful)) < limits.tied
         ]
         for one in finalists
     ]

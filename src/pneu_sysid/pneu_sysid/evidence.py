@@ -27,7 +27,7 @@ def blocks_of(problem: Problem, share: float) -> Ints:
     return np.asarray(index.reshape(problem.stretches, -1), dtype=np.int64)
 
 
-def lead(better: Floats, other: Floats, blocks: Ints) -> float:
+def lead(better: Floats, other: Floats, blocks: Ints, doubtful: Floats | None = None) -> float:
     """By how many standard errors one residual is smaller than another.
 
     Two models whose predictions differ by D leave squares that differ by ``2 r D + D^2``, r being
@@ -38,6 +38,8 @@ def lead(better: Floats, other: Floats, blocks: Ints) -> float:
         better: (n_stretches, m) residual in noise deviations.
         other: (n_stretches, m) residual of the other model on the same readings.
         blocks: (n_stretches, m) block of each reading.
+        doubtful: (n_stretches, m) what both get wrong in a way that is known, such as by their
+            cells: as far as it goes along with what sets them apart, it may favour either.
 
     Returns:
         The lead; negative where ``other`` is the smaller one, 0 where they agree.
@@ -46,7 +48,10 @@ def lead(better: Floats, other: Floats, blocks: Ints) -> float:
     apart = other - better
     left = better if gain >= 0.0 else other
     together = np.bincount(blocks.ravel(), weights=(left * apart).ravel())
-    scatter = 2.0 * float(np.sqrt(max(np.sum(together**2), np.sum(apart**2))))
+    chance = max(float(np.sum(together**2)), float(np.sum(apart**2)))
+    if doubtful is not None:
+        chance += float(np.sum(doubtful * apart)) ** 2
+    scatter = 2.0 * float(np.sqrt(chance))
     return gain / scatter if scatter > 0.0 else 0.0
 
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plans of experiments: within limits, told by linear algebra that is checked, and chosen well."""
 
+import dataclasses
 import itertools
 import json
 from pathlib import Path
@@ -122,8 +123,29 @@ def test_distance_is_what_a_fit_leaves():
         a = np.concatenate([free, prior])
         b = np.concatenate([flat[:, true] - flat[:, other], np.zeros(2)])
         left = b - a @ np.linalg.lstsq(a, b, rcond=None)[0]
-        found = told.distance(told.of_pieces.sum(axis=0), true // 2, other // 2)
+        gram = told.of_pieces.sum(axis=0)
+        whole = told.left(gram, true // 2, other // 2)
+        found = np.sqrt(whole @ gram @ whole)
+        # what the priors take up is no part of what is left of the readings
+        left = left[: flat.shape[0]]
         assert found == pytest.approx(np.linalg.norm(left), rel=1e-6)
+
+
+def test_what_is_doubtful_lowers_a_lead_and_widens_errors():
+    """As much as it goes along with what sets two apart, or with a parameter."""
+    columns, told = made_up(np.random.default_rng(8), 2)
+    flat = columns.reshape(-1, 7)
+    gram = flat.T @ flat
+    doubt = 3.0 * (flat[:, 0] - flat[:, 2]) + 2.0 * flat[:, 5]
+    wide = np.concatenate([flat, doubt[:, None]], axis=1)
+    layout = dataclasses.replace(told.columns, doubtful=[7])
+    doubtful = dataclasses.replace(told, columns=layout)
+    assert doubtful.lead(wide.T @ wide, 0, 1) < 0.1 * told.lead(gram, 0, 1)
+    before, after = told.covariance(gram), doubtful.covariance(wide.T @ wide)
+    # a fit to the doubtful column alone: least squares with the prior
+    j = flat[:, 5:]
+    off = np.linalg.solve(j.T @ j + np.eye(2), j.T @ doubt)
+    np.testing.assert_allclose(after, before + np.outer(off, off), rtol=1e-9)
 
 
 def test_covariance_is_that_of_a_fit():

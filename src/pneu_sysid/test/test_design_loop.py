@@ -26,7 +26,7 @@ LAB = load_rig(ROOT / "rigs" / "lab.yaml")
 RIG = LAB.model_copy(
     update={
         "taps": {"end": LAB.taps["end"]},
-        "grid": LAB.grid.model_copy(update={"dx_m": 0.1}),
+        "grid": LAB.grid.model_copy(update={"dx_m": 0.06}),
         "calibration": Calibration(
             recording="healthy", rmse_pa={"end": 255.0}, noise_floor_pa={"end": 250.0}
         ),
@@ -46,7 +46,7 @@ class Plant:
         self._plant = rig.model_copy(
             update={
                 "effects": [hidden],
-                "grid": rig.grid.model_copy(update={"flux": "exact", "dx_m": 0.07}),
+                "grid": rig.grid.model_copy(update={"flux": "exact", "dx_m": 0.04}),
             }
         )
         self.played: list[str] = []

@@ -21,7 +21,7 @@ def judged(file: str, plan: Plan, found: Diagnosis) -> Experiment:
         a, b = _refit(found, one.one), _refit(found, one.other)
         leads = None
         if a is not None and b is not None:
-            leads = lead(a.residual, b.residual, found.bench.blocks)
+            leads = lead(a.residual, b.residual, found.bench.blocks, found.bench.doubtful)
         apart.append(
             ToldApart(
                 one=one.one,

@@ -46,8 +46,8 @@ class Columns:
         change: Per hypothesis the column of what it changes at what was found.
         own: Per hypothesis the columns of what its own numbers change about that.
         parameters: Columns of the parameters, each per standard deviation of what was known.
-        doubtful: Columns of what the model gets wrong in a way that is known, such as its cells,
-            each as much as may be.
+        doubtful: Columns of what the model may get wrong in a way that is known: what cells of
+            twice the length get wrong, about as much as its own do near fronts.
     """
 
     change: list[int]
@@ -75,13 +75,15 @@ class Told:
     def covariance(self, gram: Floats) -> Floats:
         """(P, P) covariance of the parameters after a fit, per standard deviation known before.
 
+        What is doubtful adds what a fit would make of it.
+
         Args:
             gram: (C, C) sum over pieces.
         """
-        count = len(self.columns.parameters)
-        at = [*self.columns.parameters, *self.columns.doubtful]
-        whole = np.linalg.inv(gram[np.ix_(at, at)] + np.eye(len(at)))
-        return np.asarray(whole[:count, :count])
+        at, doubt = self.columns.parameters, self.columns.doubtful
+        by_noise = np.linalg.inv(gram[np.ix_(at, at)] + np.eye(len(at)))
+        off = by_noise @ gram[np.ix_(at, doubt)]
+        return np.asarray(by_noise + off @ off.T)
 
     def information(self, gram: Floats) -> float:
         """Logarithm of how much smaller the volume of what is possible becomes (D-optimality).
@@ -91,41 +93,48 @@ class Told:
         """
         return -float(np.linalg.slogdet(self.covariance(gram))[1])
 
-    def distance(self, gram: Floats, true: int, other: int) -> float:
-        """How far the other hypothesis stays from the true one, its numbers fitted (T-optimality).
+    def left(self, gram: Floats, true: int, other: int) -> Floats:
+        """(C,) combination of columns that is left between two hypotheses (T-optimality).
+
+        The true one, less the other with its own numbers and the parameters fitted to it.
 
         Args:
             gram: (C, C) sum over pieces.
             true: Which is the case.
             other: Which is fitted.
-
-        Returns:
-            Root of the squared difference that is left, in noise deviations.
         """
-        a, b = self.columns.change[true], self.columns.change[other]
-        free = [*self.columns.own[other], *self.columns.parameters, *self.columns.doubtful]
-        apart = gram[a, a] - 2.0 * gram[a, b] + gram[b, b]
-        slope = gram[free, a] - gram[free, b]
-        inner = gram[np.ix_(free, free)].copy()
-        # base parameters were known to a deviation; of a candidate's numbers nothing was
-        own = len(self.columns.own[other])
-        inner[np.arange(own, len(free)), np.arange(own, len(free))] += 1.0
-        inner[np.diag_indices(len(free))] += RIDGE * max(float(np.trace(gram)), 1e-12)
-        left = apart - float(slope @ np.linalg.solve(inner, slope)) if free else apart
-        return float(np.sqrt(max(left, 0.0)))
+        out = np.zeros(gram.shape[0])
+        out[self.columns.change[true]] = 1.0
+        out[self.columns.change[other]] = -1.0
+        free = [*self.columns.own[other], *self.columns.parameters]
+        if free:
+            inner = gram[np.ix_(free, free)].copy()
+            # base parameters were known to a deviation; of a candidate's numbers nothing was
+            known = np.arange(len(self.columns.own[other]), len(free))
+            inner[known, known] += 1.0
+            inner[np.diag_indices(len(free))] += RIDGE * max(float(np.trace(gram)), 1e-12)
+            out[free] = -np.linalg.solve(inner, gram[free] @ out)
+        return out
 
     def lead(self, gram: Floats, one: int, other: int) -> float:
         """By how many standard errors the right one of two is expected to lead, whichever it is.
 
         Two models whose predictions differ by D deviations of noise leave squares that differ by
-        D^2, which noise scatters by 2 D (`evidence.lead`).
+        D^2, which noise scatters by 2 D, and what is doubtful by as much as it goes along with D:
+        so it is judged afterwards (`evidence.lead`).
 
         Args:
             gram: (C, C) sum over pieces.
             one: One of them.
             other: The other.
         """
-        return 0.5 * min(self.distance(gram, one, other), self.distance(gram, other, one))
+        leads = []
+        for true, fitted in ((one, other), (other, one)):
+            left = self.left(gram, true, fitted)
+            square = max(float(left @ gram @ left), 0.0)
+            chance = square + float(np.sum((gram[self.columns.doubtful] @ left) ** 2))
+            leads.append(0.5 * square / np.sqrt(chance) if chance > 0.0 else 0.0)
+        return float(min(leads))
 
 
 def told_by(
@@ -180,13 +189,12 @@ def told_by(
     doubtful = [] if problem.grid_pa is None else [column]
     readings = problem.simulate(rigs, progress, strict=False).readings
     missing = ~np.isfinite(problem.target())
-    trusted = _trusted(problem)
     columns = np.empty((problem.stretches, missing[0].size, column + len(doubtful)))
     if problem.grid_pa is not None:
-        wrong = np.where(missing, 0.0, problem.grid_pa * trusted / problem.noise_pa)
+        wrong = np.where(missing, 0.0, problem.grid_pa / problem.noise_pa)
         columns[:, :, column] = np.nan_to_num(wrong.reshape(problem.stretches, -1))
     for c, (there, here, step) in enumerate(of):
-        diff = (readings[there] - readings[here]) * trusted / (problem.noise_pa * step)
+        diff = (readings[there] - readings[here]) / (problem.noise_pa * step)
         diff[missing] = 0.0
         columns[:, :, c] = np.nan_to_num(diff.reshape(problem.stretches, -1))
     per_stretch = np.einsum("smi,smj->sij", columns, columns, optimize=True)
@@ -195,19 +203,6 @@ def told_by(
     grams = np.zeros((edges_s.size - 1, *per_stretch.shape[1:]))
     np.add.at(grams, piece, per_stretch)
     return Told(Columns(change, own, numbers, doubtful), grams, variables, known)
-
-
-def _trusted(problem: Problem) -> Floats:
-    """(n_stretches, horizon, n_taps) weight of each reading: less where cells get it wrong.
-
-    A front that is steeper than cells can hold is smeared by them, and that looks like a lag or a
-    volume; on a rig, whose gas has no cells, what is said there would be believed. What cells of
-    twice the length get wrong besides is about as much as what the rig's own do, near fronts.
-    """
-    if problem.grid_pa is None:
-        return np.ones_like(problem.measured)
-    wrong = np.nan_to_num(problem.grid_pa / problem.noise_pa)
-    return np.asarray(1.0 / np.sqrt(1.0 + wrong**2))
 
 
 def _with_default(rig: Rig, variable: Variable) -> Rig:
