@@ -86,12 +86,13 @@ HIDDEN = {
 }
 
 
+LONG = ("backlash", "payload", "piston_leak")
+"""Not with the quick tests: the others show the same."""
+
+
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(n, marks=pytest.mark.long) if n in ("backlash", "payload") else n
-        for n in HIDDEN
-    ],
+    [pytest.param(n, marks=pytest.mark.long) if n in LONG else n for n in HIDDEN],
 )
 def test_a_mechanical_effect_is_named_and_sized(name: str) -> None:
     place, values = HIDDEN[name]

@@ -219,6 +219,7 @@ def test_friction_of_a_seal(name: str, halves: tuple[float, ...] | None) -> None
         assert base == pytest.approx(line[1], abs=2.0 * base_error)
 
 
+@pytest.mark.long
 def test_one_pressure_cannot_tell_growth() -> None:
     found = seal_friction.study("KDN, 25 mm", (5,))
     assert found.best.law == ("constant",) and base_and_growth(found) is None

@@ -77,6 +77,7 @@ def test_it_carries_the_examples_and_the_templates(wheel):
     assert wheel.stat().st_size < 8e6
 
 
+@pytest.mark.long
 def test_a_user_without_a_checkout_can_begin(installed, tmp_path):
     def pneu(*words):
         return run("-m", "pneu_common.cli", *words, cwd=tmp_path, PYTHONPATH=str(installed))

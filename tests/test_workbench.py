@@ -273,6 +273,7 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
     _strip(pictures)
 
 
+@pytest.mark.long
 def test_a_rig_is_edited_and_its_channels_are_matched(browser: Browser, server: Server) -> None:
     page, watch = open_page(browser, server)
     pick(page, "Recordings", BAG)

@@ -153,6 +153,7 @@ def test_who_leaves_the_range_is_out_and_earns_no_more() -> None:
     assert episodes.successful is not None
 
 
+@pytest.mark.long
 def test_what_comes_after_an_end_changes_no_update() -> None:
     """Advantages and both networks are the same whatever was seen and done after it."""
     rng = np.random.default_rng(0)

@@ -69,6 +69,7 @@ def untimed(rows):
     ]
 
 
+@pytest.mark.long
 def test_a_resumed_run_is_bit_for_bit_the_uninterrupted_one(tmp_path, env):
     whole = Trainer(settings(average_decay=0.5), env)
     first = Trainer(settings(average_decay=0.5), env)

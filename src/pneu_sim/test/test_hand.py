@@ -267,6 +267,7 @@ def test_a_spring_and_a_damper_pull_as_they_are_told() -> None:
     assert torque_of(joint, JointCommand(velocity_rad_s=3.0), 0.3, 2.0) == pytest.approx(0.1)
 
 
+@pytest.mark.long
 def test_an_operator_leads_one_arm_and_the_other_touches() -> None:
     """Coupled position to position, what the follower presses on is felt by who leads."""
     two = Hand(SCENES / "teleoperation.yaml")

@@ -37,6 +37,7 @@ def matched() -> dict[float, Matched]:
     return {at: match_thin_plate(rail(at), levels=2, dx_m=at / n) for at, n in cells.items()}
 
 
+@pytest.mark.long
 def test_lines_let_less_through_the_longer_and_the_wider_the_valve_opens(
     matched: dict[float, Matched],
 ) -> None:
@@ -50,12 +51,14 @@ def test_lines_let_less_through_the_longer_and_the_wider_the_valve_opens(
     np.testing.assert_allclose(volts, [0.0, 2.5, 7.5, 10.0])
 
 
+@pytest.mark.long
 def test_a_match_leaves_a_fraction_of_the_error(matched: dict[float, Matched]) -> None:
     one = matched[4.0]
     for name in one.scales:
         assert (one.rmse_pa[name] < 0.6 * one.unmatched_pa[name]).all()
 
 
+@pytest.mark.long
 def test_the_matched_rig_opens_as_its_scales_say(matched: dict[float, Matched]) -> None:
     """Alone and from a file again, it is off the full model by what the match left."""
     one = matched[4.0]

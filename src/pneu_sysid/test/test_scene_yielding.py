@@ -124,6 +124,7 @@ def test_a_bend_is_its_compliance_times_the_moment(tmp_path: Path) -> None:
     assert read[3, 1:] == pytest.approx([0.0, 0.0, -0.4 * 9.81], rel=1e-4, abs=1e-7)
 
 
+@pytest.mark.long
 def test_a_link_that_bends_scores_first(tmp_path: Path) -> None:
     loaded = arm(tmp_path)
     tracks = [swung(loaded, bent(), 1.0, seed) for seed in range(4)]
