@@ -153,7 +153,7 @@ def test_what_it_cannot_play_is_refused(graph, files, wrong, words):
 
 def test_as_a_process_its_status_says_whether_all_was_played(graph, files):
     words = [sys.executable, "-m", "pneu_common.cli", "run", "pneu_policy", "play", "--ros-args"]
-    words += ["-p", "autostart:=true", "-p", "settle_s:=0.1", "-p", f"rig:={files['rig']}"]
+    words += ["-p", "settle_s:=0.1", "-p", f"rig:={files['rig']}"]
     plant = Plant(graph)
     assert subprocess.run([*words, "-p", f"plan:={files['plan']}"], timeout=120).returncode == 0
     assert plant.volts()[-1] == SAFE_V

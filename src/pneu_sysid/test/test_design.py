@@ -4,6 +4,7 @@
 import dataclasses
 import itertools
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import AttachedEffect, Calibration
 from pneu_sysid.design.choose import choose
-from pneu_sysid.design.command import joints_of
+from pneu_sysid.design.command import foreseen_words, joints_of
 from pneu_sysid.design.design import Asked, design
 from pneu_sysid.design.foreseen import foresee
 from pneu_sysid.design.limits import limits_of, volts_of
@@ -192,6 +193,11 @@ def test_a_chosen_plan_tells_more_than_a_random_one_and_keeps_to_its_limits(tmp_
         assert expected.highest_pa["end"] <= 5.5e5
         assert 0.0 < expected.air_kg <= 2e-3
         assert expected.fastest_pa_s["end"] > 0.0
+    assert re.match(
+        r"Expected: highest pressure [1-5]\.\d\d bar at end, fastest change \d+ bar/s at end, air"
+        r" [01]\.?\d* g; 3 s\.$",
+        foreseen_words(plans[0]),
+    )
     save_plan(plans[0], tmp_path / "plan.json")
     again = load_plan(tmp_path / "plan.json")
     assert again == plans[0]

@@ -89,6 +89,7 @@ def test_from_nothing_to_a_name(tmp_path):
     assert len(state.bags) == len(plant.played) == len(state.experiments)
 
 
+@pytest.mark.long
 def test_what_is_inseparable_is_said_and_no_more_is_run(tmp_path):
     """A valve that acts late or the late clock of the only sensor."""
     hidden = AttachedEffect(effect="valve_delay", place="valve", parameters={"delay_s": 6e-3})

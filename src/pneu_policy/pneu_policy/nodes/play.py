@@ -47,6 +47,7 @@ class PlayParameters(ControllingParameters):
         within=(0.1, 3600.0),
         read_only=True,
     )
+    autostart: bool = parameter(True, "Configure and activate at start.", read_only=True)
     rate_hz: float = parameter(500.0, "Commands per second.", within=(50.0, 2000.0), read_only=True)
     sensor_timeout_s: float = parameter(
         0.5,

@@ -104,9 +104,31 @@ def excite(
     console = console if console.is_terminal else Console(width=140, markup=False, emoji=False)
     for table in tables(plan):
         console.print(table)
+    console.print(foreseen_words(plan))
     for words in plan.expected.words:
         console.print(words, style="yellow")
     console.print(f"plan: {output}")
+
+
+def foreseen_words(plan: "Plan") -> str:
+    """The extremes that a plan is expected to reach, in one sentence.
+
+    Args:
+        plan: The plan.
+    """
+    expected, parts = plan.expected, []
+    highest = {n: p for n, p in expected.highest_pa.items() if p is not None}
+    fastest = {n: p for n, p in expected.fastest_pa_s.items() if p is not None}
+    if highest:
+        tap = max(highest, key=lambda n: highest[n])
+        parts.append(f"highest pressure {1e-5 * highest[tap]:.2f} bar at {tap}")
+    if fastest:
+        tap = max(fastest, key=lambda n: fastest[n])
+        parts.append(f"fastest change {1e-5 * fastest[tap]:.0f} bar/s at {tap}")
+    parts += [f"{n} from {low:.3g} to {high:.3g}" for n, (low, high) in expected.joints.items()]
+    if expected.air_kg is not None:
+        parts.append(f"air {1e3 * expected.air_kg:.2g} g")
+    return f"Expected: {', '.join(parts)}; {plan.seconds:g} s."
 
 
 def joints_of(told: list[str]) -> dict[str, tuple[float, float]]:

@@ -74,7 +74,7 @@ def play(
                 " `pneu launch pneu_bringup rig.launch.yaml controller:=none` starts one"
             )
         words = [*command_of("pneu_policy", "play"), "--ros-args"]
-        words += ["-r", f"__ns:=/{where.namespace.strip('/')}", "-p", "autostart:=true"]
+        words += ["-r", f"__ns:=/{where.namespace.strip('/')}"]
         words += ["-p", f"plan:={plan_file}", "-p", f"rig:={rig_file}"]
         words += ["-p", f"settle_s:={SETTLE_S}"]
         words += ["-p", f"use_sim_time:={str(where.sim_time).lower()}"]
