@@ -225,6 +225,20 @@ def test_what_no_experiment_can_tell_is_said_before():
     )
 
 
+def test_two_that_nothing_parts_do_not_keep_the_others_from_being_parted():
+    three = [
+        with_effect("valve_delay", "valve", delay_s=3e-3),
+        with_effect("clock_offset", "end", offset_s=3e-3),
+        with_effect("leak", "tube", area_m2=2e-8, position_m=1.4),
+    ]
+    plan = design(FITTED, Asked(2.0, limits_of(FITTED), three, [], rate_hz=100.0))
+    told = {(s.one.split("@")[0], s.other.split("@")[0]): s for s in plan.expected.separations}
+    assert told["valve_delay", "clock_offset"].inseparable
+    for pair in (("valve_delay", "leak"), ("clock_offset", "leak")):
+        assert told[pair].told_apart and not told[pair].inseparable
+    assert len(plan.expected.words) == 1
+
+
 def test_limits_that_nothing_keeps_to_are_told_with_what_would_be():
     with pytest.raises(InputError, match="nothing that was drawn keeps to them; pressures would"):
         design(

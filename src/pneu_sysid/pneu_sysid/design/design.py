@@ -37,8 +37,11 @@ PIECE_S = (0.8, 2.5)
 """... so many seconds: some horizons, few enough for a choice."""
 LONGER_CELLS = 2.0
 """Changes of the prediction are taken on cells so many times as long."""
-TRIES = 6
-"""In which order the pieces are played, and without which, until all limits are kept."""
+TRIES = 4
+"""Ways of playing that are tried whole: the best pieces in some orders, without those that leave
+the limits, and the best that follow one another as they were drawn."""
+AMPLE = 4.0
+"""A lead of so many times what is needed is worth no more if it grows."""
 MUCH_LONGER = 25.0
 """Candidates that so many times the length would not tell apart are said to be alike."""
 LITTLE = 0.8
@@ -109,27 +112,36 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
     told = None
     if asked.kind is None:
         told = _told(model, seen, asked, edges, "what each piece tells", tell)
-        worth = _worth(told, asked)
+        worth = _worth(told, asked, allowed, count)
         tell("choosing", 0.0)
+    best: tuple[float, dict[str, Floats], Foreseen, Told] | None = None
+    final, ends = seen, np.arange(count + 1, dtype=np.float64) * piece_s
     for turn in range(TRIES):
+        # what a piece tells depends on what was before it: several ways of playing are tried whole
         if told is None:
             chosen = [int(k) for k in rng.choice(allowed, count)]
+        elif turn == TRIES - 1 and (window := _window(told, allowed, count, worth)):
+            chosen = window
         else:
             chosen = choose(told.of_pieces, count, allowed, worth)
-        chosen = [chosen[k] for k in rng.permutation(count)]
+            chosen = [chosen[k] for k in rng.permutation(count)]
         volts = joined([pool[k] for k in chosen], asked.limits)
         final = foresee(model, volts, asked.rate_hz, asked.workers)
-        ends = np.arange(count + 1) * piece_s
         bad = {chosen[k] for k in range(count) if not final.keeps(asked.limits, *ends[k : k + 2])}
-        if not bad and final.air_kg[-1] <= asked.limits.air_kg:
+        if bad or final.air_kg[-1] > asked.limits.air_kg:
+            # begun elsewhere they go elsewhere
+            allowed = [k for k in allowed if k not in bad] or allowed
+            continue
+        stage = "what the plan tells"
+        promised = _told(model, final, asked, np.array([0.0, ends[-1]]), stage, tell)
+        value = worth(promised.of_pieces.sum(axis=0)) if told is not None else 0.0
+        if best is None or value > best[0]:
+            best = value, volts, final, promised
+        if told is None:
             break
-        # begun elsewhere they go elsewhere; after half of the tries they are left out
-        left = [k for k in allowed if k not in bad]
-        if turn >= TRIES // 2 - 1 and left:
-            allowed = left
-    else:
+    if best is None:
         raise InputError(_nothing_left(final, asked.limits, float(final.air_kg[-1])))
-    promised = _told(model, final, asked, np.array([0.0, ends[-1]]), "what the plan tells", tell)
+    _, volts, final, promised = best
     return Plan(
         pneu_version=pneu_version(),
         rig=rig.name,
@@ -161,17 +173,44 @@ def _told(
     )
 
 
-def _worth(told: Told, asked: Asked) -> Callable[[Floats], float]:
+def _worth(
+    told: Told, asked: Asked, allowed: Sequence[int], count: int
+) -> Callable[[Floats], float]:
     if not asked.hypotheses:
         return told.information
-    pairs = _pairs(asked)
+    pairs, needed = _pairs(asked), Thresholds().tied
+    # two that nothing parts must not keep the others from being parted
+    parted = [
+        (a, b)
+        for a, b in pairs
+        if _best(told, a, b, allowed, count) * math.sqrt(MUCH_LONGER) >= needed
+    ]
 
     def nearest(gram: Floats) -> float:
-        leads = [told.lead(gram, a, b) for a, b in pairs]
-        # the others count a little: where the nearest two can't be parted the rest still can
+        leads = [min(told.lead(gram, a, b), AMPLE * needed) for a, b in parted or pairs]
         return min(leads) + 1e-2 * float(np.mean(leads))
 
     return nearest
+
+
+def _window(
+    told: Told, allowed: Sequence[int], count: int, worth: Callable[[Floats], float]
+) -> list[int]:
+    """The best pieces that follow one another in the pool; empty where limits leave none."""
+    runs = [
+        list(range(k, k + count))
+        for k in range(len(told.of_pieces) - count + 1)
+        if set(range(k, k + count)) <= set(allowed)
+    ]
+    return max(runs, key=lambda run: worth(told.of_pieces[run].sum(axis=0)), default=[])
+
+
+def _best(told: Told, a: int, b: int, allowed: Sequence[int], count: int) -> float:
+    """Lead of two by the piece that parts them best, played over and over.
+
+    Leads grow with the root of time.
+    """
+    return math.sqrt(count) * max(told.lead(told.of_pieces[k], a, b) for k in allowed)
 
 
 def _pairs(asked: Asked) -> list[tuple[int, int]]:
@@ -195,9 +234,7 @@ def _expected(
         one, other = asked.hypotheses[a].label, asked.hypotheses[b].label
         best = lead
         if pool is not None:
-            # the best of all pieces played over and over; leads grow with the root of time
-            alone = max(pool.lead(pool.of_pieces[k], a, b) for k in allowed)
-            best = max(best, math.sqrt(count) * alone)
+            best = max(best, _best(pool, a, b, allowed, count))
         separations.append(
             Separation(
                 one=one, other=other, standard_errors=lead, needed=needed,
@@ -245,6 +282,11 @@ def _short(of: Separation, lead: float, seconds: float) -> str:
             f"No experiment within these limits can tell {one} from {other}: what either changes"
             f" the other does too, but for {lead:.2g} standard errors of the {needed:g} that are"
             f" needed, and {MUCH_LONGER:g} times the length would not tell them."
+        )
+    if lead >= needed:
+        return (
+            f"This plan tells {one} from {other} by {of.standard_errors or 0.0:.2g} standard errors"
+            f" of the {needed:g} that are needed; one for these two alone, by {lead:.2g}."
         )
     longer = seconds * (needed / lead) ** 2
     return (
