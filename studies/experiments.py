@@ -27,11 +27,10 @@ from pneu_sim.rig import load_rig, save_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.run import add_encoder_noise, add_noise, run_from_rest
 from pneu_sim.signals import Signal
-from pneu_sysid.design.candidates import hypotheses_of
 from pneu_sysid.design.design import Asked, design
+from pneu_sysid.design.hypotheses import hypotheses_of
 from pneu_sysid.design.limits import Limits, limits_of
-from pneu_sysid.design.plan import Plan
-from pneu_sysid.design.unknown import parameters_to_learn
+from pneu_sysid.design.parameters import parameters_to_learn
 from pneu_sysid.design.waves import STEP_S, draw_piece, joined
 from pneu_sysid.diagnose import Diagnosis, diagnose, result_of_diagnosis
 from pneu_sysid.fit import fit_rig
@@ -136,12 +135,6 @@ def record(plant: Rig, volts: Volts, name: str, seed: int) -> Recording:
     return recording
 
 
-def played(plan: Plan) -> dict[str, np.ndarray]:
-    """Commands of a plan on the grid of the others."""
-    at = np.arange(round(plan.seconds / STEP_S)) * STEP_S
-    return {name: signal.held(at) for name, signal in plan.signals().items()}
-
-
 def random_volts(rig: Rig, limits: Limits, seconds: float, seed: int) -> dict[str, np.ndarray]:
     """Random steps."""
     rng = np.random.default_rng([seed, 43])
@@ -214,7 +207,7 @@ def _designed(
     begun = time.monotonic()
     plan = design(model, Asked(SECONDS, limits, hypotheses, unseen, rate_hz=RATE_HZ, seed=seed))
     took_s = time.monotonic() - begun
-    second = record(plant, played(plan), "designed", seed + 100)
+    second = record(plant, plan.volts(STEP_S), "designed", seed + 100)
     both = diagnose(model, [first, second], refine=False)
     alone = diagnose(model, [second], refine=False)
     other = record(plant, random_volts(model, limits, SECONDS, seed + 50), "another", seed + 50)
@@ -271,7 +264,7 @@ def calibration_figures(file: str, console: Console) -> dict[str, Any]:
     ways: list[tuple[str, Volts]] = [
         (f"random {LONG_S:g} s", random_volts(sheet, limits, LONG_S, 3)),
         (f"random {SHORT_S:g} s", random_volts(sheet, limits, SHORT_S, 4)),
-        (f"designed {SHORT_S:g} s", played(plan)),
+        (f"designed {SHORT_S:g} s", plan.volts(STEP_S)),
     ]
     for name, volts in ways:
         fitted = fit_rig(sheet, [record(plant, volts, "recording", 11)])

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.live_graph import own_domain, running_graph, wait_and_see, wait_for  # isort: skip
+from tests.graph_fixtures import domain, graph  # isort: skip
+from tests.live_graph import wait_and_see, wait_for  # isort: skip
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from pneu_msgs.msg import ValveCommand
@@ -20,20 +21,10 @@ from pneu_policy.nodes.play import PlayNode
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sysid.design.plan import Bounds, Expected, Plan, Volts, save_plan
 
+__all__ = ["domain", "graph"]  # fixtures
+
 ROOT = Path(__file__).parents[3]
 SAFE_V = 5.0
-
-
-@pytest.fixture(scope="module", autouse=True)
-def domain():
-    with own_domain():
-        yield
-
-
-@pytest.fixture
-def graph():
-    with running_graph() as graph:
-        yield graph
 
 
 @pytest.fixture

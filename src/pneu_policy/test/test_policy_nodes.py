@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.live_graph import own_domain, running_graph, wait_for  # isort: skip
+from tests.graph_fixtures import domain, graph  # isort: skip
+from tests.live_graph import wait_for  # isort: skip
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import State, Transition
@@ -37,20 +38,10 @@ from pneu_policy.nodes.target import TargetNode
 from pneu_policy.task.targets import Target
 from pneu_sim.rig import load_rig
 
+__all__ = ["domain", "graph"]  # fixtures
+
 ROOT = Path(__file__).parents[3]
 GAINS = {"kp_v_per_pa": 1e-5, "ki_v_per_pa_s": 0.0}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def domain():
-    with own_domain():
-        yield
-
-
-@pytest.fixture
-def graph():
-    with running_graph() as graph:
-        yield graph
 
 
 class Plant:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.live_graph import own_domain, running_graph, wait_for  # isort: skip
+from tests.graph_fixtures import domain, graph  # isort: skip
+from tests.live_graph import wait_for  # isort: skip
 
 from pneu_msgs.msg import ValveCommand
 from rclpy.duration import Duration
@@ -31,21 +32,11 @@ from pneu_policy.nodes.joint_target import JointTargetNode
 from pneu_policy.nodes.robot import RobotNode
 from pneu_sim.rig import load_rig
 
+__all__ = ["domain", "graph"]  # fixtures
+
 ROOT = Path(__file__).parents[3]
 KOKORO = ROOT / "rigs" / "kokoro.yaml"
 TAPS = ("head_port", "rod_port")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def domain():
-    with own_domain():
-        yield
-
-
-@pytest.fixture
-def graph():
-    with running_graph() as graph:
-        yield graph
 
 
 @pytest.fixture

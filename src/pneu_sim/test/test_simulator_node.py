@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.live_graph import own_domain, running_graph, wait_for  # isort: skip
+from tests.graph_fixtures import domain, graph  # isort: skip
+from tests.live_graph import wait_for  # isort: skip
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from pneu_msgs.msg import LineState, TapPressures, ValveCommand
@@ -28,24 +29,14 @@ from pneu_sim.nodes.simulator import SimulatorNode
 from pneu_sim.plant import Plant
 from pneu_sim.rig import load_rig
 
+__all__ = ["domain", "graph"]  # fixtures
+
 LAB = str(Path(__file__).parents[3] / "rigs/lab.yaml")
 RATE_HZ = 250.0
 
 
 def simulator(graph, **parameters):
     return graph.add(SimulatorNode, **{"rig": LAB, "publish_rate_hz": RATE_HZ, **parameters})
-
-
-@pytest.fixture(scope="module", autouse=True)
-def domain():
-    with own_domain():
-        yield
-
-
-@pytest.fixture
-def graph():
-    with running_graph() as graph:
-        yield graph
 
 
 def step(seconds):

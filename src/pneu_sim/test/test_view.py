@@ -18,7 +18,8 @@ install()
 
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
-from tests.live_graph import own_domain, running_graph, wait_for  # noqa: E402
+from tests.graph_fixtures import domain, graph  # noqa: E402
+from tests.live_graph import wait_for  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from pneu_graph.nodes import common  # noqa: E402
@@ -28,20 +29,10 @@ from pneu_sim.rig.schema import joint_names  # noqa: E402
 from pneu_sim.view.tree import ROOT, places, tree_of  # noqa: E402
 from pneu_sim.view.urdf import urdf_of  # noqa: E402
 
+__all__ = ["domain", "graph"]  # fixtures
+
 RIGS = Path(__file__).parents[3] / "rigs"
 ROBOTS = ("kokoro", "arm", "cart_pole", "dog")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def domain():
-    with own_domain():
-        yield
-
-
-@pytest.fixture
-def graph():
-    with running_graph() as graph:
-        yield graph
 
 
 def drawn(rig, seed):

@@ -14,10 +14,8 @@ from pneu_sim.rig.schema import Calibration, FitParameter, Rig
 from pneu_sysid.curves import Bends, Mirrors, mirrors_of, with_own_curves
 from pneu_sysid.gauss_newton import Estimate, jacobian
 from pneu_sysid.parameters import (
-    calibrated_parameters,
-    default_parameters,
+    estimated_parameters,
     joined,
-    listed_parameters,
     one_each,
     rig_at,
     variables_of,
@@ -300,10 +298,7 @@ def _list_of(
     rig: Rig, given: list[FitParameter], recordings: list[Recording]
 ) -> tuple[list[FitParameter], list[str]]:
     """Parameters of a rig, those with one value in each recording once for each; held paths."""
-    base = given or (
-        calibrated_parameters(rig) if kind_of(rig).along_lines else default_parameters(rig)
-    )
-    listed, held = listed_parameters(rig, base)
+    listed, held = estimated_parameters(rig, given)
     return one_each(listed, [r.name for r in recordings]), held
 
 

@@ -213,6 +213,27 @@ def listed_parameters(rig: Rig, base: list[FitParameter]) -> tuple[list[FitParam
     return kept, [p.path for p in kept if meets(p.path, rig.fit.hold)]
 
 
+def estimated_parameters(
+    rig: Rig, given: list[FitParameter] | None = None
+) -> tuple[list[FitParameter], list[str]]:
+    """What a fit estimates of a rig.
+
+    Args:
+        rig: The rig.
+        given: Instead of the list that follows from the rig.
+
+    Returns:
+        The parameters, and the paths of those that are held.
+
+    Raises:
+        InputError: A pattern of ``fit.drop`` or ``fit.hold`` meets nothing.
+    """
+    base = given or (
+        calibrated_parameters(rig) if kind_of(rig).along_lines else default_parameters(rig)
+    )
+    return listed_parameters(rig, base)
+
+
 def variables_of(rig: Rig, parameters: list[FitParameter]) -> list[Variable]:
     """Variables of the estimation; logarithmic parameters are estimated as logarithms.
 

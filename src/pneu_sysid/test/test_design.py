@@ -17,9 +17,10 @@ from pneu_sysid.design.choose import choose
 from pneu_sysid.design.command import foreseen_words, joints_of
 from pneu_sysid.design.design import Asked, design
 from pneu_sysid.design.foreseen import foresee
+from pneu_sysid.design.hypotheses import Hypothesis
+from pneu_sysid.design.information import Columns, Information
 from pneu_sysid.design.limits import limits_of, volts_of
 from pneu_sysid.design.plan import check_plan, load_plan, save_plan
-from pneu_sysid.design.told import Columns, Hypothesis, Told
 from pneu_sysid.design.waves import KINDS, STEP_S, draw_piece, joined
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -104,13 +105,13 @@ def test_waves_keep_to_volts_and_slew_and_repeat(kind):
 # ---- what pieces tell -------------------------------------------------------------------------
 
 
-def made_up(rng: np.random.Generator, pieces: int, m: int = 200) -> tuple[np.ndarray, Told]:
+def made_up(rng: np.random.Generator, pieces: int, m: int = 200) -> tuple[np.ndarray, Information]:
     """Columns of two hypotheses (with one and two numbers of their own) and of two parameters."""
     columns = rng.normal(size=(pieces, m, 7))
     columns[..., 1] += 0.5 * columns[..., 0]
     grams = np.einsum("smi,smj->sij", columns, columns)
     layout = Columns(change=[0, 2], own=[[1], [3, 4]], parameters=[5, 6])
-    return columns, Told(layout, grams, [], np.ones(2))
+    return columns, Information(layout, grams, [], np.ones(2))
 
 
 def test_distance_is_what_a_fit_leaves():
@@ -124,8 +125,8 @@ def test_distance_is_what_a_fit_leaves():
         a = np.concatenate([free, prior])
         b = np.concatenate([flat[:, true] - flat[:, other], np.zeros(2)])
         left = b - a @ np.linalg.lstsq(a, b, rcond=None)[0]
-        gram = told.of_pieces.sum(axis=0)
-        whole = told.left(gram, true // 2, other // 2)
+        gram = told.grams.sum(axis=0)
+        whole = told.residual(gram, true // 2, other // 2)
         found = np.sqrt(whole @ gram @ whole)
         # what the priors take up is no part of what is left of the readings
         left = left[: flat.shape[0]]
@@ -158,19 +159,19 @@ def test_covariance_is_that_of_a_fit():
         inverse @ (j.T @ (j @ (x := rng.normal(size=2)) + rng.normal(size=j.shape[0]))) - x
         for _ in range(4000)
     ]
-    found = told.covariance(told.of_pieces.sum(axis=0))
+    found = told.covariance(told.grams.sum(axis=0))
     np.testing.assert_allclose(np.cov(np.array(drawn).T), found, rtol=0.1, atol=2e-5)
 
 
 def test_the_choice_is_the_best_of_all():
     _, told = made_up(np.random.default_rng(11), 6, 8)
     best = max(
-        told.information(told.of_pieces[list(which)].sum(axis=0))
+        told.log_determinant(told.grams[list(which)].sum(axis=0))
         for which in itertools.combinations_with_replacement(range(6), 3)
     )
-    chosen = choose(told.of_pieces, 3, range(6), told.information)
-    assert told.information(told.of_pieces[chosen].sum(axis=0)) >= best - 0.02 * abs(best)
-    assert set(choose(told.of_pieces, 3, [1, 4], told.information)) <= {1, 4}
+    chosen = choose(told.grams, 3, range(6), told.log_determinant)
+    assert told.log_determinant(told.grams[chosen].sum(axis=0)) >= best - 0.02 * abs(best)
+    assert set(choose(told.grams, 3, [1, 4], told.log_determinant)) <= {1, 4}
 
 
 # ---- plans ------------------------------------------------------------------------------------
@@ -203,9 +204,7 @@ def test_a_chosen_plan_tells_more_than_a_random_one_and_keeps_to_its_limits(tmp_
     assert again == plans[0]
     check_plan(again, FITTED)
     # it is what was foreseen: played, it gives the same pressures
-    at = np.arange(round(again.seconds / STEP_S)) * STEP_S
-    volts = {name: signal.held(at) for name, signal in again.signals().items()}
-    seen = foresee(FITTED, volts, 100.0)
+    seen = foresee(FITTED, again.volts(STEP_S), 100.0)
     assert seen.recording.pressures["end"].values.max() == pytest.approx(
         again.expected.highest_pa["end"], rel=1e-3
     )

@@ -63,9 +63,7 @@ class Plant:
 
     def __call__(self, plan, plan_file, rig_file, bag, where, tell) -> None:
         assert load_plan(plan_file) == plan
-        at = np.arange(round(plan.seconds / STEP_S)) * STEP_S
-        volts = {name: signal.held(at) for name, signal in plan.signals().items()}
-        write_bag(bag, self._rig, self.recording(volts, plan_file.stem))
+        write_bag(bag, self._rig, self.recording(plan.volts(STEP_S), plan_file.stem))
         self.played.append(plan.kind)
 
 

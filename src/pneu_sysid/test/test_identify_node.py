@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.live_graph import own_domain, running_graph, wait_for  # isort: skip
+from tests.graph_fixtures import domain, graph  # isort: skip
+from tests.live_graph import wait_for  # isort: skip
 
 from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -21,22 +22,12 @@ from pneu_sim.rig import load_rig, save_rig
 from pneu_sim.rig.schema import AttachedEffect
 from pneu_sysid.nodes.identify import IdentifyNode
 
+__all__ = ["domain", "graph"]  # fixtures
+
 ROOT = Path(__file__).parents[3]
 BAG = str(ROOT / "data/bags/a_healthy_2")
 RIG = str(ROOT / "rigs/rig_a_fitted.yaml")
 LAB = ROOT / "rigs/lab.yaml"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def domain():
-    with own_domain():
-        yield
-
-
-@pytest.fixture
-def graph():
-    with running_graph() as graph:
-        yield graph
 
 
 class Client:

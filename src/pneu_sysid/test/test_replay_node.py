@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.live_graph import own_domain, running_graph, wait_for  # isort: skip
+from tests.graph_fixtures import domain, graph  # isort: skip
+from tests.live_graph import wait_for  # isort: skip
 
 from pneu_msgs.msg import TapPressures
 from rosgraph_msgs.msg import Clock
@@ -24,22 +25,12 @@ from pneu_sim.run import run_from_rest
 from pneu_sim.signals import Motion, Signal
 from pneu_sysid.nodes.replay import ReplayNode, load_events
 
+__all__ = ["domain", "graph"]  # fixtures
+
 RIG = str(Path(__file__).parents[3] / "rigs/rig_a.yaml")
 RATE_HZ = 100.0
 START_S = 1_700_000_000.0
 COUNT = 100
-
-
-@pytest.fixture(scope="module", autouse=True)
-def domain():
-    with own_domain():
-        yield
-
-
-@pytest.fixture
-def graph():
-    with running_graph() as graph:
-        yield graph
 
 
 @pytest.fixture(scope="module")

@@ -74,11 +74,11 @@ def excite(
     """Plan the recording that tells most about a rig, or what sets candidates apart."""
     from pneu_sim.effects import load_effect_file
     from pneu_sim.rig import load_rig
-    from pneu_sysid.design.candidates import hypotheses_of, read_diagnosis
     from pneu_sysid.design.design import Asked, design
+    from pneu_sysid.design.hypotheses import hypotheses_of, read_diagnosis
     from pneu_sysid.design.limits import limits_of
+    from pneu_sysid.design.parameters import open_parameters, parameters_to_learn
     from pneu_sysid.design.plan import save_plan
-    from pneu_sysid.design.unknown import open_parameters, parameters_to_learn
     from pneu_sysid.design.waves import KINDS as WAVES
 
     if kind != "designed" and kind not in WAVES:

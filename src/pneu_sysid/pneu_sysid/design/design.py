@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An experiment designed: pieces drawn, what each tells, the best chosen, and what they promise.
+"""An experiment designed: pieces drawn, what each tells, the best chosen, and played whole.
 
 Parameters: D-optimal, the volume of what is possible of them is made small (Fedorov 1972).
 Candidates: T-optimal, each stays as far as it can from what any other can make of it (Atkinson and
@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import FitParameter, Rig
-from pneu_sysid.design.choose import choose
-from pneu_sysid.design.foreseen import Foreseen, fastest_pa_s, foresee, with_known_noise
+from pneu_sysid.design.choose import Worth, choose
+from pneu_sysid.design.foreseen import Foreseen, foresee, with_known_noise
+from pneu_sysid.design.hypotheses import Hypothesis
+from pneu_sysid.design.information import Information, information_of
 from pneu_sysid.design.limits import Limits
-from pneu_sysid.design.plan import Bounds, Expected, Plan, Separation, thinned
-from pneu_sysid.design.told import Hypothesis, Told, told_by
+from pneu_sysid.design.plan import Bounds, Plan, thinned
+from pneu_sysid.design.promise import expected_of, pairs_of, separable, separation_of
 from pneu_sysid.design.waves import KINDS, STEP_S, Kind, draw_piece, joined
 from pneu_sysid.problem import make_problem
 from pneu_sysid.results import pneu_version
@@ -42,10 +44,6 @@ TRIES = 4
 the limits, and the best that follow one another as they were drawn."""
 AMPLE = 4.0
 """A lead of so many times what is needed is worth no more if it grows."""
-MUCH_LONGER = 25.0
-"""Candidates that so many times the length would not tell apart are said to be alike."""
-LITTLE = 0.8
-"""A standard error above this share of what was known before: the recording tells little of it."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +71,46 @@ class Asked:
     workers: int | None = None
 
 
+@dataclass(frozen=True)
+class _Pool:
+    """Pieces to choose from.
+
+    Attributes:
+        pieces: Per command volts every ``STEP_S``.
+        piece_s: How long each lasts, s.
+        count: How many a plan has.
+        seen: What happens where they are played one after the other.
+        allowed: Those that keep to the limits there.
+    """
+
+    pieces: list[dict[str, Floats]]
+    piece_s: float
+    count: int
+    seen: Foreseen
+    allowed: list[int]
+
+    def edges_s(self, count: int) -> Floats:
+        """(count + 1,) where so many pieces begin and end, s."""
+        return np.arange(count + 1, dtype=np.float64) * self.piece_s
+
+
+@dataclass(frozen=True)
+class _Played:
+    """A choice of pieces, played whole.
+
+    Attributes:
+        volts: Per command volts every ``STEP_S``.
+        seen: What happens.
+        promised: What it tells, as one piece.
+        value: What that is worth.
+    """
+
+    volts: dict[str, Floats]
+    seen: Foreseen
+    promised: Information
+    value: float
+
+
 def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
     """Designs an experiment.
 
@@ -89,209 +127,153 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
         raise InputError(f"rig {rig.name!r}: found no parameters to learn, and no candidates")
     model = with_known_noise(rig)
     rng = np.random.default_rng([asked.seed, 23])
-    piece_s = float(np.clip(asked.seconds / PIECES, *PIECE_S))
-    count = max(round(asked.seconds / piece_s), 1)
-    piece_s = round(asked.seconds / count / STEP_S) * STEP_S
-    kinds = [asked.kind] if asked.kind else list(KINDS)
-    pool = [draw_piece(rig, asked.limits, piece_s, kinds[k % len(kinds)], rng) for k in range(POOL)]
-    tell("running what may be played", 0.0)
-    volts = joined(pool, asked.limits)
-    seen = foresee(
-        model, volts, asked.rate_hz, asked.workers,
-        lambda f: tell("running what may be played", f),
-    )  # fmt: skip
-    edges: Floats = np.arange(POOL + 1, dtype=np.float64) * piece_s
-    spent = [seen.taken_kg(*edges[k : k + 2]) for k in range(POOL)]
-    allowed = [
-        k
-        for k in range(POOL)
-        if seen.keeps(asked.limits, *edges[k : k + 2]) and spent[k] * count <= asked.limits.air_kg
-    ]
-    if not allowed:
-        raise InputError(_nothing_left(seen, asked.limits, min(spent) * count))
-    told = None
+    pool = _drawn(model, asked, rng, tell)
+    known = None
     if asked.kind is None:
-        told = _told(model, seen, asked, edges, "what each piece tells", tell)
-        worth = _worth(told, asked, allowed, count)
-        tell("choosing", 0.0)
-    best: tuple[float, dict[str, Floats], Foreseen, Told] | None = None
-    final, ends = seen, np.arange(count + 1, dtype=np.float64) * piece_s
-    for turn in range(TRIES):
-        # what a piece tells depends on what was before it: several ways of playing are tried whole
-        if told is None:
-            chosen = [int(k) for k in rng.choice(allowed, count)]
-        elif turn == TRIES - 1 and (window := _window(told, allowed, count, worth)):
-            chosen = window
-        else:
-            chosen = choose(told.of_pieces, count, allowed, worth)
-            chosen = [chosen[k] for k in rng.permutation(count)]
-        volts = joined([pool[k] for k in chosen], asked.limits)
-        final = foresee(model, volts, asked.rate_hz, asked.workers)
-        bad = {chosen[k] for k in range(count) if not final.keeps(asked.limits, *ends[k : k + 2])}
-        if bad or final.air_kg[-1] > asked.limits.air_kg:
-            # begun elsewhere they go elsewhere
-            allowed = [k for k in allowed if k not in bad] or allowed
-            continue
-        stage = "what the plan tells"
-        promised = _told(model, final, asked, np.array([0.0, ends[-1]]), stage, tell)
-        value = worth(promised.of_pieces.sum(axis=0)) if told is not None else 0.0
-        if best is None or value > best[0]:
-            best = value, volts, final, promised
-        if told is None:
-            break
-    if best is None:
-        raise InputError(_nothing_left(final, asked.limits, float(final.air_kg[-1])))
-    _, volts, final, promised = best
+        edges = pool.edges_s(POOL)
+        known = _information(model, pool.seen, asked, edges, "what each piece tells", tell)
+    best = _played(model, asked, pool, known, rng, tell)
+    gram = best.promised.grams.sum(axis=0)
+    labels = [one.label for one in asked.hypotheses]
+    separations, most = [], []
+    for a, b in pairs_of(asked.hypotheses):
+        lead = best.promised.lead(gram, a, b)
+        most.append(max(lead, 0.0 if known is None else _alone(known, pool, a, b)))
+        separations.append(separation_of(labels[a], labels[b], lead, most[-1]))
+    seconds = pool.count * pool.piece_s
+    learnt = [] if asked.hypotheses else asked.parameters
     return Plan(
         pneu_version=pneu_version(),
         rig=rig.name,
         kind=asked.kind or ("separate" if asked.hypotheses else "parameters"),
-        seconds=float(ends[-1]),
+        seconds=seconds,
         seed=asked.seed,
-        commands={name: thinned(series, STEP_S) for name, series in volts.items()},
-        limits=Bounds(
-            low_v=dict(asked.limits.low_v),
-            high_v=dict(asked.limits.high_v),
-            slew_v_s=asked.limits.slew_v_s,
-            highest_pa=asked.limits.highest_pa,
-            lowest_pa=asked.limits.lowest_pa,
-            joints={name: list(of) for name, of in asked.limits.joints.items()},
-            air_kg=asked.limits.air_kg,
-        ),
-        expected=_expected(final, promised, told, asked, allowed, count),
+        commands={name: thinned(series, STEP_S) for name, series in best.volts.items()},
+        limits=_bounds(asked.limits),
+        expected=expected_of(best.seen, best.promised, separations, most, learnt, seconds),
     )
 
 
-def _told(
+def _drawn(model: Rig, asked: Asked, rng: np.random.Generator, tell: Progress) -> _Pool:
+    """Pieces that keep to the limits, and more."""
+    piece_s = float(np.clip(asked.seconds / PIECES, *PIECE_S))
+    count = max(round(asked.seconds / piece_s), 1)
+    piece_s = round(asked.seconds / count / STEP_S) * STEP_S
+    limits, kinds = asked.limits, [asked.kind] if asked.kind else list(KINDS)
+    pieces = [draw_piece(model, limits, piece_s, kinds[k % len(kinds)], rng) for k in range(POOL)]
+    stage = "running what may be played"
+    seen = foresee(
+        model, joined(pieces, limits), asked.rate_hz, asked.workers, lambda f: tell(stage, f)
+    )
+    edges = np.arange(POOL + 1) * piece_s
+    spent = [count * seen.taken_kg(*edges[k : k + 2]) for k in range(POOL)]
+    allowed = [
+        k
+        for k in range(POOL)
+        if seen.keeps(limits, *edges[k : k + 2]) and spent[k] <= limits.air_kg
+    ]
+    if not allowed:
+        raise InputError(_nothing_left(seen, limits, min(spent)))
+    return _Pool(pieces, piece_s, count, seen, allowed)
+
+
+def _played(
+    model: Rig,
+    asked: Asked,
+    pool: _Pool,
+    known: Information | None,
+    rng: np.random.Generator,
+    tell: Progress,
+) -> _Played:
+    """The best of several ways of playing; any that keeps to the limits where nothing is chosen.
+
+    What a piece tells depends on what was before it, and begun elsewhere it goes elsewhere.
+    """
+    worth = _worth(known, asked, pool)
+    allowed, count = list(pool.allowed), pool.count
+    edges = pool.edges_s(count)
+    best: _Played | None = None
+    for turn in range(TRIES):
+        if known is None:
+            chosen = [int(k) for k in rng.choice(allowed, count)]
+        elif turn == TRIES - 1 and (window := _window(known, allowed, count, worth)):
+            chosen = window
+        else:
+            chosen = choose(known.grams, count, allowed, worth)
+            chosen = [chosen[k] for k in rng.permutation(count)]
+        volts = joined([pool.pieces[k] for k in chosen], asked.limits)
+        seen = foresee(model, volts, asked.rate_hz, asked.workers)
+        bad = {chosen[k] for k in range(count) if not seen.keeps(asked.limits, *edges[k : k + 2])}
+        if bad or seen.air_kg[-1] > asked.limits.air_kg:
+            allowed = [k for k in allowed if k not in bad] or allowed
+            continue
+        promised = _information(model, seen, asked, edges[[0, -1]], "what the plan tells", tell)
+        value = worth(promised.grams.sum(axis=0))
+        if best is None or value > best.value:
+            best = _Played(volts, seen, promised, value)
+        if known is None:
+            break
+    if best is None:
+        raise InputError(_nothing_left(seen, asked.limits, float(seen.air_kg[-1])))
+    return best
+
+
+def _information(
     model: Rig, seen: Foreseen, asked: Asked, edges: Floats, stage: str, tell: Progress
-) -> Told:
+) -> Information:
     problem = make_problem(model, seen.recording, workers=asked.workers)
     if kind_of(model).along_lines:
         problem = problem.coarsened(model, LONGER_CELLS)
-    return told_by(
+    return information_of(
         problem, model, asked.hypotheses, asked.parameters, edges, lambda f: tell(stage, f)
     )
 
 
-def _worth(
-    told: Told, asked: Asked, allowed: Sequence[int], count: int
-) -> Callable[[Floats], float]:
+def _worth(known: Information | None, asked: Asked, pool: _Pool) -> Worth:
+    """What a sum of pieces is worth; nothing where none are chosen."""
+    if known is None:
+        return lambda gram: 0.0
     if not asked.hypotheses:
-        return told.information
-    pairs, needed = _pairs(asked), Thresholds().tied
+        return known.log_determinant
+    pairs = pairs_of(asked.hypotheses)
     # two that nothing parts must not keep the others from being parted
-    parted = [
-        (a, b)
-        for a, b in pairs
-        if _best(told, a, b, allowed, count) * math.sqrt(MUCH_LONGER) >= needed
-    ]
+    parted = [(a, b) for a, b in pairs if separable(_alone(known, pool, a, b))] or pairs
+    ample = AMPLE * Thresholds().tied
 
     def nearest(gram: Floats) -> float:
-        leads = [min(told.lead(gram, a, b), AMPLE * needed) for a, b in parted or pairs]
+        leads = [min(known.lead(gram, a, b), ample) for a, b in parted]
         return min(leads) + 1e-2 * float(np.mean(leads))
 
     return nearest
 
 
-def _window(
-    told: Told, allowed: Sequence[int], count: int, worth: Callable[[Floats], float]
-) -> list[int]:
+def _window(known: Information, allowed: Sequence[int], count: int, worth: Worth) -> list[int]:
     """The best pieces that follow one another in the pool; empty where limits leave none."""
     runs = [
         list(range(k, k + count))
-        for k in range(len(told.of_pieces) - count + 1)
+        for k in range(len(known.grams) - count + 1)
         if set(range(k, k + count)) <= set(allowed)
     ]
-    return max(runs, key=lambda run: worth(told.of_pieces[run].sum(axis=0)), default=[])
+    return max(runs, key=lambda run: worth(known.grams[run].sum(axis=0)), default=[])
 
 
-def _best(told: Told, a: int, b: int, allowed: Sequence[int], count: int) -> float:
+def _alone(known: Information, pool: _Pool, a: int, b: int) -> float:
     """Lead of two by the piece that parts them best, played over and over.
 
     Leads grow with the root of time.
     """
-    return math.sqrt(count) * max(told.lead(told.of_pieces[k], a, b) for k in allowed)
+    return math.sqrt(pool.count) * max(known.lead(known.grams[k], a, b) for k in pool.allowed)
 
 
-def _pairs(asked: Asked) -> list[tuple[int, int]]:
-    n = len(asked.hypotheses)
-    return [(a, b) for a in range(n) for b in range(a + 1, n)]
-
-
-def _expected(
-    seen: Foreseen,
-    promised: Told,
-    pool: Told | None,
-    asked: Asked,
-    allowed: Sequence[int],
-    count: int,
-) -> Expected:
-    gram = promised.of_pieces.sum(axis=0)
-    needed = Thresholds().tied
-    separations, words = [], []
-    for a, b in _pairs(asked):
-        lead = promised.lead(gram, a, b)
-        one, other = asked.hypotheses[a].label, asked.hypotheses[b].label
-        best = lead
-        if pool is not None:
-            best = max(best, _best(pool, a, b, allowed, count))
-        separations.append(
-            Separation(
-                one=one, other=other, standard_errors=lead, needed=needed,
-                told_apart=lead >= needed,
-                inseparable=best * math.sqrt(MUCH_LONGER) < needed,
-            )
-        )  # fmt: skip
-        if lead < needed:
-            words.append(_short(separations[-1], best, asked.seconds))
-    errors: dict[str, float | None] = {}
-    if not asked.hypotheses:
-        share = np.sqrt(np.diag(promised.covariance(gram)))
-        for v, part, std in zip(promised.variables, share, promised.known_std, strict=True):
-            scale = math.exp(v.value) if _is_log(asked, v.name) else 1.0
-            errors[v.name] = float(part * std * scale)
-        little = [v.name for v, s in zip(promised.variables, share, strict=True) if s > LITTLE]
-        if little:
-            words.append(
-                f"It tells little of {', '.join(little)}: what was known of"
-                f" {'them' if len(little) > 1 else 'it'} before stays nearly as it was."
-            )
-    room = [seen.recording.pressures[name] for name in seen.recording.pressures]
-    names = list(seen.recording.pressures)
-    return Expected(
-        highest_pa={n: float(s.values.max()) for n, s in zip(names, room, strict=True)},
-        lowest_pa={n: float(s.values.min()) for n, s in zip(names, room, strict=True)},
-        fastest_pa_s=dict(fastest_pa_s(seen.recording)),
-        joints={n: [float(q.min()), float(q.max())] for n, q in seen.joints.items()},
-        air_kg=float(seen.air_kg[-1]),
-        std_errors=errors,
-        separations=separations,
-        words=words,
-    )
-
-
-def _is_log(asked: Asked, path: str) -> bool:
-    return any(p.path == path and p.log for p in asked.parameters)
-
-
-def _short(of: Separation, lead: float, seconds: float) -> str:
-    """What is said of two that are not expected to be told apart; lead is the best there is."""
-    one, other, needed = of.one, of.other, of.needed
-    if of.inseparable:
-        return (
-            f"No experiment within these limits can tell {one} from {other}: what either changes"
-            f" the other does too, but for {lead:.2g} standard errors of the {needed:g} that are"
-            f" needed, and {MUCH_LONGER:g} times the length would not tell them."
-        )
-    if lead >= needed:
-        return (
-            f"This plan tells {one} from {other} by {of.standard_errors or 0.0:.2g} standard errors"
-            f" of the {needed:g} that are needed; one for these two alone, by {lead:.2g}."
-        )
-    longer = seconds * (needed / lead) ** 2
-    return (
-        f"{seconds:g} s cannot tell {one} from {other}: {lead:.2g} standard errors are to be"
-        f" expected of the {needed:g} that are needed; about {1.2 * longer:.0f} s could."
+def _bounds(limits: Limits) -> Bounds:
+    return Bounds(
+        low_v=dict(limits.low_v),
+        high_v=dict(limits.high_v),
+        slew_v_s=limits.slew_v_s,
+        highest_pa=limits.highest_pa,
+        lowest_pa=limits.lowest_pa,
+        joints={name: list(of) for name, of in limits.joints.items()},
+        air_kg=limits.air_kg,
     )
 
 

@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Literal
 
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.design.candidates import MOST, NEAR
 from pneu_sysid.design.design import Asked, design
+from pneu_sysid.design.hypotheses import hypotheses_of
 from pneu_sysid.design.judge import judged
 from pneu_sysid.design.limits import Limits
 from pneu_sysid.design.live import LiveRig, play
+from pneu_sysid.design.parameters import open_parameters, parameters_to_learn
 from pneu_sysid.design.plan import Plan, save_plan
-from pneu_sysid.design.told import Hypothesis
-from pneu_sysid.design.unknown import open_parameters, parameters_to_learn
-from pneu_sysid.diagnose import Diagnosis, diagnose_apart
+from pneu_sysid.diagnose import Diagnosis, diagnose_apart, result_of_diagnosis
 from pneu_sysid.problem import record_for
 from pneu_sysid.records import Recording
 from pneu_sysid.result_base import Verdict
@@ -117,14 +116,16 @@ def run(
                 rig, state.recordings, workers=budget.workers, progress=tell
             )
             state.experiments = [judged(str(file), plan, state.found) for file, plan in plans]
-            hypotheses = alike(state.found)
-            if len(hypotheses) < 2:
+            tied = set(state.found.alike(0)) if state.found.believed else set()
+            if not tied:
                 state.ended = ENDED[state.found.verdict]
                 return state
+            result = result_of_diagnosis(rig.name, state.found, [])
+            hypotheses = hypotheses_of(rig, result, "diagnosis")
             plan = design(
                 rig, replace(asked, hypotheses=hypotheses, parameters=unseen, seed=number), tell
             )
-            top, tied = hypotheses[0].label, set(state.found.alike(0))
+            top = hypotheses[0].label
             doubts = [s for s in plan.expected.separations if s.one == top and s.other in tied]
             if all(s.inseparable for s in doubts):
                 state.ended = "inseparable"
@@ -142,18 +143,3 @@ def run(
         state.recordings.append(record_for(rig, str(bag)))
     state.words = f"{budget.experiments} experiments were allowed, and candidates are left alike."
     return state
-
-
-def alike(found: Diagnosis) -> list[Hypothesis]:
-    """The best candidate of a diagnosis and those that come near it; less than two if none is tied.
-
-    Args:
-        found: The diagnosis.
-    """
-    if not found.believed or not found.alike(0):
-        return []
-    # what is just told from the best here may be its look-alike in another recording
-    top, *others = found.finalists[: found.believed]
-    tied = [r for r in others if r.site.label in found.alike(0)]
-    near = [r for r in others if r not in tied and r.held_out >= NEAR * top.held_out]
-    return [Hypothesis(r.site.label, r.rig) for r in [top, *tied, *near][:MOST]]

@@ -115,13 +115,14 @@ class Plan(Result):
             for name, of in self.commands.items()
         }
 
-    def at(self, time_s: float) -> dict[str, float]:
-        """The commands in force at a time, V.
+    def volts(self, step_s: float) -> dict[str, Floats]:
+        """(T,) volts of each command at even times from the beginning to the end.
 
         Args:
-            time_s: Since the beginning, s; before it the first holds.
+            step_s: Between them, s.
         """
-        return {name: float(signal.held(time_s)) for name, signal in self.signals().items()}
+        at = np.arange(round(self.seconds / step_s)) * step_s
+        return {name: signal.held(at) for name, signal in self.signals().items()}
 
 
 def thinned(volts: Floats, step_s: float) -> Volts:

@@ -4,9 +4,8 @@
 from pathlib import Path
 
 from pneu_common.errors import InputError
-from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import FitParameter, Rig
-from pneu_sysid.parameters import calibrated_parameters, default_parameters, listed_parameters
+from pneu_sysid.parameters import estimated_parameters
 
 
 def parameters_to_learn(rig: Rig) -> list[FitParameter]:
@@ -15,10 +14,7 @@ def parameters_to_learn(rig: Rig) -> list[FitParameter]:
     Args:
         rig: The rig.
     """
-    base = rig.fit.parameters or (
-        calibrated_parameters(rig) if kind_of(rig).along_lines else default_parameters(rig)
-    )
-    listed, held = listed_parameters(rig, base)
+    listed, held = estimated_parameters(rig, rig.fit.parameters)
     return [p for p in listed if p.path not in held]
 
 

@@ -1,23 +1,39 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hypotheses of a design from the result of a diagnosis."""
+"""What a diagnosis could not tell apart, as rigs that have it."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 from pneu_common.errors import InputError
 from pneu_sim.effects import find_effect
+from pneu_sim.effects.base import POSITION
 from pneu_sim.rig.schema import AttachedEffect, Rig
-from pneu_sysid.design.told import Hypothesis
 from pneu_sysid.results import Candidate, DiagnoseResult, result_of
+from pneu_sysid.sites import Site
 
 MOST = 4
 """Candidates that are told apart at once."""
 NEAR = 0.7
-"""Candidates count that explain this share of what the best one does."""
+"""Candidates count that explain this share of what the best one does: what is just told from it in
+one recording may be its look-alike in another."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A candidate for what a rig is missing.
+
+    Attributes:
+        label: Effect and place.
+        rig: The rig with it, the last of its effects, at what was found.
+    """
+
+    label: str
+    rig: Rig
 
 
 def hypotheses_of(rig: Rig, result: DiagnoseResult, source: Path | str) -> list[Hypothesis]:
-    """What a diagnosis could not tell apart, as rigs.
+    """The best candidate of a diagnosis, those that it is not told from, and what comes near.
 
     Args:
         rig: The rig that was diagnosed.
@@ -37,38 +53,30 @@ def hypotheses_of(rig: Rig, result: DiagnoseResult, source: Path | str) -> list[
             f"{source}: its verdict is {result.verdict} with {len(tested)} candidates that were"
             " tried; at least two are needed that are to be told apart"
         )
-    best = tested[0]
-    alike = set(best.indistinguishable_from)
-    tied = [c for c in tested[1:] if _label(c) in alike]
-    most = max(c.held_out_gain or 0.0 for c in tested)
-    # what is just told from the best here may be its look-alike in another recording
-    near = [c for c in tested[1:] if c not in tied and (c.held_out_gain or 0.0) >= NEAR * most]
-    chosen = [best, *tied, *(near or (tested[1:2] if not tied else []))]
-    return [hypothesis(rig, c, source) for c in chosen[:MOST]]
+    best, *others = tested
+    tied = [c for c in others if _label(c) in best.indistinguishable_from]
+    least = NEAR * max(c.held_out_gain or 0.0 for c in tested)
+    near = [c for c in others if c not in tied and (c.held_out_gain or 0.0) >= least]
+    chosen = [best, *tied, *near]
+    if len(chosen) < 2:  # of a verdict that is in doubt for another reason
+        chosen.append(others[0])
+    return [_hypothesis(rig, c, source) for c in chosen[:MOST]]
 
 
-def hypothesis(rig: Rig, candidate: Candidate, source: Path | str) -> Hypothesis:
-    """A candidate as a rig that has it.
-
-    Args:
-        rig: The rig without it.
-        candidate: It.
-        source: File that it is from.
-    """
+def _hypothesis(rig: Rig, candidate: Candidate, source: Path | str) -> Hypothesis:
     if not candidate.parameters:
         raise InputError(
             f"{source}: candidates: {_label(candidate)} has no parameters; it was made by an"
             " earlier version, and `pneu diagnose --json` makes it anew"
         )
-    find_effect(candidate.effect)
     values = {k: float(v) for k, v in candidate.parameters.items() if v is not None}
     extra = AttachedEffect(effect=candidate.effect, place=candidate.place, parameters=values)
     return Hypothesis(_label(candidate), rig.model_copy(update={"effects": [*rig.effects, extra]}))
 
 
 def _label(candidate: Candidate) -> str:
-    at = "" if candidate.position_m is None else f":{candidate.position_m:.2f}"
-    return f"{candidate.effect}@{candidate.place}{at}"
+    shape = {} if candidate.position_m is None else {POSITION: candidate.position_m}
+    return Site(find_effect(candidate.effect), candidate.place, shape).label
 
 
 def read_diagnosis(path: Path) -> DiagnoseResult:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pneu_sim.rig import with_parameters
 from pneu_sim.rig.schema import FitParameter, Rig
+from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.gauss_newton import Variable
 from pneu_sysid.parameters import one_each, rig_at, variables_of
 from pneu_sysid.problem import Problem
@@ -23,19 +24,6 @@ Floats = NDArray[np.float64]
 
 RIDGE = 1e-9
 """Of the largest inner product: what is known no better than to rounding counts for nothing."""
-
-
-@dataclass(frozen=True)
-class Hypothesis:
-    """A candidate for what a rig is missing.
-
-    Attributes:
-        label: Effect and place.
-        rig: The rig with it, the last of its effects, at what was found.
-    """
-
-    label: str
-    rig: Rig
 
 
 @dataclass(frozen=True)
@@ -57,18 +45,18 @@ class Columns:
 
 
 @dataclass(frozen=True)
-class Told:
+class Information:
     """What pieces tell.
 
     Attributes:
         columns: What stands where.
-        of_pieces: (n_pieces, C, C) inner products, in noise deviations.
+        grams: (n_pieces, C, C) inner products, in noise deviations.
         variables: The parameters.
         known_std: (P,) what was known of each before, in its own variable.
     """
 
     columns: Columns
-    of_pieces: Floats = field(repr=False)
+    grams: Floats = field(repr=False)
     variables: list[Variable] = field(repr=False)
     known_std: Floats = field(repr=False)
 
@@ -85,7 +73,7 @@ class Told:
         off = by_noise @ gram[np.ix_(at, doubt)]
         return np.asarray(by_noise + off @ off.T)
 
-    def information(self, gram: Floats) -> float:
+    def log_determinant(self, gram: Floats) -> float:
         """Logarithm of how much smaller the volume of what is possible becomes (D-optimality).
 
         Args:
@@ -93,7 +81,7 @@ class Told:
         """
         return -float(np.linalg.slogdet(self.covariance(gram))[1])
 
-    def left(self, gram: Floats, true: int, other: int) -> Floats:
+    def residual(self, gram: Floats, true: int, other: int) -> Floats:
         """(C,) combination of columns that is left between two hypotheses (T-optimality).
 
         The true one, less the other with its own numbers and the parameters fitted to it.
@@ -130,21 +118,21 @@ class Told:
         """
         leads = []
         for true, fitted in ((one, other), (other, one)):
-            left = self.left(gram, true, fitted)
+            left = self.residual(gram, true, fitted)
             square = max(float(left @ gram @ left), 0.0)
             chance = square + float(np.sum((gram[self.columns.doubtful] @ left) ** 2))
             leads.append(0.5 * square / np.sqrt(chance) if chance > 0.0 else 0.0)
         return float(min(leads))
 
 
-def told_by(
+def information_of(
     problem: Problem,
     rig: Rig,
     hypotheses: Sequence[Hypothesis],
     parameters: Sequence[FitParameter],
     edges_s: Floats,
     progress: Callable[[float], None] | None = None,
-) -> Told:
+) -> Information:
     """What each piece of a recording that is foreseen tells.
 
     Args:
@@ -200,9 +188,9 @@ def told_by(
     per_stretch = np.einsum("smi,smj->sij", columns, columns, optimize=True)
     middle = problem.span_s.mean(axis=1)
     piece = np.clip(np.searchsorted(edges_s, middle, "right") - 1, 0, edges_s.size - 2)
-    grams = np.zeros((edges_s.size - 1, *per_stretch.shape[1:]))
-    np.add.at(grams, piece, per_stretch)
-    return Told(Columns(change, own, numbers, doubtful), grams, variables, known)
+    totals = np.zeros((edges_s.size - 1, *per_stretch.shape[1:]))
+    np.add.at(totals, piece, per_stretch)
+    return Information(Columns(change, own, numbers, doubtful), totals, variables, known)
 
 
 def _with_default(rig: Rig, variable: Variable) -> Rig:
