@@ -8,6 +8,8 @@ import importlib.metadata
 import sys
 
 AT_ONCE_GROUP = "pneu.at_once"
+COMMAND = (sys.executable, "-m", "pneu_common.entry")
+"""The `pneu` command for a process of its own, whether or not it is on the path."""
 
 
 def main() -> None:

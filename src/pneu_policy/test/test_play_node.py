@@ -19,7 +19,8 @@ from pneu_common.errors import InputError
 from pneu_graph.nodes import common
 from pneu_policy.nodes.play import PlayNode
 from pneu_sim.rig import load_rig, save_rig
-from pneu_sysid.design.plan import Bounds, Expected, Plan, Volts, save_plan
+from pneu_sysid.design.plan import Bounds, Expected, Plan, Volts
+from pneu_sysid.results import write_json
 
 __all__ = ["domain", "graph"]  # fixtures
 
@@ -29,7 +30,7 @@ SAFE_V = 5.0
 
 @pytest.fixture
 def files(tmp_path):
-    """A rig with one tap, and a plan for it of half a minute in three steps."""
+    """A rig with one tap, and a plan for it of a second and a half in three steps."""
     lab = load_rig(ROOT / "rigs" / "lab.yaml")
     rig = lab.model_copy(update={"taps": {"end": lab.taps["end"]}})
     save_rig(rig, tmp_path / "rig.yaml")
@@ -46,7 +47,7 @@ def files(tmp_path):
         ),
         expected=Expected(highest_pa={}, lowest_pa={}, fastest_pa_s={}, air_kg=None),
     )  # fmt: skip
-    save_plan(plan, tmp_path / "plan.json")
+    write_json(tmp_path / "plan.json", plan)
     return {"rig": str(tmp_path / "rig.yaml"), "plan": str(tmp_path / "plan.json")}
 
 
@@ -132,7 +133,7 @@ def test_what_is_wrong_breaks_it_off_for_good(graph, files, what):
     ("wrong", "words"),
     [
         ({"plan": ""}, "parameter plan: found nothing"),
-        ({"plan": "nowhere.json"}, "nowhere.json: No such file"),
+        ({"plan": "nowhere.json"}, "nowhere.json: cannot be read .No such file"),
         ({"rig": ""}, "parameter rig: found nothing"),
         ({"rig": str(ROOT / "rigs" / "kokoro.yaml")}, "is for rig 'lab' with commands voltage"),
     ],

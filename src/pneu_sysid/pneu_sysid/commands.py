@@ -645,12 +645,12 @@ def learn(
     from pneu_sim.rig import save_rig
     from pneu_sysid.compare import compare as run_compare
     from pneu_sysid.compare import recordings_table
-    from pneu_sysid.design.command import experiments_table
+    from pneu_sysid.design.command import experimented, experiments_table
     from pneu_sysid.design.judge import judged
     from pneu_sysid.design.limits import limits_of
     from pneu_sysid.design.live import LiveRig
-    from pneu_sysid.design.loop import Budget, run
-    from pneu_sysid.design.plan import check_plan, load_plan
+    from pneu_sysid.design.loop import Budget
+    from pneu_sysid.design.plan_file import check_plan, load_plan
     from pneu_sysid.diagnose import result_of_diagnosis
     from pneu_sysid.learn import learn as run_learn
     from pneu_sysid.learn import result_of_learning
@@ -678,17 +678,10 @@ def learn(
     recordings = _read(bags, loaded, console)
     experiments = []
     if rig_is_live:
-        limits = limits_of(loaded, low, high)
-        allowed = Budget(budget, seconds, limits, workers=workers)
-        with progress("experimenting") as tell:
-            state = run(
-                loaded, rig.resolve(), bags, output.resolve(), allowed,
-                LiveRig(namespace, sim_time), tell,
-            )  # fmt: skip
+        allowed = Budget(budget, seconds, limits_of(loaded, low, high), workers=workers)
+        where = LiveRig(namespace, sim_time)
+        state = experimented(loaded, rig, bags, output, allowed, where, console)
         recordings, experiments = state.recordings, state.experiments
-        console.print(f"{len(experiments)} experiments, ended: {state.ended.replace('_', ' ')}")
-        if state.words:
-            console.print(state.words)
     with progress("learning") as tell:
         learned = run_learn(loaded, recordings, out=output, workers=workers, progress=tell)
     experiments += [judged(str(path), one, learned.diagnoses[0]) for path, one in plans]

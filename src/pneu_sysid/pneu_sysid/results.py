@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The JSON results of ``compare``, ``fit``, ``diagnose`` and others: schema and page.
+"""The JSON results of ``compare``, ``fit``, ``diagnose`` and others: schema, read and written.
 
-These models are the only source of the schema; ``docs/json.md`` is made from them. A number that is
+These models are the only source of the schema; ``docs/json.md`` is made from them
+(`pneu_sysid.result_page`). A number that is
 not finite becomes null on the way in, so no file ever holds NaN.
 """
 
@@ -11,8 +12,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, get_args
 
 from pydantic import Field, ValidationError
 
@@ -802,6 +802,30 @@ def result_of(data: dict[str, Any]) -> Any:
         raise InputError(f"result of schema {name}: {sentence(error, kinds[name])}") from None
 
 
+def read_json(path: Path) -> Any:
+    """Reads a result file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The result.
+
+    Raises:
+        InputError: It cannot be read, or is no result.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValueError as error:  # bytes that are no text, too
+        raise InputError(f"{path}: is no JSON ({error})") from None
+    try:
+        return result_of(data if isinstance(data, dict) else {})
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
 def write_json(path: str | Path, result: Result | dict[str, Any]) -> None:
     """Writes a result file, whole or not at all.
 
@@ -818,91 +842,3 @@ def write_json(path: str | Path, result: Result | dict[str, Any]) -> None:
     data = {"schema": data.pop("schema"), **data}
     lines = [f"  {json.dumps(k)}: {json.dumps(v, allow_nan=False)}" for k, v in data.items()]
     write_whole(path, "{\n" + ",\n".join(lines) + "\n}\n")
-
-
-# ---- the page ------------------------------------------------------------------------------
-
-_PAGE = """\
-# JSON results
-
-`--json FILE` of `pneu compare`, `fit`, `diagnose`, `learn` and `friction` writes one object as
-below, and so does `pneu excite -o FILE`; where a scene stands for a rig, one of those whose names
-begin with `pneu.scene`. All quantities are SI, pressures absolute pascals, times from the start
-of the recording; the unit is in a key's name (`rmse_pa`). Encoders stand apart from taps: their
-keys have no unit in their names (`rmse`), and `encoders` says of each whether it is rad or m.
-There is never NaN or infinity: where a number does not exist, `null` stands. `schema` names the
-command and the version; the version rises when a key changes its meaning or goes away, not when
-one is added.
-
-Residuals are measured minus model everywhere: `bias_pa` is positive where the sensor reads above
-the model. `lag_s` is positive where the measurement is later than the model.
-
-This page is made by `python -m pneu_sysid.results`.
-"""
-
-
-def json_markdown() -> str:
-    """The page that documents the JSON results."""
-    parts = [_PAGE]
-    done: set[type[Result]] = set()
-    for kind in RESULTS:
-        parts.append(_table(kind, f"## {kind.model_fields['schema_'].default}"))
-        todo = _nested(kind)
-        while todo:
-            one = todo.pop(0)
-            if one not in done:
-                done.add(one)
-                parts.append(_table(one, f"### {one.__name__}"))
-                todo = _nested(one) + todo
-    return "\n".join(parts)
-
-
-def _table(kind: type[Result], heading: str) -> str:
-    rows = ["| key | type | meaning |", "| --- | --- | --- |"]
-    fields = kind.model_fields
-    names = [n for n in fields if n == "schema_"] + [n for n in fields if n != "schema_"]
-    for name in names:
-        field = fields[name]
-        meaning = " ".join((field.description or "").split()).replace("|", "\\|")
-        rows.append(f"| `{field.alias or name}` | {_words(field.annotation)} | {meaning} |")
-    about = " ".join((kind.__doc__ or "").split())
-    return (
-        f"{heading}\n\n{about.replace('``', '`')}\n\n" + "\n".join(rows).replace("``", "`") + "\n"
-    )
-
-
-def _words(annotation: Any) -> str:
-    """A type in words."""
-    origin, args = get_origin(annotation), get_args(annotation)
-    if origin is Annotated:
-        return _words(args[0])
-    if origin in (Union, UnionType):
-        return " or ".join(_words(arg) for arg in args)
-    if origin is Literal:
-        return " or ".join(f'`"{arg}"`' for arg in args)
-    if origin is list:
-        return f"list of {_words(args[0])}"
-    if origin is tuple:
-        return f"[{', '.join(_words(arg) for arg in args)}]"
-    if origin is dict:
-        return f"object of {_words(args[1])}"
-    if isinstance(annotation, type) and issubclass(annotation, Result):
-        return f"[{annotation.__name__}](#{annotation.__name__.lower()})"
-    plain = {str: "text", float: "number", int: "integer", bool: "boolean", type(None): "null"}
-    return plain[annotation]
-
-
-def _nested(kind: type[Result]) -> list[type[Result]]:
-    """Models that the fields of a model are made of."""
-    found: list[type[Result]] = []
-    todo: list[Any] = [field.annotation for field in kind.model_fields.values()]
-    while todo:
-        one = todo.pop(0)
-        if isinstance(one, type) and issubclass(one, Result):
-            found.append(one)
-        todo = list(get_args(one)) + todo if not isinstance(one, str) else todo
-    return found
-
-
-if __name__ == "__main__":
-    print(json_markdown(), end="")

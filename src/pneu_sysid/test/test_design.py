@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.one_tap import LAB, one_tap
 
 from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
-from pneu_sim.rig.schema import AttachedEffect, Calibration
+from pneu_sim.rig.schema import AttachedEffect
 from pneu_sysid.design.choose import choose
 from pneu_sysid.design.command import foreseen_words, joints_of
 from pneu_sysid.design.design import Asked, design
@@ -20,27 +21,12 @@ from pneu_sysid.design.foreseen import foresee
 from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.design.information import Columns, Information
 from pneu_sysid.design.limits import limits_of, volts_of
-from pneu_sysid.design.plan import check_plan, load_plan, save_plan
+from pneu_sysid.design.plan_file import check_plan, load_plan
 from pneu_sysid.design.waves import KINDS, STEP_S, draw_piece, joined
+from pneu_sysid.results import write_json
 
 ROOT = Path(__file__).resolve().parents[3]
-LAB = load_rig(ROOT / "rigs" / "lab.yaml")
-FITTED = LAB.model_copy(
-    update={
-        "taps": {"end": LAB.taps["end"]},
-        "grid": LAB.grid.model_copy(update={"dx_m": 0.1}),
-        "calibration": Calibration(
-            recording="healthy", rmse_pa={"end": 260.0}, noise_floor_pa={"end": 250.0}
-        ),
-        "fit": LAB.fit.model_copy(
-            update={
-                "parameters": [
-                    LAB.fit.parameters[0].model_copy(update={"std": 1e-3, "std_error": 1e-5})
-                ]
-            }
-        ),
-    }
-)
+FITTED = one_tap(0.1)
 
 
 def with_effect(effect: str, place: str, **parameters: float) -> Hypothesis:
@@ -199,7 +185,7 @@ def test_a_chosen_plan_tells_more_than_a_random_one_and_keeps_to_its_limits(tmp_
         r" [01]\.?\d* g; 3 s\.$",
         foreseen_words(plans[0]),
     )
-    save_plan(plans[0], tmp_path / "plan.json")
+    write_json(tmp_path / "plan.json", plans[0])
     again = load_plan(tmp_path / "plan.json")
     assert again == plans[0]
     check_plan(again, FITTED)
@@ -248,8 +234,8 @@ def test_limits_that_nothing_keeps_to_are_told_with_what_would_be():
 
 BAD = (
     ("no json", "{", "is no JSON"),
-    ("other", '{"schema": "pneu.fit/1"}', "is no plan of `pneu excite`"),
-    ("list", "[1]", "is no plan of `pneu excite`"),
+    ("other", '{"schema": "pneu.learned/1"}', "schema: found 'pneu.learned/1', known are"),
+    ("list", "[1]", "schema: found None, known are"),
 )
 
 

@@ -8,33 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.one_tap import one_tap
 
 from pneu_common.errors import InputError
-from pneu_sim.rig import load_rig, save_rig
-from pneu_sim.rig.schema import AttachedEffect, Calibration, Rig
+from pneu_sim.rig import save_rig
+from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.run import add_noise, run_from_rest
 from pneu_sysid.design.limits import limits_of
 from pneu_sysid.design.live import LiveRig, play
 from pneu_sysid.design.loop import Budget, run
-from pneu_sysid.design.plan import load_plan
+from pneu_sysid.design.plan_file import load_plan
 from pneu_sysid.design.waves import STEP_S
 from pneu_sysid.records import Recording, even_recording
 from pneu_sysid.records.write import write_bag
 
-ROOT = Path(__file__).resolve().parents[3]
-LAB = load_rig(ROOT / "rigs" / "lab.yaml")
-RIG = LAB.model_copy(
-    update={
-        "taps": {"end": LAB.taps["end"]},
-        "grid": LAB.grid.model_copy(update={"dx_m": 0.06}),
-        "calibration": Calibration(
-            recording="healthy", rmse_pa={"end": 255.0}, noise_floor_pa={"end": 250.0}
-        ),
-        "fit": LAB.fit.model_copy(
-            update={"parameters": [LAB.fit.parameters[0].model_copy(update={"std_error": 1e-5})]}
-        ),
-    }
-)
+RIG = one_tap(0.06)
 RATE_HZ = 100.0
 
 

@@ -20,7 +20,8 @@ from pneu_common.errors import InputError
 from pneu_graph.nodes.parameters import parameter
 from pneu_policy.nodes.controlling import ControllingNode, ControllingParameters
 from pneu_policy.nodes.running import run_controller
-from pneu_sysid.design.plan import Plan, check_plan, load_plan
+from pneu_sysid.design.plan import Plan
+from pneu_sysid.design.plan_file import check_plan, load_plan
 
 SAFETY = ": safety"
 """How the status of a bridge ends that says whether its commands are followed."""

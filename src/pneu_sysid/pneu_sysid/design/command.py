@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`pneu excite`: plans the next experiment of a rig."""
+"""`pneu excite`, which plans the next experiment of a rig, and what `pneu learn` shows of some."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,6 +16,9 @@ from pneu_common.tables import Column, NamedTable
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pneu_sim.rig.schema import Rig
+    from pneu_sysid.design.live import LiveRig
+    from pneu_sysid.design.loop import Budget, Loop
     from pneu_sysid.design.plan import Plan
     from pneu_sysid.results import Experiment
 
@@ -78,8 +81,8 @@ def excite(
     from pneu_sysid.design.hypotheses import hypotheses_of, read_diagnosis
     from pneu_sysid.design.limits import limits_of
     from pneu_sysid.design.parameters import open_parameters, parameters_to_learn
-    from pneu_sysid.design.plan import save_plan
     from pneu_sysid.design.waves import KINDS as WAVES
+    from pneu_sysid.results import write_json
 
     if kind != "designed" and kind not in WAVES:
         raise InputError(f"--kind: found {kind!r}, allowed are {KINDS}")
@@ -99,7 +102,7 @@ def excite(
     asked = Asked(seconds, limits, hypotheses, parameters, wanted, rate, seed, workers)
     with progress("designing") as tell:
         plan = design(loaded, asked, tell)
-    save_plan(plan, output)
+    write_json(output, plan)
     console = Console(markup=False, emoji=False)
     console = console if console.is_terminal else Console(width=140, markup=False, emoji=False)
     for table in tables(plan):
@@ -182,6 +185,38 @@ def tables(plan: "Plan") -> list[NamedTable]:
             table.add_row(name, "-" if error is None else f"{error:.3g}")
         out.append(table)
     return out
+
+
+def experimented(
+    rig: "Rig",
+    rig_file: Path,
+    bags: "Sequence[Path]",
+    out: Path,
+    budget: "Budget",
+    where: "LiveRig",
+    console: Console,
+) -> "Loop":
+    """Runs experiments on a live rig with progress, and says why no more were run.
+
+    Args:
+        rig: The rig, calibrated.
+        rig_file: Its file.
+        bags: Recordings that there are.
+        out: Folder of the results.
+        budget: How much may be tried.
+        where: Where the rig runs.
+        console: Where to say it.
+    """
+    from pneu_sysid.design.loop import run
+
+    with progress("experimenting") as tell:
+        # processes that are started need not work in this folder
+        state = run(rig, rig_file.resolve(), bags, out.resolve(), budget, where, tell)
+    ended = state.ended.replace("_", " ")
+    console.print(f"{len(state.experiments)} experiments, ended: {ended}")
+    if state.words:
+        console.print(state.words)
+    return state
 
 
 def experiments_table(experiments: "Sequence[Experiment]") -> NamedTable:

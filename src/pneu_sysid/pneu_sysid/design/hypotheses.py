@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a diagnosis could not tell apart, as rigs that have it."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +8,7 @@ from pneu_common.errors import InputError
 from pneu_sim.effects import find_effect
 from pneu_sim.effects.base import POSITION
 from pneu_sim.rig.schema import AttachedEffect, Rig
-from pneu_sysid.results import Candidate, DiagnoseResult, result_of
+from pneu_sysid.results import Candidate, DiagnoseResult, read_json
 from pneu_sysid.sites import Site
 
 MOST = 4
@@ -88,16 +87,7 @@ def read_diagnosis(path: Path) -> DiagnoseResult:
     Raises:
         InputError: It is none.
     """
-    try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
-    except ValueError as error:
-        raise InputError(f"{path}: is no JSON ({error})") from None
-    try:
-        result = result_of(told if isinstance(told, dict) else {})
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    result = read_json(path)
     if not isinstance(result, DiagnoseResult):
         raise InputError(f"{path}: is no result of `pneu diagnose --json`")
     return result

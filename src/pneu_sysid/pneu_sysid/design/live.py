@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pneu_common.errors import InputError
-from pneu_graph.bag.process import Recorder
+from pneu_graph.bag.recorder_process import Recorder
 from pneu_graph.launch.guard import on_death_of_parent
 from pneu_graph.tools.executables import command_of
 from pneu_sysid.design.plan import Plan

@@ -13,12 +13,12 @@ from pneu_sysid.design.judge import judged
 from pneu_sysid.design.limits import Limits
 from pneu_sysid.design.live import LiveRig, play
 from pneu_sysid.design.parameters import open_parameters, parameters_to_learn
-from pneu_sysid.design.plan import Plan, save_plan
+from pneu_sysid.design.plan import Plan
 from pneu_sysid.diagnose import Diagnosis, diagnose_apart, result_of_diagnosis
 from pneu_sysid.problem import record_for
 from pneu_sysid.records import Recording
 from pneu_sysid.result_base import Verdict
-from pneu_sysid.results import Experiment
+from pneu_sysid.results import Experiment, write_json
 
 Progress = Callable[[str, float], None]
 Ended = Literal["name", "nothing_missing", "unknown", "inseparable", "budget"]
@@ -136,7 +136,7 @@ def run(
         if number == budget.experiments:
             break
         file, bag = out / f"experiment_{number + 1}.json", out / f"experiment_{number + 1}"
-        save_plan(plan, file)
+        write_json(file, plan)
         player(plan, file, rig_file, bag, where, tell)
         plans.append((file, plan))
         state.bags.append(bag)

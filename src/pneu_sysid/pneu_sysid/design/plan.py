@@ -1,19 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A plan of an experiment as a file: commands over time, for which rig, and what it is to tell."""
+"""A plan of an experiment: commands over time, for which rig, and what it is to tell."""
 
-import json
-import math
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from pneu_common.errors import InputError
-from pneu_common.files import write_whole
-from pneu_common.validation import sentence
-from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
 from pneu_sysid.result_base import Number, Perhaps, Result
 
@@ -135,79 +128,3 @@ def thinned(volts: Floats, step_s: float) -> Volts:
     rounded = np.round(volts, 4)
     kept = np.flatnonzero(np.concatenate(([True], np.diff(rounded) != 0.0)))
     return Volts(time_s=np.round(kept * step_s, 6).tolist(), volts=rounded[kept].tolist())
-
-
-def save_plan(plan: Plan, path: Path) -> None:
-    """Writes a plan, whole or not at all.
-
-    Args:
-        plan: The plan.
-        path: Where.
-
-    Raises:
-        InputError: It cannot be written.
-    """
-    write_whole(path, json.dumps(plan.model_dump(by_alias=True), indent=1) + "\n")
-
-
-def load_plan(path: Path) -> Plan:
-    """Reads a plan and checks it.
-
-    Args:
-        path: The file.
-
-    Raises:
-        InputError: It is no plan.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "is no text"
-        raise InputError(f"{path}: {reason}") from None
-    try:
-        told = json.loads(text)
-    except ValueError as error:
-        raise InputError(f"{path}: is no JSON ({error})") from None
-    if not isinstance(told, dict) or not str(told.get("schema", "")).startswith("pneu.plan/"):
-        raise InputError(f"{path}: is no plan of `pneu excite`: no schema pneu.plan/1")
-    try:
-        plan = Plan.model_validate(told)
-    except ValidationError as error:
-        raise InputError(f"{path}: {sentence(error, Plan)}") from None
-    for name, of in plan.commands.items():
-        time_s, volts = np.array(of.time_s, dtype=float), np.array(of.volts, dtype=float)
-        where = f"{path}: commands.{name}"
-        if time_s.size != volts.size or time_s.size == 0:
-            raise InputError(
-                f"{where}: found {time_s.size} times and {volts.size} volts, as many are needed"
-            )
-        if not (np.isfinite(time_s).all() and np.isfinite(volts).all()):
-            raise InputError(f"{where}: found a number that is not finite")
-        if time_s[0] != 0.0 or np.any(np.diff(time_s) <= 0.0):
-            raise InputError(f"{where}: its times have to begin with 0 and to rise")
-        low, high = plan.limits.low_v.get(name), plan.limits.high_v.get(name)
-        if low is None or high is None:
-            raise InputError(f"{where}: has no limits; low_v and high_v of it are needed")
-        if volts.min() < low - 1e-3 or volts.max() > high + 1e-3:
-            raise InputError(
-                f"{where}: found {volts.min():g} to {volts.max():g} V, its limits are"
-                f" {low:g} to {high:g}"
-            )
-    if not (math.isfinite(plan.seconds) and plan.seconds > 0.0):
-        raise InputError(f"{path}: seconds: found {plan.seconds:g}, it must be positive")
-    return plan
-
-
-def check_plan(plan: Plan, rig: Rig, path: Path | str = "plan") -> None:
-    """Raises InputError where a plan is for another rig.
-
-    Args:
-        plan: The plan.
-        rig: The rig.
-        path: File of the plan.
-    """
-    if plan.rig != rig.name or set(plan.commands) != set(rig.commands):
-        raise InputError(
-            f"{path}: is for rig {plan.rig!r} with commands {', '.join(plan.commands)}; this is"
-            f" {rig.name!r} with {', '.join(rig.commands) or 'none'}"
-        )

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_common.entry import COMMAND
 from pneu_common.errors import InputError
-from pneu_graph.bag.process import CLI, Recorder
+from pneu_graph.bag.recorder_process import Recorder
 from pneu_sim.rig import load_rig
 from pneu_sysid.sensor_units import encoder_units, unit_of
 from pneu_sysid.tasks.child import Child
@@ -301,7 +302,7 @@ class Live:
 
         def stop() -> None:
             done = subprocess.run(
-                [*CLI, "stop", "--reason", "workbench"], stdin=subprocess.DEVNULL,
+                [*COMMAND, "stop", "--reason", "workbench"], stdin=subprocess.DEVNULL,
                 capture_output=True, text=True, check=False,
             )  # fmt: skip
             lines = [line for line in done.stdout.splitlines() if line.strip()]

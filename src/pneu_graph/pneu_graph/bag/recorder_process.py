@@ -3,12 +3,12 @@
 
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
 
-CLI = (sys.executable, "-m", "pneu_common.entry")
+from pneu_common.entry import COMMAND
+
 END_S = 15.0
 """A recorder that takes longer to write its bag is killed; what it wrote can be recovered."""
 
@@ -28,7 +28,8 @@ class Recorder:
             rig: Rig file that is kept in it; empty is none.
         """
         self.bag = bag
-        words = [*CLI, "bag", "record", "-a", "-o", str(bag), *(["--attach", rig] if rig else [])]
+        words = [*COMMAND, "bag", "record", "-a", "-o", str(bag)]
+        words += ["--attach", rig] if rig else []
         self._process = subprocess.Popen(
             words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             start_new_session=True,
