@@ -65,6 +65,17 @@ def show(table: Table, console: Console) -> None:
         console.print(f"note: {note}", style="yellow")
 
 
+def kept(subject: str) -> bool:
+    """Whether a subject has been measured before.
+
+    Args:
+        subject: Its name.
+    """
+    if not RESULTS.exists():
+        return False
+    return subject in json.loads(RESULTS.read_text(encoding="utf-8"))["subjects"]
+
+
 def keep(subjects: Mapping[str, Sequence[Table]], machine: Mapping[str, Any]) -> None:
     """Writes what was measured, beside the subjects that were measured before."""
     known: dict[str, Any] = {}

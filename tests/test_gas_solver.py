@@ -253,7 +253,7 @@ def test_poiseuille_drop() -> None:
 
 def one_lane(slots: int) -> kernel.Cells:
     """Slots without gas and without walls."""
-    rows = (L.PARAM_ROWS, L.STATE_ROWS, L.WORK_ROWS)
+    rows = (L.PARAM_ROWS, L.STATE_ROWS, L.WORK_ROWS, L.WALL_ROWS)
     return kernel.Cells(1, *(np.zeros((r, slots)) for r in rows), np.zeros((L.SOFT_ROWS, 0)))
 
 
@@ -266,7 +266,7 @@ def test_darcy_factor_over_all_reynolds_numbers(roughness: float) -> None:
     cells.par[L.ONSET] = 1.0 / 2300.0
     cells.par[[L.REYNOLDS, L.TURBULENT]] = 1.0
     walls.find_coefficients(kernel.Gas(1.4, 287.05, 0.7), cells)
-    factor = 64.0 / reynolds * cells.work[L.W_PHI]
+    factor = 64.0 / reynolds * cells.wall[L.D_PHI]
     for re, f in zip(reynolds, factor, strict=True):
         low, high = pipe_flow.laminar(re), pipe_flow.haaland(re, roughness)
         if re < 2300.0:
@@ -322,9 +322,9 @@ def test_unsteady_drag_follows_zielke(oscillating: bool) -> None:
     time = np.arange(steps + 1) * dt
     force = np.cos(2.0 * np.pi * 40.0 * time) if oscillating else np.ones(steps + 1)
     cells = one_lane(1)
-    cells.state[L.RHO], cells.work[L.W_RI], cells.work[L.W_PHI] = rho, 1.0 / rho, 1.0
+    cells.state[L.RHO], cells.work[L.W_RI], cells.wall[L.D_PHI] = rho, 1.0 / rho, 1.0
     cells.par[L.RELAX] = L.UNSTEADY_RATE * np.pi * mu / area
-    cells.work[L.W_STAY] = 1.0 / cells.par[L.RELAX]
+    cells.wall[L.D_STAY] = 1.0 / cells.par[L.RELAX]
     cells.par[L.VISCOUS], cells.par[L.UNSTEADY] = 8.0 * np.pi * mu / area, 4.0 * np.pi * mu / area
     walls.find_decay(kernel.Gas(1.4, 287.05, 0.7), dt, cells)
     velocity = np.zeros(steps + 1)

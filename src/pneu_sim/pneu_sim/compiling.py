@@ -54,7 +54,7 @@ _use_whole_vectors()
 
 
 @functools.cache
-def _digest_of_sources() -> str:
+def digest_of_sources() -> str:
     """Digest of every file with kernels, and of those whose constants they may hold."""
     package = Path(__file__).parent
     texts = {path: path.read_text(encoding="utf-8") for path in package.rglob("*.py")}
@@ -74,7 +74,7 @@ def _compile(function: Callable[..., Any], **options: Any) -> Any:
     compiled = njit(cache=True, nogil=True, error_model="numpy", **options)(function)
     # Numba looks at the function's own file alone, and has no setting for that. The digest is in
     # the name as well: what another version kept may name classes that are no more.
-    digest, kept = _digest_of_sources(), compiled._cache
+    digest, kept = digest_of_sources(), compiled._cache
     name = f"{kept._impl.filename_base}-{digest[:12]}"
     kept._cache_file = IndexDataCacheFile(kept._cache_path, name, digest)
     return compiled
@@ -108,6 +108,12 @@ each = range
 
 On a processor one after another; on a GPU every thread has its own share (`pneu_sim.cuda`). Nothing
 else that such a pass does may depend on how often it is done."""
+
+apart = range
+"""What a pass over ends of pipes, which may go in any order, goes through.
+
+On a processor one after another; on a GPU every warp of threads has its own share, since ends of
+different kinds take different ways, which threads of one warp would go one after another."""
 
 
 def sequence(function: Callable[..., Any]) -> Any:

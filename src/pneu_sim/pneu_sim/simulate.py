@@ -323,7 +323,7 @@ def width_of(slots: int) -> int:
     Args:
         slots: Of each.
     """
-    rows = L.PARAM_ROWS + L.STATE_ROWS + L.WORK_ROWS
+    rows = L.PARAM_ROWS + L.STATE_ROWS + L.WORK_ROWS_OF_SECOND + L.WALL_ROWS
     return min(max(CACHE_BYTES // (8 * rows * slots), 1), TILE)
 
 

@@ -23,7 +23,7 @@ Ints = NDArray[np.int64]
 
 CHANGING = (
     "state",
-    "work",
+    "wall",
     "end_velocity",
     "port_flow",
     "reservoir_p",
@@ -47,7 +47,8 @@ class Tile:
         memory: Whether any wall's friction and heat have memory.
         cell: (PARAM_ROWS, slots, lanes) cell parameters.
         state: (STATE_ROWS, slots, lanes).
-        work: (WORK_ROWS, slots, lanes) what passes hand on to one another.
+        work: (WORK_ROWS, slots, lanes) scratch; in second order more rows.
+        wall: (WALL_ROWS, slots, lanes) what walls do, and did in the last step.
         soft: (SOFT_ROWS, slots, lanes) what yielding walls hold; no slots where none yields.
         end_velocity: (n_ends, lanes) what ports let through at the last step, m/s.
         joint: (n_ends, JOINT_ROWS, lanes) scratch.
@@ -92,6 +93,7 @@ class Tile:
     cell: Floats
     state: Floats
     work: Floats
+    wall: Floats
     soft: Floats
     end_velocity: Floats
     joint: Floats
@@ -260,13 +262,15 @@ def pack(
     leak_index, leak = _leaks(models)
     own, acts = _own_terms(models)
     step_index, step_area = area_steps(models)
+    rows = L.WORK_ROWS if models[0].order == 1 else L.WORK_ROWS_OF_SECOND
     tile = Tile(
         models=models,
         compliant=compliant,
         memory=any(m.memory for m in models) if memory is None else memory,
         cell=cell,
         state=np.zeros((L.STATE_ROWS, plan.slots, w)),
-        work=np.zeros((L.WORK_ROWS, plan.slots, w)),
+        work=np.zeros((rows, plan.slots, w)),
+        wall=np.zeros((L.WALL_ROWS, plan.slots, w)),
         soft=np.zeros((L.SOFT_ROWS, plan.slots if compliant else 0, w)),
         end_velocity=np.zeros((ends, w)),
         joint=np.zeros((ends, L.JOINT_ROWS, w)),
@@ -313,10 +317,10 @@ def forget(tile: Tile) -> None:
     Args:
         tile: The batch.
     """
-    for name in (*CHANGING, "soft", "joint", "ported", "chamber_work"):
+    for name in (*CHANGING, "work", "soft", "joint", "ported", "chamber_work"):
         getattr(tile, name)[:] = 0.0
     # Ghosts have no wall; the floor keeps their unused memory finite.
-    tile.work[L.W_STAY] = 1.0 / np.maximum(tile.cell[L.RELAX], 1e-12)
+    tile.wall[L.D_STAY] = 1.0 / np.maximum(tile.cell[L.RELAX], 1e-12)
     tile.reservoir[:] = lanes([m.reservoir for m in tile.models])
     tile.reservoir_p[:] = tile.reservoir[:, L.R_PRESSURE]
     if tile.plan.cylinders:
@@ -608,7 +612,8 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
             tile.lanes,
             tile.cell.reshape(L.PARAM_ROWS, -1),
             tile.state.reshape(L.STATE_ROWS, -1),
-            tile.work.reshape(L.WORK_ROWS, -1),
+            tile.work.reshape(len(tile.work), -1),
+            tile.wall.reshape(L.WALL_ROWS, -1),
             tile.soft.reshape(L.SOFT_ROWS, -1),
         ),
         kernel.Steps(tile.step_index, tile.step_area),

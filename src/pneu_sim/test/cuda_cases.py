@@ -8,7 +8,7 @@ largest of its kind.
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from pneu_sim.rig.schema import AttachedEffect
 from pneu_sim.stepping import advance
 
 Floats = NDArray[np.float64]
+Worst = tuple[float, str]
 
 HOUSE = Path(__file__).parents[3]
 KNOTS = 4
@@ -120,7 +121,7 @@ def changed(tile: tiles.Tile, watch: tiles.Watch, series: Any) -> Iterator[tuple
     """
     for name in tiles.CHANGING:
         rows = getattr(tile, name)
-        if name in ("state", "work"):
+        if name in ("state", "wall"):
             yield from ((f"{name} {k}", row) for k, row in enumerate(rows))
         else:
             yield name, rows
@@ -128,7 +129,42 @@ def changed(tile: tiles.Tile, watch: tiles.Watch, series: Any) -> Iterator[tuple
     yield from ((f.name, getattr(series, f.name)) for f in fields(series))
 
 
-def difference(case: str, order: int, flux: str, steps: int, device: Device) -> tuple[float, str]:
+def ran(rig: Rig, steps: int, device: Device, more: float = 0.0) -> list[tuple[str, Floats]]:
+    """All that steps change, after some of them.
+
+    Args:
+        rig: The rig.
+        steps: How many, in two intervals.
+        device: On what.
+        more: How much more gas there is at the start, of one.
+    """
+    tile, watch = filled(rig, device)
+    tile.state *= 1.0 + more
+    ports = tile.plan.ports.shape[0]
+    opening = np.random.default_rng(6).uniform(0.0, 1.0, (2, KNOTS + 1, ports, LANES))
+    series = advance(tile, steps // 2, tile.plan.dt_s, opening, watch)
+    return list(changed(tile, watch, series))
+
+
+def furthest(found: Iterable[tuple[str, Floats]], other: Iterable[tuple[str, Floats]]) -> Worst:
+    """The largest difference of two runs relative to the largest of its kind, and of what it is.
+
+    Args:
+        found: What steps changed.
+        other: The same of the other run.
+    """
+    worst, of = 0.0, ""
+    for (name, a), (_, b) in zip(found, other, strict=True):
+        if not np.array_equal(np.isnan(a), np.isnan(b)):
+            return float("inf"), name
+        scale = float(np.nanmax(np.abs(a), initial=0.0))
+        most = float(np.nanmax(np.abs(a - b), initial=0.0)) / (scale or 1.0)
+        if most > worst:
+            worst, of = most, name
+    return worst, of
+
+
+def difference(case: str, order: int, flux: str, steps: int, device: Device) -> Worst:
     """The largest difference of a case, and of what it is.
 
     Args:
@@ -139,22 +175,20 @@ def difference(case: str, order: int, flux: str, steps: int, device: Device) -> 
         device: What is compared with the processor.
     """
     rig = rig_of(case, order, flux)
-    found = []
-    for where in (Device.CPU, device):
-        tile, watch = filled(rig, where)
-        ports = tile.plan.ports.shape[0]
-        opening = np.random.default_rng(6).uniform(0.0, 1.0, (2, KNOTS + 1, ports, LANES))
-        series = advance(tile, steps // 2, tile.plan.dt_s, opening, watch)
-        found.append(list(changed(tile, watch, series)))
-    worst, of = 0.0, ""
-    for (name, a), (_, b) in zip(*found, strict=True):
-        if not np.array_equal(np.isnan(a), np.isnan(b)):
-            return float("inf"), name
-        scale = float(np.nanmax(np.abs(a), initial=0.0))
-        most = float(np.nanmax(np.abs(a - b), initial=0.0)) / (scale or 1.0)
-        if most > worst:
-            worst, of = most, name
-    return worst, of
+    return furthest(ran(rig, steps, Device.CPU), ran(rig, steps, device))
+
+
+def sensitivity(case: str, order: int, flux: str, steps: int) -> float:
+    """What the processor's own answer changes by where the start changes by a part in 1e15.
+
+    Args:
+        case: The case.
+        order: Of the scheme.
+        flux: Its flux.
+        steps: How many, in two intervals.
+    """
+    rig = rig_of(case, order, flux)
+    return furthest(ran(rig, steps, Device.CPU), ran(rig, steps, Device.CPU, 1e-15))[0]
 
 
 def main() -> None:

@@ -2,11 +2,13 @@
 """A batch of rigs laid out for a GPU: the rig outermost, all that one has in one piece.
 
 On the processor the rig is the innermost index, so that vector registers hold rigs; on a GPU a
-block of threads has one rig, whose slots lie side by side. What is known of a rig before it runs
-(shapes, schemes, the gas) is written into the kernel as numbers.
+block of threads has one rig, whose slots lie side by side. All that is not of slots (ends, ports,
+chambers, bodies) is little, and what single threads wait for: it is `near`, in the memory that a
+block shares. What is known of a rig before it runs (shapes, schemes, the gas) is written into the
+kernel as numbers.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +19,11 @@ from pneu_sim import kernel
 
 Array = NDArray[Any]
 
+MEMORIES = ("near", "floats", "ints", "numbers", "tables")
+"""Flat memories by their names in a kernel."""
+INTEGERS = ("ints", "tables")
+SHARED_BY_ALL = ("numbers", "tables")
+"""Those that all rigs have in common."""
 COMMON: dict[type, tuple[str, ...]] = {
     kernel.Steps: ("table",),
     kernel.Ends: ("table",),
@@ -38,7 +45,7 @@ SCRATCH: dict[type, tuple[str, ...]] = {
 }  # fmt: skip
 """Arrays of which every rig needs its own here, whatever is in them."""
 HOT: dict[type, tuple[str, ...]] = {kernel.Cells: ("state", "work")}
-"""Arrays that every pass is at, kept in the memory that a block shares where that has room."""
+"""Arrays of slots that every pass is at: near as well, where there is room for them."""
 LONG: dict[type, tuple[str, ...]] = {
     kernel.Taps: ("time", "measured", "gain", "readings"),
     kernel.Encoders: ("time", "measured", "gain", "push", "readings"),
@@ -46,7 +53,7 @@ LONG: dict[type, tuple[str, ...]] = {
 }
 """Arrays whose length is that of a recording, for which no kernel is compiled anew."""
 WRITTEN: dict[type, tuple[str, ...]] = {
-    kernel.Cells: ("state", "work", "soft"),
+    kernel.Cells: ("state", "work", "wall", "soft"),
     kernel.Ends: ("velocity", "joint", "ported"),
     kernel.Regulators: ("state",),
     kernel.Ports: ("flow", "opening"),
@@ -96,19 +103,19 @@ class Batch:
 
     Attributes:
         lanes: Rigs.
-        hot: Numbers of one rig that every pass is at.
         size: Entries of one rig in each memory; of all rigs in those that they share.
         shapes: Shapes of arrays in it.
     """
 
-    def __init__(self, lanes: int) -> None:
+    def __init__(self, lanes: int, hot: bool) -> None:
         """Has no arrays yet.
 
         Args:
             lanes: Rigs.
+            hot: Whether what of slots every pass is at is near.
         """
-        self.lanes, self.hot = lanes, 0
-        self.size = {"floats": 0, "ints": 0, "numbers": 0, "tables": 0}
+        self.lanes, self._hot = lanes, hot
+        self.size = dict.fromkeys(MEMORIES, 0)
         self.shapes: set[tuple[int, ...]] = set()
         self._parts: list[_Part] = []
         self._known: dict[tuple[int, tuple[int, ...]], str] = {}
@@ -161,30 +168,28 @@ class Batch:
             told = f"long[{len(self._long)}][b]"
             self._long.append((array, laid, written))
         else:
-            told = self._place(array, laid, common, written, flat, name in HOT.get(kind, ()))
+            near = not flat or (self._hot and name in HOT[kernel.Cells])
+            told = self._place(array, laid, common, written, flat, near)
         self._known[key] = told
         return told
 
     def _place(
-        self, array: Array, laid: Array, common: bool, written: bool, flat: bool, hot: bool
+        self, array: Array, laid: Array, common: bool, written: bool, flat: bool, near: bool
     ) -> str:
         """Gives an array its place in flat memory."""
         real = laid.dtype == np.float64
-        where = ("numbers" if real else "tables") if common else ("floats" if real else "ints")
+        if common:
+            where = "numbers" if real else "tables"
+        elif real:
+            where = "near" if near else "floats"
+        else:
+            where = "ints"
         shape = laid.shape if common else laid.shape[1:]
         offset = self.size[where]
         self._parts.append(_Part(array, laid, where, offset, written, flat))
         self.size[where] += int(np.prod(shape))
-        if hot:
-            if self.hot != offset:
-                raise AssertionError("what every pass is at comes first")
-            self.hot = self.size[where]
         self.shapes.add(shape)
-        begin = "" if common else f"b * {where}_size + "
-        memory = where
-        if hot:
-            memory, begin = "hot", "hot_begin + "
-        return f"{view_name(shape)}({memory}, {begin}{offset})"
+        return f"{view_name(shape)}({where}, {where}_begin + {offset})"
 
     def memory(self, real: type) -> dict[str, Array]:
         """The flat memory itself, filled.
@@ -192,16 +197,11 @@ class Batch:
         Args:
             real: Floating-point numbers in it.
         """
-        types: dict[str, Any] = {
-            "floats": real,
-            "numbers": real,
-            "ints": np.int64,
-            "tables": np.int64,
-        }
+        types: dict[str, Any] = dict.fromkeys(MEMORIES, real) | dict.fromkeys(INTEGERS, np.int64)
         filled: dict[str, Array] = {}
         for where, size in self.size.items():
             own = [part for part in self._parts if part.where == where]
-            if where in ("numbers", "tables"):
+            if where in SHARED_BY_ALL:
                 pieces = [part.laid.reshape(-1) for part in own]
                 whole = np.concatenate(pieces) if pieces else np.zeros(0)
             else:
@@ -221,15 +221,14 @@ class Batch:
         """
         return [np.ascontiguousarray(laid, dtype=real) for _, laid, _ in self._long]
 
-    def take_back(self, floats: Array, ints: Array, long: Sequence[Array]) -> None:
+    def take_back(self, memory: Mapping[str, Array], long: Sequence[Array]) -> None:
         """Takes over what steps have changed.
 
         Args:
-            floats: That memory, as it is now.
-            ints: Likewise.
+            memory: As it is now; without what rigs share.
             long: Arrays as long as a recording.
         """
-        now = {"floats": floats.reshape(self.lanes, -1), "ints": ints.reshape(self.lanes, -1)}
+        now = {where: flat.reshape(self.lanes, -1) for where, flat in memory.items()}
         for part in self._parts:
             if part.written and part.array.size > 0:
                 n = part.laid[0].size

@@ -2,8 +2,11 @@
 """Steps of a batch on a GPU: one launch for all of a call's steps, one rig in each block."""
 
 import functools
+import hashlib
 import importlib.util
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numba.core.config
@@ -12,18 +15,24 @@ import numpy as np
 from numba.core import types
 from numpy.typing import NDArray
 
+from pneu_common.files import write_whole
 from pneu_sim import kernel
-from pneu_sim.cuda.batch import HOT, Batch, view_name
-from pneu_sim.cuda.translate import Translation
+from pneu_sim.compiling import digest_of_sources
+from pneu_sim.cuda.batch import MEMORIES, SHARED_BY_ALL, Batch, view_name
+from pneu_sim.cuda.translate import WARP, Translation
 from pneu_sim.cuda.views import viewing
 
 cuda: Any = numba.cuda  # its types say nothing of what kernels see
 config: Any = numba.core.config
-WARP = 1 if config.ENABLE_CUDASIM else 32
-MOST_THREADS = 3 if config.ENABLE_CUDASIM else 256
+MOST_THREADS = 3 if config.ENABLE_CUDASIM else 128
 """Threads of a block; those of the simulator are Python's own, and slow."""
-SHARED_BYTES = 47 * 1024
-"""Memory that a block of any GPU can share, 48 KiB, less what answers of passes take."""
+MOST_REGISTERS = 96
+"""Of a thread. Steps wait for memory and for single threads more than they compute: five blocks on
+a multiprocessor of 64k registers do more than three that keep all in registers."""
+SHARED_BYTES = 55 * 1024
+"""What a block may have near, so that four of them find room on a multiprocessor (228 KiB)."""
+GIVEN_BYTES = 48 * 1024
+"""What a block can have near without asking for more."""
 
 
 def missing() -> str:
@@ -54,11 +63,35 @@ def _kernel(
         **groups,
         "cuda": cuda,
         "real": types.float32 if single else types.float64,
+        "long_int": types.int64,
+        "__name__": "pneu_kernel",
         "advance": _translation(single).device(kernel.advancing(terms)),
     }
     scope |= {view_name(shape): viewing(shape) for shape in shapes}
-    exec(source, scope)
-    return cuda.jit(scope["many"])
+    kept = None if terms else _kept(source, single)
+    exec(compile(source, str(kept or "<kernel>"), "exec"), scope)
+    options = {} if config.ENABLE_CUDASIM else {"max_registers": MOST_REGISTERS}
+    return cuda.jit(scope["many"], cache=kept is not None, **options)
+
+
+def _kept(source: str, single: bool) -> Path | None:
+    """A file with a kernel's source, beside which Numba keeps what it compiled of it.
+
+    Named by all that the kernel is made of, so that nothing old is run; None where no file can be.
+    """
+    if config.ENABLE_CUDASIM:
+        return None
+    told = f"{digest_of_sources()} {single} {MOST_REGISTERS} {source}"
+    name = f"many_{hashlib.sha256(told.encode()).hexdigest()[:16]}.py"
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parent / "__pycache__")
+    path = folder / "cuda" / name
+    try:
+        if not path.is_file():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(path, source)
+    except OSError:
+        return None
+    return path
 
 
 def _source(batch: Batch, rigs: Any, moving: Any, clock: Any, record: Any, shared: bool) -> str:
@@ -67,24 +100,29 @@ def _source(batch: Batch, rigs: Any, moving: Any, clock: Any, record: Any, share
     lanes = batch.array(kernel.Clock, "lanes", clock.lanes)
     own.append(f"Clock(samples, steps, dt, {clock.knots}, {lanes}, watched, closing)")
     own += ["opening[b]", batch.group(record)]
-    lines = [
-        "def many(floats, ints, numbers, tables, long, opening, samples, steps, dt, watched,"
-        " closing):",
-        "    b = cuda.blockIdx.x",
-        f"    floats_size, ints_size = {batch.size['floats']}, {batch.size['ints']}",
-    ]
-    copy = "    for i in range(cuda.threadIdx.x, {0}, cuda.blockDim.x):\n        {1}"
-    away = f"floats[b * floats_size + i] = hot[i]\n{'':4}cuda.syncthreads()"
-    here = f"hot[i] = floats[b * floats_size + i]\n{'':4}cuda.syncthreads()"
-    if shared:
-        lines += ["    hot_begin = 0", "    hot = cuda.shared.array(0, real)"]
-        lines.append(copy.format(batch.hot, here))
-    else:
-        lines += ["    hot_begin = b * floats_size", "    hot = floats"]
-    lines.append(f"    advance({', '.join(own)})")
-    if shared:
-        lines.append(copy.format(batch.hot, away))
-    return "\n".join(lines)
+    given = [f"all_{where}" for where in MEMORIES]
+    given += ["long", "opening", "samples", "steps", "dt", "watched", "closing"]
+    size = batch.size
+    begin = {where: f"b * {size[where]}" for where in MEMORIES}
+    begin |= dict.fromkeys(SHARED_BY_ALL, "0")
+    lines = [f"def many({', '.join(given)}):", "b = cuda.blockIdx.x"]
+    copies = []
+    if shared:  # a block has copies of its own of what single threads wait for
+        lines += ["near = cuda.shared.array(0, real)"]
+        copies += [("near", size["near"], f"{begin['near']} + i")]
+        if size["tables"] > 0:
+            lines += [f"tables = cuda.shared.array({size['tables']}, long_int)"]
+            copies += [("tables", size["tables"], "i")]
+    here = {name for name, _, _ in copies}
+    lines += [f"{where}_begin = {'0' if where in here else begin[where]}" for where in MEMORIES]
+    lines += [f"{where} = all_{where}" for where in MEMORIES if where not in here]
+    share = "for i in range(cuda.threadIdx.x, {0}, cuda.blockDim.x):"
+    for name, n, i in copies:
+        lines += [share.format(n), f"    {name}[i] = all_{name}[{i}]"]
+    lines += ["cuda.syncthreads()", f"advance({', '.join(own)})", "cuda.syncthreads()"]
+    for name, n, i in copies[:1]:
+        lines += [share.format(n), f"    all_{name}[{i}] = {name}[i]"]
+    return "\n    ".join(lines)
 
 
 class Launch(NamedTuple):
@@ -107,13 +145,16 @@ class Launch(NamedTuple):
     shared: int
 
 
-def advance(terms: tuple[Callable[..., Any], ...], single: bool, *told: Any) -> None:
+def advance(terms: tuple[Callable[..., Any], ...], single: bool, *told: Any) -> float:
     """Advances a batch as `pneu_sim.kernel.advance` does, on a GPU.
 
     Args:
         terms: Further terms, see `pneu_sim.kernel.advancing`.
         single: Whether in single precision.
         told: What that is given: rigs, what of them moves, clock, openings, record.
+
+    Returns:
+        How long the steps took there, s, without what is copied; 0 under the simulator.
     """
     run = prepared(terms, single, *told)
     sent: list[Any] = [
@@ -124,10 +165,30 @@ def advance(terms: tuple[Callable[..., Any], ...], single: bool, *told: Any) -> 
         else one
         for one in run.given
     ]
+    if run.shared > GIVEN_BYTES:
+        _allow(run, sent)
+    begun, done = cuda.event(), cuda.event()
+    begun.record()
     run.kernel[run.blocks, run.threads, 0, run.shared](*sent)
-    cuda.synchronize()
-    long = [part.copy_to_host() for part in sent[4]]
-    run.batch.take_back(sent[0].copy_to_host(), sent[1].copy_to_host(), long)
+    done.record()
+    done.synchronize()
+    own = {
+        k: sent[k].copy_to_host() for k, where in enumerate(MEMORIES) if where not in SHARED_BY_ALL
+    }
+    long = [part.copy_to_host() for part in sent[len(MEMORIES)]]
+    run.batch.take_back({MEMORIES[k]: flat for k, flat in own.items()}, long)
+    return 0.0 if config.ENABLE_CUDASIM else 1e-3 * float(cuda.event_elapsed_time(begun, done))
+
+
+def _allow(run: Launch, sent: list[Any]) -> None:
+    """Asks for more memory that a block shares than any is given; numba-cuda has no word for it."""
+    from numba.cuda.cudadrv import driver
+
+    drv: Any = driver
+    made = run.kernel.compile(tuple(run.kernel.typeof_pyval(part) for part in sent))
+    function = made._codelibrary.get_cufunc()
+    most = drv.binding.CUfunction_attribute.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
+    drv.driver.cuKernelSetAttribute(most, run.shared, function.handle, function.device.id)
 
 
 def prepared(
@@ -153,15 +214,17 @@ def prepared(
     real = np.float32 if single else np.float64
     lanes = rigs.cells.lanes
     slots = rigs.cells.par.shape[1] // lanes
-    batch = Batch(lanes)
-    for name in HOT[kernel.Cells]:  # comes first in memory
-        batch.array(kernel.Cells, name, getattr(rigs.cells, name))
-    shared = batch.hot * real().itemsize
-    shared = shared if shared <= SHARED_BYTES else 0
-    source = _source(batch, rigs, moving, clock, record, shared > 0)
+    for hot in (True, False):
+        batch = Batch(lanes, hot)
+        source = _source(batch, rigs, moving, clock, record, True)
+        shared = batch.size["near"] * real().itemsize
+        if shared + batch.size["tables"] * 8 <= SHARED_BYTES:
+            break
+    else:
+        source, shared = _source(batch, rigs, moving, clock, record, False), 0
     memory = batch.memory(real)
     given = (
-        *memory.values(),
+        *(memory[where] for where in MEMORIES),
         tuple(batch.long(real)),
         np.ascontiguousarray(np.moveaxis(opening, -1, 0)[..., None], dtype=real),
         clock.samples,

@@ -2,8 +2,9 @@
 """Device functions from the passes that the processor runs: the same code objects, other callees.
 
 A pass over slots (one that goes through `pneu_sim.compiling.each`) is done by all threads of a
-block, each its share; any other by the first thread alone, for one rig has few ends, valves and
-chambers. After each all threads meet. Sequences of passes are run through by all threads alike.
+block, each its share; one over ends (`apart`) by one thread of each warp; any other by the first
+thread alone, for one rig has few valves and chambers. Before and after what several threads do all
+meet. Sequences of passes are run through by all threads alike.
 """
 
 import dis
@@ -11,11 +12,11 @@ from collections.abc import Callable
 from types import CodeType, FunctionType
 from typing import Any
 
+import numba.core.config
 import numba.cuda
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 
-from pneu_sim.compiling import each
 from pneu_sim.kernel.encoders import read_encoders
 from pneu_sim.kernel.recording import read
 
@@ -23,6 +24,8 @@ Function = Callable[..., Any]
 KEEPING = np.float32(1e-12)
 """What stands for constants that are too small for single precision."""
 cuda: Any = numba.cuda  # its types say nothing of what kernels see
+config: Any = numba.core.config
+WARP = 1 if config.ENABLE_CUDASIM else 32
 ANSWERING = (read, read_encoders)
 """Passes whose answer decides which passes follow: all threads are told it."""
 
@@ -33,11 +36,23 @@ def _share(n):  # type: ignore[no-untyped-def]
     return range(cuda.threadIdx.x, n, cuda.blockDim.x)
 
 
+@cuda.jit(device=True)
+def _warps_share(n):  # type: ignore[no-untyped-def]
+    """Every warp's own of ``n``, for its first thread."""
+    first = cuda.threadIdx.x // WARP if cuda.threadIdx.x % WARP == 0 else n
+    return range(first, n, cuda.blockDim.x // WARP)
+
+
+SHARES = {"each": _share, "apart": _warps_share}
+"""What stands for the ways in which passes go through something, by their names."""
+
+
 def _by_all(function: Function) -> Function:
     """A pass over slots: all threads do it, and meet."""
 
     @cuda.jit(device=True)
     def meeting(*args):  # type: ignore[no-untyped-def]
+        cuda.syncthreads()
         function(*args)
         cuda.syncthreads()
 
@@ -45,15 +60,14 @@ def _by_all(function: Function) -> Function:
 
 
 def _by_one(function: Function) -> Function:
-    """A pass that one thread does while the others wait."""
+    """A pass that one thread does; the others go on to where they meet next."""
 
     @cuda.jit(device=True)
-    def waiting(*args):  # type: ignore[no-untyped-def]
+    def alone(*args):  # type: ignore[no-untyped-def]
         if cuda.threadIdx.x == 0:
             function(*args)
-        cuda.syncthreads()
 
-    return waiting
+    return alone
 
 
 def _told_by_one(function: Function) -> Function:
@@ -101,8 +115,8 @@ class Translation:
             scope = dict(own.__globals__)
             for name in _names(own.__code__):
                 value = scope.get(name)
-                if value is each:
-                    scope[name] = _share
+                if name in SHARES:
+                    scope[name] = SHARES[name]
                 elif isinstance(value, Dispatcher):
                     scope[name] = self._stage(value) if sequence else self.device(value)
                 elif self.single and isinstance(value, float):
@@ -117,18 +131,12 @@ class Translation:
             made = self.device(kernel)
             if kernel in ANSWERING:
                 made = _told_by_one(made)
-            elif _goes_over_slots(kernel):
+            elif SHARES.keys() & _names(kernel.py_func.__code__):
                 made = _by_all(made)
             elif not getattr(kernel, "sequence", False):
                 made = _by_one(made)
             self._staged[kernel] = made
         return self._staged[kernel]
-
-
-def _goes_over_slots(kernel: Any) -> bool:
-    """Whether a pass goes through slots."""
-    scope = kernel.py_func.__globals__
-    return each in [scope.get(name) for name in _names(kernel.py_func.__code__)]
 
 
 def _names(code: CodeType) -> set[str]:

@@ -59,7 +59,8 @@ class Cells(NamedTuple):
         lanes: Rigs side by side.
         par: (PARAM_ROWS, n) parameters.
         state: (STATE_ROWS, n) state.
-        work: (WORK_ROWS, n) what passes hand on to one another.
+        work: (WORK_ROWS, n) what passes hand on to one another; in second order more rows.
+        wall: (WALL_ROWS, n) what walls do.
         soft: (SOFT_ROWS, n) what yielding walls hold; no columns where none yields.
     """
 
@@ -67,6 +68,7 @@ class Cells(NamedTuple):
     par: Floats
     state: Floats
     work: Floats
+    wall: Floats
     soft: Floats
 
 

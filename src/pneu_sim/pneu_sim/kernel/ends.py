@@ -4,7 +4,7 @@
 import math
 
 from pneu_sim import layout as L
-from pneu_sim.compiling import branching, folded, inlined
+from pneu_sim.compiling import apart, branching, folded, inlined, sequence
 from pneu_sim.kernel.orifices import orifice_flow
 
 JET_STEPS, JET_FOUND = 40, 1e-10
@@ -279,7 +279,7 @@ def fill_ghosts(gas, vessels, cells, ends, reservoirs, chambers):
     w, S, X, index, gamma = cells.lanes, cells.state, cells.work, ends.table, gas.gamma
     rho, mom, ene = S[L.RHO], S[L.MOM], S[L.ENE]
     i_gm, i_r = 1.0 / (gamma - 1.0), 1.0 / gas.r
-    for e in range(index.shape[0]):
+    for e in apart(index.shape[0]):
         kind = index[e, L.E_KIND]
         ref = index[e, L.E_REF]
         vessel = kind == L.TANK or kind == L.CHAMBER or kind == L.JUNCTION
@@ -445,22 +445,11 @@ def _pass_on(e, j, dt, cells, ends, reservoirs, chambers):
 
 
 @branching
-def cross_ends(gas, order, dt, cells, ends, ports, reservoirs, chambers):
-    """Overwrite the fluxes of pipe ends that are not simple faces, and update what they feed.
-
-    Args:
-        gas: The gas.
-        order: 1 Godunov, 2 MUSCL-Hancock.
-        dt: Step, s.
-        cells: All slots.
-        ends: Ends of pipes.
-        ports: Ports.
-        reservoirs: Reservoirs.
-        chambers: Chambers.
-    """
+def _find_fluxes(gas, order, cells, ends, ports, reservoirs, chambers):
+    """Fluxes of pipe ends that are not simple faces, each from what is known before any is."""
     w, X, index = cells.lanes, cells.work, ends.table
     fm, fp, fe = X[L.W_FM], X[L.W_FP], X[L.W_FE]
-    for e in range(index.shape[0]):
+    for e in apart(index.shape[0]):
         kind = index[e, L.E_KIND]
         sign = float(index[e, L.E_SIGN])
         for j in range(w):
@@ -479,6 +468,13 @@ def cross_ends(gas, order, dt, cells, ends, ports, reservoirs, chambers):
             elif kind == L.JUNCTION:
                 m, push, h = _into_joint(e, j, gas, order, cells, ends)
                 fm[f], fp[f], fe[f] = sign * m, push, sign * h
+
+
+@branching
+def _feed(dt, cells, ends, ports, reservoirs, chambers):
+    """What flows through ends and ports reaches what they feed."""
+    for e in range(ends.table.shape[0]):
+        for j in range(cells.lanes):
             _pass_on(e, j, dt, cells, ends, reservoirs, chambers)
     for k in range(ports.table.shape[0]):
         for side in range(2):
@@ -487,7 +483,25 @@ def cross_ends(gas, order, dt, cells, ends, ports, reservoirs, chambers):
             sign = -1.0 if side == 0 else 1.0
             g = sign * dt
             if kind == L.SIDE_CHAMBER:
-                for j in range(w):
+                for j in range(cells.lanes):
                     chambers.state[ref, 0, j] += g * ports.flow[k, 0, j]
                     chambers.state[ref, 1, j] += g * ports.flow[k, 1, j]
                     chambers.work[ref, L.H_INFLOW, j] += max(sign * ports.flow[k, 0, j], 0.0)
+
+
+@sequence
+def cross_ends(gas, order, dt, cells, ends, ports, reservoirs, chambers):
+    """Overwrite the fluxes of pipe ends that are not simple faces, and update what they feed.
+
+    Args:
+        gas: The gas.
+        order: 1 Godunov, 2 MUSCL-Hancock.
+        dt: Step, s.
+        cells: All slots.
+        ends: Ends of pipes.
+        ports: Ports.
+        reservoirs: Reservoirs.
+        chambers: Chambers.
+    """
+    _find_fluxes(gas, order, cells, ends, ports, reservoirs, chambers)
+    _feed(dt, cells, ends, ports, reservoirs, chambers)

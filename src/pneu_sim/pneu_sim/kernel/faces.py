@@ -122,14 +122,14 @@ def reconstruct(gas, van_leer, dt, cells):
         dt: Step, s.
         cells: All slots.
     """
-    P, S, X = cells.par, cells.state, cells.work
+    P, S, X, D = cells.par, cells.state, cells.work, cells.wall
     _slopes(
         gas.gamma,
         van_leer,
         dt,
         cells.lanes,
         (S[L.RHO], S[L.MOM], S[L.ENE]),
-        (P[L.LENGTH], X[L.W_P], X[L.W_RI], X[L.W_DRAG], X[L.W_WARM]),
+        (P[L.LENGTH], X[L.W_P], X[L.W_RI], D[L.D_DRAG], D[L.D_WARM]),
         (X[L.W_RL], X[L.W_UL], X[L.W_PL], X[L.W_IL]),
         (X[L.W_RR], X[L.W_UR], X[L.W_PR], X[L.W_IR]),
     )
@@ -243,11 +243,12 @@ def cross(gas, scheme, cells):
     """
     w, X = cells.lanes, cells.work
     u, p, c, ri, rho = X[L.W_U], X[L.W_P], X[L.W_C], X[L.W_RI], cells.state[L.RHO]
-    rl, ul, pl, il = X[L.W_RL], X[L.W_UL], X[L.W_PL], X[L.W_IL]
-    rr, ur, pr, ir = X[L.W_RR], X[L.W_UR], X[L.W_PR], X[L.W_IR]
     fm, fp, fe = X[L.W_FM], X[L.W_FP], X[L.W_FE]
     if scheme.order == 1:
         rl, ul, pl, il = rr, ur, pr, ir = rho, u, p, ri
+    else:
+        rl, ul, pl, il = X[L.W_RL], X[L.W_UL], X[L.W_PL], X[L.W_IL]
+        rr, ur, pr, ir = X[L.W_RR], X[L.W_UR], X[L.W_PR], X[L.W_IR]
     if scheme.flux == L.HLLC:
         _hllc_faces(gas.gamma, w, c, rr, ur, pr, ir, rl, ul, pl, il, fm, fp, fe)
     else:

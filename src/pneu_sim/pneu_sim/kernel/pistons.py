@@ -218,7 +218,7 @@ def fill_piston_ghosts(gas, cells, cylinders):
 @folded
 def _evolve(i, length, d0, d1, d2, gm, half, cells):
     """States at both faces of a cell half a step on, from half slopes; as `faces.reconstruct`."""
-    S, X = cells.state, cells.work
+    S, X, D = cells.state, cells.work, cells.wall
     rho, mom, ene, p = S[L.RHO, i], S[L.MOM, i], S[L.ENE, i], X[L.W_P, i]
     r1, m1, e1 = rho - d0, mom - d1, ene - d2
     r2, m2, e2 = rho + d0, mom + d1, ene + d2
@@ -227,8 +227,8 @@ def _evolve(i, length, d0, d1, d2, gm, half, cells):
     p2 = gm * (e2 - 0.5 * m2 * u2)
     h = half / length
     f0 = h * (m1 - m2)
-    f1 = h * (m1 * u1 + p1 - m2 * u2 - p2) + half * X[L.W_DRAG, i]
-    f2 = h * (u1 * (e1 + p1) - u2 * (e2 + p2)) + half * X[L.W_WARM, i]
+    f1 = h * (m1 * u1 + p1 - m2 * u2 - p2) + half * D[L.D_DRAG, i]
+    f2 = h * (u1 * (e1 + p1) - u2 * (e2 + p2)) + half * D[L.D_WARM, i]
     r1 += f0
     r2 += f0
     m1 += f1
@@ -498,8 +498,10 @@ def _copy_cell(i, g, cells):
     """Give a cell all that another remembers."""
     for row in range(L.STATE_ROWS):
         cells.state[row, g] = cells.state[row, i]
-    for row in range(L.WORK_ROWS):
+    for row in range(cells.work.shape[0]):
         cells.work[row, g] = cells.work[row, i]
+    for row in range(L.WALL_ROWS):
+        cells.wall[row, g] = cells.wall[row, i]
 
 
 @folded

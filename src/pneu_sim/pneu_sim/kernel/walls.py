@@ -51,11 +51,11 @@ def find_coefficients(gas, cells):
         gas: The gas.
         cells: All slots.
     """
-    P, X = cells.par, cells.work
+    P, D = cells.par, cells.wall
     _coefficients(
         gas.gamma, gas.r, gas.prandtl, cells.state[L.MOM],
         P[L.REYNOLDS], P[L.ROUGH], P[L.TURBULENT], P[L.ONSET], P[L.RELAX],
-        P[L.HEAT], P[L.HEAT_TURBULENT], X[L.W_PHI], X[L.W_FILM],
+        P[L.HEAT], P[L.HEAT_TURBULENT], D[L.D_PHI], D[L.D_FILM],
     )  # fmt: skip
 
 
@@ -89,9 +89,9 @@ def find_decay(gas, dt, cells):
         dt: Step, s.
         cells: All slots.
     """
-    P, X = cells.par, cells.work
-    a_u, a_t, fade = X[L.W_AU], X[L.W_AT], X[L.W_FADE]
-    _decay(gas.prandtl, dt, P[L.RELAX], P[L.QUICKEN], X[L.W_RI], X[L.W_PHI], a_u, a_t, fade)
+    P, X, D = cells.par, cells.work, cells.wall
+    a_u, a_t, fade = D[L.D_AU], D[L.D_AT], D[L.D_FADE]
+    _decay(gas.prandtl, dt, P[L.RELAX], P[L.QUICKEN], X[L.W_RI], D[L.D_PHI], a_u, a_t, fade)
 
 
 @vectorised
@@ -127,10 +127,10 @@ def act_steadily(gas, dt, cells):
         dt: Step, s.
         cells: All slots.
     """
-    P, S, X = cells.par, cells.state, cells.work
+    P, S, X, D = cells.par, cells.state, cells.work, cells.wall
     _steadily(
         gas.gamma, gas.r, dt, S[L.RHO], S[L.MOM], S[L.ENE], X[L.W_RI],
-        P[L.VISCOUS], P[L.LOSS], P[L.WALL_T], X[L.W_PHI], X[L.W_FILM], X[L.W_DRAG], X[L.W_WARM],
+        P[L.VISCOUS], P[L.LOSS], P[L.WALL_T], D[L.D_PHI], D[L.D_FILM], D[L.D_DRAG], D[L.D_WARM],
     )  # fmt: skip
 
 
@@ -241,13 +241,13 @@ def drag_with_memory(dt, cells):
         dt: Step, s.
         cells: All slots.
     """
-    P, S, X = cells.par, cells.state, cells.work
+    P, S, X, D = cells.par, cells.state, cells.work, cells.wall
     _drag(
         dt,
         (S[L.RHO], S[L.MOM], X[L.W_RI], X[L.W_U]),
-        (X[L.W_PHI], P[L.VISCOUS], P[L.LOSS], P[L.UNSTEADY]),
-        (X[L.W_AU], X[L.W_FADE], X[L.W_STAY]),
-        X[L.W_DRAG],
+        (D[L.D_PHI], P[L.VISCOUS], P[L.LOSS], P[L.UNSTEADY]),
+        (D[L.D_AU], D[L.D_FADE], D[L.D_STAY]),
+        D[L.D_DRAG],
         (S[L.Y0], S[L.Y0 + 1], S[L.Y0 + 2], S[L.Y0 + 3], S[L.Y0 + 4], S[L.Y0 + 5]),
     )
 
@@ -298,13 +298,13 @@ def heat_with_memory(gas, dt, cells):
         dt: Step, s.
         cells: All slots.
     """
-    P, S, X = cells.par, cells.state, cells.work
+    P, S, X, D = cells.par, cells.state, cells.work, cells.wall
     _heat(
         gas,
         dt,
         (S[L.RHO], S[L.MOM], S[L.ENE], X[L.W_RI], X[L.W_T]),
-        (X[L.W_FILM], P[L.HEAT_UNSTEADY], P[L.WALL_T]),
-        (X[L.W_AT], X[L.W_FADE], X[L.W_STAY]),
-        X[L.W_WARM],
+        (D[L.D_FILM], P[L.HEAT_UNSTEADY], P[L.WALL_T]),
+        (D[L.D_AT], D[L.D_FADE], D[L.D_STAY]),
+        D[L.D_WARM],
         (S[L.Z0], S[L.Z0 + 1], S[L.Z0 + 2], S[L.Z0 + 3], S[L.Z0 + 4], S[L.Z0 + 5]),
     )
