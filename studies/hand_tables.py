@@ -9,7 +9,7 @@ Stages, each skipped where its result is there already:
   starts   table 2.4: 33 starts, each parameter halved to doubled at random
   effects  a tip that is softer, a force sensor that lags, an encoder's scale: each sealed, recorded
            through the graph twice, and named by `diagnose` of what was identified before
-  page     ``docs/hand_tables.md``
+  page     ``docs/hand_tables.md``; a section of which there is no new result stays as it was
 """
 
 import argparse
@@ -296,8 +296,6 @@ def _knots(rows: list[dict[str, Any]]) -> list[str]:
         for row in rows
     ]
     lines = [
-        "## How close knots must be",
-        "",
         "The first recording again, with knots closer together, near contacts twice as close as"
         " elsewhere: value, its standard error, and how far it is from the hidden one.",
         "",
@@ -318,8 +316,10 @@ def _knots(rows: list[dict[str, Any]]) -> list[str]:
         f" {1e3 / _ringing_hz('phantom_tip_y'):.1f} ms. Furthest from the hidden value with the"
         f" scene's knots is {worst[0]}, by {off[0][worst[0]]:+.0f} %, with the closest {worst[1]},"
         f" by {off[-1][worst[1]]:+.0f} %.",
-        "",
     ]
+
+
+EFFECTS = "An effect that is hidden besides"
 
 
 def page(kept: dict[str, Any], path: Path) -> None:
@@ -329,16 +329,22 @@ def page(kept: dict[str, Any], path: Path) -> None:
         kept: Figures of each stage, and the digest of the sources that they were made by.
         path: The page.
     """
-    scenes = digest_of([HAND.parent])
-    found = {stage: of["figures"] for stage, of in kept.items()}
-    of_sources: dict[str, list[str]] = {}
+    new: dict[str, list[str]] = {}
     for stage, of in kept.items():
-        of_sources.setdefault(of["sources"], []).append(stage)
-    made = "; ".join(f"{', '.join(names)}: {digest}" for digest, names in of_sources.items())
+        if not stage.startswith("effect "):
+            made = f"Scenes {digest_of([HAND.parent])}, sources {of['sources']}."
+            for title, lines in TOLD[stage](of["figures"]).items():
+                new[title] = [*lines, "", made]
+    if named := {stage: of for stage, of in kept.items() if stage.startswith("effect ")}:
+        sources = " and ".join(sorted({of["sources"] for of in named.values()}))
+        made = f"Scenes {digest_of([HAND.parent])}, sources {sources}."
+        new[EFFECTS] = [*_effects([named[stage]["figures"] for stage in sorted(named)]), "", made]
+    old = sections(path.read_text(encoding="utf-8")) if path.is_file() else {}
     lines = [
         "# An arm that touches: the experiments of thesis 2.7",
         "",
-        f"Made by `make hand-tables`, from scenes {scenes}. Sources by stage: {made}.",
+        "Made by `make hand-tables`, section by section; each names the scenes and sources that it"
+        " is of.",
         "",
         f"Five recordings of {SECONDS:g} s through `hand.launch.yaml backend:=emulated`: a Phantom"
         " taps and presses a cylinder on a string. The truth is hidden in"
@@ -346,88 +352,117 @@ def page(kept: dict[str, Any], path: Path) -> None:
         " `scenes/phantom/hanging.xml`.",
         "",
     ]
-    if crossed := found.get("cross"):
-        heads = " | ".join(crossed["labels"])
-        lines += [
-            "## Parameters of each recording (table 2.2)",
-            "",
-            f"| recording | {heads} |",
-            "|---" * (1 + len(crossed["labels"])) + "|",
-        ]
-        for name, values in zip(crossed["names"], crossed["values"], strict=True):
-            lines.append(f"| {name} | " + " | ".join(f"{v:.4g}" for v in values) + " |")
-        truly = hidden_values()
-        lines.append("| hidden | " + " | ".join(truly.get(k, "") for k in crossed["labels"]) + " |")
-        lines += [
-            "",
-            "## Cost of each with parameters of every one (table 2.3)",
-            "",
-            "| recording | hand-tuned | " + " | ".join(f"of {n}" for n in crossed["names"]) + " |",
-            "|---" * (2 + len(crossed["names"])) + "|",
-        ]
-        for k, name in enumerate(crossed["names"]):
-            row = [crossed["manual"][k], *crossed["costs"][k]]
-            lines.append(f"| {name} | " + " | ".join(f"{v:.4g}" for v in row) + " |")
-        lines += [
-            "",
-            f"At worst {crossed['worst']:.2f} times a recording's own cost (thesis: 1.39);"
-            f" hand-tuned at least {crossed['gain']:.2f} times.",
-            "",
-        ]
-    if knots := found.get("knots"):
-        lines += _knots(knots["rows"])
-    if without := found.get("without"):
-        lines += [
-            "## A sensor left out and foretold (2.7.1)",
-            "",
-            "| sensor | RMSE without it | with it | its range | RMSE over range |",
-            "|---|---|---|---|---|",
-        ]
-        for row in without["rows"]:
-            lines.append(
-                f"| {row['sensor']} | {row['rmse']:.4g} | {row['with_it']:.4g} |"
-                f" {row['span']:.4g} | {100 * row['rmse'] / row['span']:.1f} % |"
-            )
-        lines.append("")
-    if starts := found.get("starts"):
-        values, costs = np.array(starts["values"]), np.array(starts["costs"])
-        lines += [
-            f"## {len(costs)} starts, each parameter halved to doubled (table 2.4)",
-            "",
-            "| | mean | standard deviation | of the mean |",
-            "|---|---|---|---|",
-            f"| cost | {costs.mean():.5g} | {costs.std():.2g} |"
-            f" {100 * costs.std() / costs.mean():.2f} % |",
-        ]
-        for k, label in enumerate(starts["labels"]):
-            mean, std = values[:, k].mean(), values[:, k].std()
-            lines.append(f"| {label} | {mean:.5g} | {std:.2g} | {100 * std / mean:.2f} % |")
-        lines += ["", f"{100 * starts['same']:.0f} % end within 2 % of the least cost.", ""]
-    named = [found[k] for k in sorted(found) if k.startswith("effect ")]
-    if named:
-        lines += [
-            "## An effect that is hidden besides",
-            "",
-            "What was identified before is written into the MJCF; friction and stiffness of"
-            f" contacts are fitted again. Two recordings of {EFFECT_SECONDS:g} s, of which every"
-            " second stretch is fitted, and the others judge.",
-            "",
-            "| hidden | verdict | named | found | standard errors | minutes |",
-            "|---|---|---|---|---|---|",
-        ]
-        for one in named:
-            best = one["finalists"][0] if one["finalists"] else None
-            told = one["verdict"] in ("effect", "ambiguous") and best is not None
-            label = best["label"] if told and best else "nothing"
-            ok = "" if told and label in one["right"] else " (WRONG)"
-            figure = f"{best['strength']:.4g} ± {best['error']:.1g}" if told and best else "-"
-            lead = f"{best['lead']:.1f}" if told and best else "-"
-            lines.append(
-                f"| {one['words']} | {one['verdict']} | {label}{ok} | {figure} | {lead} |"
-                f" {one['minutes']:.0f} |"
-            )
-        lines += ["", *(f"* {one['words']}: {one['sentence']}" for one in named), ""]
+    for title in (*TITLES, EFFECTS):
+        if told := new.get(title, old.get(title)):
+            lines += [f"## {title}", "", *told, ""]
     write_whole(path, "\n".join(lines))
+
+
+def sections(text: str) -> dict[str, list[str]]:
+    """Sections of a page by their titles, as lines.
+
+    Args:
+        text: The page.
+    """
+    found = {}
+    for section in text.split("\n## ")[1:]:
+        title, _, rest = section.partition("\n")
+        found[title] = rest.strip().splitlines()
+    return found
+
+
+def _cross(crossed: dict[str, Any]) -> dict[str, list[str]]:
+    """Tables 2.2 and 2.3."""
+    heads = " | ".join(crossed["labels"])
+    values = [f"| recording | {heads} |", "|---" * (1 + len(crossed["labels"])) + "|"]
+    for name, row in zip(crossed["names"], crossed["values"], strict=True):
+        values.append(f"| {name} | " + " | ".join(f"{v:.4g}" for v in row) + " |")
+    truly = hidden_values()
+    values.append("| hidden | " + " | ".join(truly.get(k, "") for k in crossed["labels"]) + " |")
+    costs = [
+        "| recording | hand-tuned | " + " | ".join(f"of {n}" for n in crossed["names"]) + " |",
+        "|---" * (2 + len(crossed["names"])) + "|",
+    ]
+    for k, name in enumerate(crossed["names"]):
+        row = [crossed["manual"][k], *crossed["costs"][k]]
+        costs.append(f"| {name} | " + " | ".join(f"{v:.4g}" for v in row) + " |")
+    costs += [
+        "",
+        f"At worst {crossed['worst']:.2f} times a recording's own cost (thesis: 1.39);"
+        f" hand-tuned at least {crossed['gain']:.2f} times.",
+    ]
+    return {TITLES[0]: values, TITLES[1]: costs}
+
+
+def _without(without: dict[str, Any]) -> dict[str, list[str]]:
+    """Sensors left out."""
+    lines = [
+        "| sensor | RMSE without it | with it | its range | RMSE over range |",
+        "|---|---|---|---|---|",
+    ]
+    for row in without["rows"]:
+        lines.append(
+            f"| {row['sensor']} | {row['rmse']:.4g} | {row['with_it']:.4g} |"
+            f" {row['span']:.4g} | {100 * row['rmse'] / row['span']:.1f} % |"
+        )
+    return {TITLES[3]: lines}
+
+
+def _starts(starts: dict[str, Any]) -> dict[str, list[str]]:
+    """Table 2.4."""
+    values, costs = np.array(starts["values"]), np.array(starts["costs"])
+    lines = [
+        "| | mean | standard deviation | of the mean |",
+        "|---|---|---|---|",
+        f"| cost | {costs.mean():.5g} | {costs.std():.2g} |"
+        f" {100 * costs.std() / costs.mean():.2f} % |",
+    ]
+    for k, label in enumerate(starts["labels"]):
+        mean, std = values[:, k].mean(), values[:, k].std()
+        lines.append(f"| {label} | {mean:.5g} | {std:.2g} | {100 * std / mean:.2f} % |")
+    return {
+        TITLES[4]: [*lines, "", f"{100 * starts['same']:.0f} % end within 2 % of the least cost."]
+    }
+
+
+def _effects(named: list[dict[str, Any]]) -> list[str]:
+    """What was hidden, and what was named."""
+    lines = [
+        "What was identified before is written into the MJCF; friction and stiffness of"
+        f" contacts are fitted again. Two recordings of {EFFECT_SECONDS:g} s, of which every"
+        " second stretch is fitted, and the others judge.",
+        "",
+        "| hidden | verdict | named | found | standard errors | minutes |",
+        "|---|---|---|---|---|---|",
+    ]
+    for one in named:
+        best = one["finalists"][0] if one["finalists"] else None
+        told = one["verdict"] in ("effect", "ambiguous") and best is not None
+        label = best["label"] if told and best else "nothing"
+        ok = "" if told and label in one["right"] else " (WRONG)"
+        figure = f"{best['strength']:.4g} ± {best['error']:.1g}" if told and best else "-"
+        lead = f"{best['lead']:.1f}" if told and best else "-"
+        lines.append(
+            f"| {one['words']} | {one['verdict']} | {label}{ok} | {figure} | {lead} |"
+            f" {one['minutes']:.0f} |"
+        )
+    return [*lines, "", *(f"* {one['words']}: {one['sentence']}" for one in named)]
+
+
+TITLES = (
+    "Parameters of each recording (table 2.2)",
+    "Cost of each with parameters of every one (table 2.3)",
+    "How close knots must be",
+    "A sensor left out and foretold (2.7.1)",
+    f"{STARTS} starts, each parameter halved to doubled (table 2.4)",
+)
+TOLD: dict[str, Callable[[Any], dict[str, list[str]]]] = {
+    "cross": _cross,
+    "knots": lambda knots: {TITLES[2]: _knots(knots["rows"])},
+    "without": _without,
+    "starts": _starts,
+}
+"""Sections of the page, by the stage that makes them."""
 
 
 def main() -> int:
