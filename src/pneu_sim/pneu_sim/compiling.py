@@ -122,7 +122,7 @@ def sequence(function: Callable[..., Any]) -> Any:
     Args:
         function: The sequence.
     """
-    made = branching(function)
+    made = folded(function)
     made.sequence = True
     return made
 

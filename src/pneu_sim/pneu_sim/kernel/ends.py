@@ -444,7 +444,7 @@ def _pass_on(e, j, dt, cells, ends, reservoirs, chambers):
         S[L.ENE, k] += g * fe[f]
 
 
-@branching
+@folded
 def _find_fluxes(gas, order, cells, ends, ports, reservoirs, chambers):
     """Fluxes of pipe ends that are not simple faces, each from what is known before any is."""
     w, X, index = cells.lanes, cells.work, ends.table
@@ -470,7 +470,7 @@ def _find_fluxes(gas, order, cells, ends, ports, reservoirs, chambers):
                 fm[f], fp[f], fe[f] = sign * m, push, sign * h
 
 
-@branching
+@folded
 def _feed(dt, cells, ends, ports, reservoirs, chambers):
     """What flows through ends and ports reaches what they feed."""
     for e in range(ends.table.shape[0]):
