@@ -29,6 +29,7 @@ from pneu_sim.run import add_encoder_noise, add_noise, run_from_rest
 from pneu_sim.signals import Signal
 from pneu_sysid.design.design import Asked, design
 from pneu_sysid.design.hypotheses import hypotheses_of
+from pneu_sysid.design.judge import judged
 from pneu_sysid.design.limits import Limits, limits_of
 from pneu_sysid.design.parameters import parameters_to_learn
 from pneu_sysid.design.waves import STEP_S, draw_piece, joined
@@ -222,6 +223,7 @@ def _designed(
         "words": plan.expected.words,
         "both": [both.verdict, *named(both)],
         "alone": [alone.verdict, *named(alone)],
+        "found": [one.as_dict() for one in judged("designed", plan, alone).told_apart],
         "random_again": [again.verdict, *named(again)],
         "design_s": took_s,
     }
@@ -292,10 +294,12 @@ def page(path: Path) -> None:
         "## Two effects that a random recording does not tell apart", "",
         "Plants with finer cells and another flux than the models. A random recording of"
         f" {SECONDS:g} s leaves the two open; then a designed one of the same length, and another"
-        " random one for comparison, each diagnosed together with the first.", "",
-        "| hidden | first, random | expected | with the designed one | with another random one |"
-        " design [s] |",
-        "|---|---|---|---|---|---|",
+        " random one for comparison, each diagnosed together with the first. Expected and found are"
+        " the standard errors by which the designed one alone tells the first of the two from what"
+        " comes nearest.", "",
+        "| hidden | first, random | expected | found | with the designed one | with another random"
+        " one | design [s] |",
+        "|---|---|---|---|---|---|---|",
     ]  # fmt: skip
     right = count = 0
     for k, pair in enumerate(PAIRS):
@@ -305,14 +309,15 @@ def page(path: Path) -> None:
         count += 1
         f = one["figures"]
         if not f["open"]:
-            lines.append(f"| {pair.name} | no random recording left it open | | | | |")
+            lines.append(f"| {pair.name} | no random recording left it open | | | | | |")
             continue
         named_right = f["both"][0] == "effect" and f["both"][1].startswith(f["hidden"])
         right += named_right
         expected = min(s["standard_errors"] for s in f["expected"] if s["one"] == f["first"][0])
+        found = _found(f)
         values = ", ".join(f"{n} {v:.3g}" for n, v in f["values"].items())
         lines.append(
-            f"| {f['hidden']} ({values}) | {', '.join(f['first'])} | {expected:.1f} standard errors"
+            f"| {f['hidden']} ({values}) | {', '.join(f['first'])} | {expected:.1f} | {found}"
             f" | {'right' if named_right else 'NOT RIGHT'}: {', '.join(f['both'])}"
             f" | {', '.join(f['random_again'])}"
             f" | {f['design_s']:.0f} |"
@@ -338,6 +343,16 @@ def page(path: Path) -> None:
             f" | {f['error_ratio'] or float('nan'):.2f} ({low:.2f} to {high:.2f}) |"
         )
     write_whole(path, "\n".join(lines) + "\n")
+
+
+def _found(figures: dict[str, Any]) -> str:
+    """By how much the designed recording alone told what the random one left open."""
+    leads = [
+        abs(told["found"])
+        for told in figures["found"]
+        if told["found"] is not None and told["one"] == figures["first"][0]
+    ]
+    return f"{min(leads):.1f}" if leads else "another was named"
 
 
 def main() -> int:

@@ -13,13 +13,13 @@ from tests.one_tap import LAB, one_tap
 
 from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
-from pneu_sim.rig.schema import AttachedEffect
+from pneu_sim.rig.schema import AttachedEffect, Calibration
 from pneu_sysid.design.choose import choose
 from pneu_sysid.design.command import foreseen_words, joints_of
 from pneu_sysid.design.design import Asked, design
-from pneu_sysid.design.foreseen import foresee
+from pneu_sysid.design.foreseen import foresee, lasting_share
 from pneu_sysid.design.hypotheses import Hypothesis
-from pneu_sysid.design.information import Columns, Information
+from pneu_sysid.design.information import Columns, Information, _scatter
 from pneu_sysid.design.limits import limits_of, volts_of
 from pneu_sysid.design.plan_file import check_plan, load_plan
 from pneu_sysid.design.waves import KINDS, STEP_S, draw_piece, joined
@@ -96,6 +96,7 @@ def made_up(rng: np.random.Generator, pieces: int, m: int = 200) -> tuple[np.nda
     columns = rng.normal(size=(pieces, m, 7))
     columns[..., 1] += 0.5 * columns[..., 0]
     grams = np.einsum("smi,smj->sij", columns, columns)
+    grams = np.stack([grams, grams], axis=1)  # what is left is noise
     layout = Columns(change=[0, 2], own=[[1], [3, 4]], parameters=[5, 6])
     return columns, Information(layout, grams, [], np.ones(2))
 
@@ -113,7 +114,7 @@ def test_distance_is_what_a_fit_leaves():
         left = b - a @ np.linalg.lstsq(a, b, rcond=None)[0]
         gram = told.grams.sum(axis=0)
         whole = told.residual(gram, true // 2, other // 2)
-        found = np.sqrt(whole @ gram @ whole)
+        found = np.sqrt(whole @ gram[0] @ whole)
         # what the priors take up is no part of what is left of the readings
         left = left[: flat.shape[0]]
         assert found == pytest.approx(np.linalg.norm(left), rel=1e-6)
@@ -123,17 +124,49 @@ def test_what_is_doubtful_lowers_a_lead_and_widens_errors():
     """As much as it goes along with what sets two apart, or with a parameter."""
     columns, told = made_up(np.random.default_rng(8), 2)
     flat = columns.reshape(-1, 7)
-    gram = flat.T @ flat
+    gram = np.stack([flat.T @ flat] * 2)
     doubt = 3.0 * (flat[:, 0] - flat[:, 2]) + 2.0 * flat[:, 5]
     wide = np.concatenate([flat, doubt[:, None]], axis=1)
     layout = dataclasses.replace(told.columns, doubtful=[7])
     doubtful = dataclasses.replace(told, columns=layout)
-    assert doubtful.lead(wide.T @ wide, 0, 1) < 0.1 * told.lead(gram, 0, 1)
-    before, after = told.covariance(gram), doubtful.covariance(wide.T @ wide)
+    widened = np.stack([wide.T @ wide] * 2)
+    assert doubtful.lead(widened, 0, 1) < 0.1 * told.lead(gram, 0, 1)
+    before, after = told.covariance(gram), doubtful.covariance(widened)
     # a fit to the doubtful column alone: least squares with the prior
     j = flat[:, 5:]
     off = np.linalg.solve(j.T @ j + np.eye(2), j.T @ doubt)
     np.testing.assert_allclose(after, before + np.outer(off, off), rtol=1e-9)
+
+
+def test_what_lasts_makes_fits_and_leads_scatter():
+    """Against draws: noise of which a part stays the same through a block, and what a fit makes."""
+    rng = np.random.default_rng(21)
+    stretches, per_block, blocks, taps = 6, 10, 4, 2
+    m = per_block * blocks * taps
+    columns = rng.normal(size=(stretches, m, 2)) + 1.0
+    share = np.array([0.5, 0.0])
+    block = np.repeat(np.arange(stretches * blocks), per_block * taps).reshape(stretches, m)
+    scatter = _scatter(columns, share, block).sum(axis=0)
+    made = []
+    for _ in range(4000):
+        left = rng.normal(size=(stretches, m // taps, taps)) * np.sqrt(1.0 - share)
+        slow = rng.normal(size=(stretches, blocks, 1, taps)) * np.sqrt(share)
+        left += np.broadcast_to(slow, (stretches, blocks, per_block, taps)).reshape(left.shape)
+        made.append(np.einsum("smc,sm->c", columns, left.reshape(stretches, m)))
+    np.testing.assert_allclose(np.cov(np.array(made).T), scatter, rtol=0.1)
+    flat = columns.reshape(-1, 2)
+    assert scatter[0, 0] > 1.5 * (flat.T @ flat)[0, 0]
+    told = Information(Columns([], [], [0, 1]), np.zeros((1, 2, 2, 2)), [], np.ones(2))
+    wide = told.covariance(np.stack([flat.T @ flat, scatter]))
+    a = np.linalg.inv(flat.T @ flat + np.eye(2))
+    np.testing.assert_allclose(wide, a @ (scatter + np.eye(2)) @ a)
+
+
+def test_what_a_calibration_left_beyond_noise_lasts():
+    assert lasting_share(LAB) == {}
+    left, noise = {"end": 200.0, "valve_out": 50.0}, {"end": 100.0, "valve_out": 60.0}
+    calibration = Calibration(recording="a", rmse_pa=left, noise_floor_pa=noise)
+    assert lasting_share(LAB.model_copy(update={"calibration": calibration})) == {"end": 0.75}
 
 
 def test_covariance_is_that_of_a_fit():

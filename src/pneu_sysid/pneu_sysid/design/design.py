@@ -7,7 +7,7 @@ Fedorov 1975, Biometrika 62(1), 57), the nearest two counting.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from pneu_common.errors import InputError
 from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import FitParameter, Rig
 from pneu_sysid.design.choose import Worth, choose
-from pneu_sysid.design.foreseen import Foreseen, foresee, with_known_noise
+from pneu_sysid.design.foreseen import Foreseen, foresee, lasting_share, with_known_noise
 from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.design.information import Information, information_of
 from pneu_sysid.design.limits import Limits
@@ -125,14 +125,14 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
     tell = progress or (lambda stage, done: None)
     if not asked.hypotheses and not asked.parameters:
         raise InputError(f"rig {rig.name!r}: found no parameters to learn, and no candidates")
-    model = with_known_noise(rig)
+    model, lasting = with_known_noise(rig), lasting_share(rig)
     rng = np.random.default_rng([asked.seed, 23])
     pool = _drawn(model, asked, rng, tell)
     known = None
     if asked.kind is None:
         edges = pool.edges_s(POOL)
-        known = _information(model, pool.seen, asked, edges, "what each piece tells", tell)
-    best = _played(model, asked, pool, known, rng, tell)
+        known = _information(model, pool.seen, asked, edges, lasting, "what each piece tells", tell)
+    best = _played(model, asked, pool, known, lasting, rng, tell)
     gram = best.promised.grams.sum(axis=0)
     labels = [one.label for one in asked.hypotheses]
     separations, most = [], []
@@ -182,6 +182,7 @@ def _played(
     asked: Asked,
     pool: _Pool,
     known: Information | None,
+    lasting: Mapping[str, float],
     rng: np.random.Generator,
     tell: Progress,
 ) -> _Played:
@@ -207,7 +208,9 @@ def _played(
         if bad or seen.air_kg[-1] > asked.limits.air_kg:
             allowed = [k for k in allowed if k not in bad] or allowed
             continue
-        promised = _information(model, seen, asked, edges[[0, -1]], "what the plan tells", tell)
+        promised = _information(
+            model, seen, asked, edges[[0, -1]], lasting, "what the plan tells", tell
+        )
         value = worth(promised.grams.sum(axis=0))
         if best is None or value > best.value:
             best = _Played(volts, seen, promised, value)
@@ -219,14 +222,21 @@ def _played(
 
 
 def _information(
-    model: Rig, seen: Foreseen, asked: Asked, edges: Floats, stage: str, tell: Progress
+    model: Rig,
+    seen: Foreseen,
+    asked: Asked,
+    edges: Floats,
+    lasting: Mapping[str, float],
+    stage: str,
+    tell: Progress,
 ) -> Information:
     problem = make_problem(model, seen.recording, workers=asked.workers)
     if kind_of(model).along_lines:
         problem = problem.coarsened(model, LONGER_CELLS)
     return information_of(
-        problem, model, asked.hypotheses, asked.parameters, edges, lambda f: tell(stage, f)
-    )
+        problem, model, asked.hypotheses, asked.parameters, edges, lasting,
+        lambda f: tell(stage, f),
+    )  # fmt: skip
 
 
 def _worth(known: Information | None, asked: Asked, pool: _Pool) -> Worth:

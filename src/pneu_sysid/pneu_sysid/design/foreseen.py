@@ -94,6 +94,24 @@ def with_known_noise(rig: Rig) -> Rig:
     return rig.model_copy(update={"taps": taps, "encoders": encoders})
 
 
+def lasting_share(rig: Rig) -> dict[str, float]:
+    """Per sensor, of the square of what its calibration left, the share that is no noise.
+
+    Noise is another from reading to reading; errors of a model last.
+
+    Args:
+        rig: The rig.
+    """
+    if rig.calibration is None:
+        return {}
+    left, noise = rig.calibration.left, rig.calibration.noise
+    return {
+        name: 1.0 - (noise[name] / left[name]) ** 2
+        for name in left
+        if 0.0 < noise.get(name, 0.0) < left[name]
+    }
+
+
 def foresee(
     rig: Rig,
     volts: Mapping[str, Floats],

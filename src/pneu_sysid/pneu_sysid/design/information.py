@@ -6,7 +6,7 @@ several pieces tell together is the sum of theirs. Fisher information and the sq
 between two models are small linear algebra on that sum.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 from pneu_sim.rig import with_parameters
 from pneu_sim.rig.schema import FitParameter, Rig
 from pneu_sysid.design.hypotheses import Hypothesis
+from pneu_sysid.evidence import blocks_of
 from pneu_sysid.gauss_newton import Variable
 from pneu_sysid.parameters import one_each, rig_at, variables_of
 from pneu_sysid.problem import Problem
 from pneu_sysid.refits import effect_variables
+from pneu_sysid.thresholds import Thresholds
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 RIDGE = 1e-9
 """Of the largest inner product: what is known no better than to rounding counts for nothing."""
@@ -50,7 +53,9 @@ class Information:
 
     Attributes:
         columns: What stands where.
-        grams: (n_pieces, C, C) inner products, in noise deviations.
+        grams: (n_pieces, 2, C, C) inner products, in noise deviations; and how they scatter, what
+            a model leaves going along with them: the same where that is noise from reading to
+            reading, more where it lasts.
         variables: The parameters.
         known_std: (P,) what was known of each before, in its own variable.
     """
@@ -63,21 +68,24 @@ class Information:
     def covariance(self, gram: Floats) -> Floats:
         """(P, P) covariance of the parameters after a fit, per standard deviation known before.
 
-        What is doubtful adds what a fit would make of it.
+        A fit takes what is left for noise, and that may last (the covariance of Huber 1967). What
+        is doubtful adds what a fit would make of it.
 
         Args:
-            gram: (C, C) sum over pieces.
+            gram: (2, C, C) sum over pieces.
         """
         at, doubt = self.columns.parameters, self.columns.doubtful
-        by_noise = np.linalg.inv(gram[np.ix_(at, at)] + np.eye(len(at)))
-        off = by_noise @ gram[np.ix_(at, doubt)]
-        return np.asarray(by_noise + off @ off.T)
+        inner, scatter = gram
+        inverse = np.linalg.inv(inner[np.ix_(at, at)] + np.eye(len(at)))
+        by_chance = inverse @ (scatter[np.ix_(at, at)] + np.eye(len(at))) @ inverse
+        off = inverse @ inner[np.ix_(at, doubt)]
+        return np.asarray(by_chance + off @ off.T)
 
     def log_determinant(self, gram: Floats) -> float:
         """Logarithm of how much smaller the volume of what is possible becomes (D-optimality).
 
         Args:
-            gram: (C, C) sum over pieces.
+            gram: (2, C, C) sum over pieces.
         """
         return -float(np.linalg.slogdet(self.covariance(gram))[1])
 
@@ -87,10 +95,11 @@ class Information:
         The true one, less the other with its own numbers and the parameters fitted to it.
 
         Args:
-            gram: (C, C) sum over pieces.
+            gram: (2, C, C) sum over pieces.
             true: Which is the case.
             other: Which is fitted.
         """
+        gram = gram[0]
         out = np.zeros(gram.shape[0])
         out[self.columns.change[true]] = 1.0
         out[self.columns.change[other]] = -1.0
@@ -108,19 +117,21 @@ class Information:
         """By how many standard errors the right one of two is expected to lead, whichever it is.
 
         Two models whose predictions differ by D deviations of noise leave squares that differ by
-        D^2, which noise scatters by 2 D, and what is doubtful by as much as it goes along with D:
-        so it is judged afterwards (`evidence.lead`).
+        D^2, which noise scatters by 2 D, what a calibration left besides by more, since it lasts,
+        and what is doubtful by as much as it goes along with D: so it is judged afterwards
+        (`evidence.lead`).
 
         Args:
-            gram: (C, C) sum over pieces.
+            gram: (2, C, C) sum over pieces.
             one: One of them.
             other: The other.
         """
         leads = []
         for true, fitted in ((one, other), (other, one)):
             left = self.residual(gram, true, fitted)
-            square = max(float(left @ gram @ left), 0.0)
-            chance = square + float(np.sum((gram[self.columns.doubtful] @ left) ** 2))
+            square = max(float(left @ gram[0] @ left), 0.0)
+            chance = max(float(left @ gram[1] @ left), square)
+            chance += float(np.sum((gram[0][self.columns.doubtful] @ left) ** 2))
             leads.append(0.5 * square / np.sqrt(chance) if chance > 0.0 else 0.0)
         return float(min(leads))
 
@@ -131,6 +142,7 @@ def information_of(
     hypotheses: Sequence[Hypothesis],
     parameters: Sequence[FitParameter],
     edges_s: Floats,
+    lasting: Mapping[str, float],
     progress: Callable[[float], None] | None = None,
 ) -> Information:
     """What each piece of a recording that is foreseen tells.
@@ -141,6 +153,8 @@ def information_of(
         hypotheses: What it may lack.
         parameters: Its numbers that are not known exactly.
         edges_s: (n_pieces + 1,) where pieces begin and end, s.
+        lasting: Per sensor the share of the square of what is taken for noise that lasts, see
+            `foreseen.lasting_share`.
         progress: Called with the fraction done.
     """
     listed = one_each(list(parameters), [r.name for r in problem.recordings])
@@ -185,12 +199,42 @@ def information_of(
         diff = (readings[there] - readings[here]) / (problem.noise_pa * step)
         diff[missing] = 0.0
         columns[:, :, c] = np.nan_to_num(diff.reshape(problem.stretches, -1))
-    per_stretch = np.einsum("smi,smj->sij", columns, columns, optimize=True)
+    share = np.array([lasting.get(name, 0.0) for name in problem.taps])
+    per_stretch = np.stack(
+        [
+            np.einsum("smi,smj->sij", columns, columns, optimize=True),
+            _scatter(columns, share, blocks_of(problem, Thresholds().block)),
+        ],
+        axis=1,
+    )
     middle = problem.span_s.mean(axis=1)
     piece = np.clip(np.searchsorted(edges_s, middle, "right") - 1, 0, edges_s.size - 2)
     totals = np.zeros((edges_s.size - 1, *per_stretch.shape[1:]))
     np.add.at(totals, piece, per_stretch)
     return Information(Columns(change, own, numbers, doubtful), totals, variables, known)
+
+
+def _scatter(columns: Floats, share: Floats, blocks: Ints) -> Floats:
+    """(n_stretches, C, C) how inner products scatter, what is left being part noise, part lasting.
+
+    Args:
+        columns: (n_stretches, m, C) in noise deviations; of m readings those of a sensor are every
+            so many.
+        share: (n_taps,) of the square of what is left, how much lasts through a block.
+        blocks: (n_stretches, m) block of time of each reading.
+    """
+    each = np.tile(np.sqrt(1.0 - share), columns.shape[1] // share.size)[:, None]
+    noise = columns * each
+    out = np.einsum("smi,smj->sij", noise, noise, optimize=True)
+    for k in np.flatnonzero(share > 0.0):
+        own, of = columns[:, k :: share.size], blocks[:, k :: share.size]
+        stretch = np.broadcast_to(np.arange(len(of))[:, None], of.shape)
+        pairs = np.stack([stretch.ravel(), of.ravel()])
+        found, where = np.unique(pairs, axis=1, return_inverse=True)
+        sums = np.zeros((found.shape[1], columns.shape[2]))
+        np.add.at(sums, where.ravel(), own.reshape(-1, columns.shape[2]))
+        np.add.at(out, found[0], share[k] * np.einsum("bi,bj->bij", sums, sums))
+    return out
 
 
 def _with_default(rig: Rig, variable: Variable) -> Rig:
