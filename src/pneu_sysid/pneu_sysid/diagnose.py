@@ -21,7 +21,7 @@ from pneu_sysid.left_open import left_open
 from pneu_sysid.parameter_units import strength_unit
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
-from pneu_sysid.refits import Refit, refit
+from pneu_sysid.refits import Refit, refit, settled
 from pneu_sysid.results import (
     Candidate,
     Dependence,
@@ -36,6 +36,12 @@ from pneu_sysid.together import each_of
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
+
+NEARLY = 1.1
+"""A candidate that leaves no more than so many times the squares of the best one may only be behind
+it because of the longer cells that candidates are fitted on."""
+RIVALS = 3
+"""So many of those at most are fitted once more."""
 
 
 @dataclass
@@ -262,7 +268,27 @@ def look(
     if more:
         refits += refitted(more, False)
         result = _judge(bench, base, refits, best, readings, taken)
+    # Nor while longer cells may be what sets it apart from another.
+    near = _nearly_as_good(result)
+    if near and coarser and coarser[0] is not bench.problem:
+
+        def settle(shared: Problem, found: Refit) -> Refit:
+            return settled(shared, base, found, bench.project)
+
+        instead = dict(zip(near, each_of(near, bench.problem, settle), strict=True))
+        refits = [instead.get(r, r) for r in refits]
+        result = _judge(bench, base, refits, best, readings, taken)
     return result
+
+
+def _nearly_as_good(result: Diagnosis) -> list[Refit]:
+    """The candidate that is named alone, and those that leave little more than it does."""
+    if result.verdict != "effect":
+        return []
+    top, *others = result.finalists[: result.believed]
+    most = NEARLY * float(np.sum(top.residual**2))
+    near = [r for r in others if float(np.sum(r.residual**2)) <= most]
+    return [top, *near[:RIVALS]] if near else []
 
 
 def _alike_but_scored(

@@ -11,7 +11,7 @@ from pneu_sim.effects import find_effect
 from pneu_sim.effects.base import POSITION, EffectParameter
 from pneu_sim.rig import with_parameters
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.candidates import Project, Score
+from pneu_sysid.candidates import Project, Score, residual_matrix
 from pneu_sysid.evidence import share_explained
 from pneu_sysid.gauss_newton import Estimate, Variable, huber_cost, minimise
 from pneu_sysid.problem import Problem
@@ -35,6 +35,8 @@ LEAST_SHARE = 1e-2
 how both go together no better."""
 KEPT = 4
 """So many of the best points are kept with their residuals; the estimate is nearly always one."""
+SETTLING = 3
+"""Iterations of a fit on other cells, from where it was found."""
 WORTH_ANOTHER = 1e-3
 """Places are looked at again, so many times at most, as long as the misfit falls by this share."""
 
@@ -324,6 +326,40 @@ def _variable(
     if parameter.name == POSITION:
         step = min(0.05, 0.05 * (high - low))
     return Variable(name, float(np.clip(value, low, high)), low, high, step)
+
+
+def settled(problem: Problem, base: Floats, found: Refit, project: Project | None = None) -> Refit:
+    """A candidate fitted once more from where it was found: on other cells, it may do better.
+
+    Args:
+        problem: The problem, on the cells that count.
+        base: (n_stretches, m) residual of the rig without the candidate.
+        found: What was found on others.
+        project: Takes out of a residual what is uncertain anyway.
+    """
+    last = len(found.rig.effects) - 1
+    rig, estimate = refit_effects(problem, found.rig, [last], SETTLING, project)
+    residual = residual_matrix(problem, problem.predict([rig])[0])
+    if project is not None:
+        residual, base = project(residual), project(base)
+    used = ~problem.held_out
+    values = rig.effects[last].parameters
+    site = found.site
+    shape = {name: values.get(name, value) for name, value in site.shape.items()}
+    named = [v.name.rpartition(".")[2] for v in effect_variables(rig, last)]
+    at = named.index(POSITION) if POSITION in named else None
+    return replace(
+        found,
+        site=Site(site.effect, site.place, shape),
+        strength=values[site.effect.strength.name],
+        std_error=float(estimate.std_errors[0]),
+        position_error_m=None if at is None else float(estimate.std_errors[at]),
+        explained=share_explained(base[used], residual[used]),
+        held_out=share_explained(base[~used], residual[~used]),
+        residual=residual,
+        change=base - residual,
+        rig=rig,
+    )
 
 
 def effect_variables(rig: Rig, index: int) -> list[Variable]:
