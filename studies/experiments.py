@@ -305,6 +305,7 @@ def page(path: Path) -> None:
     for k, pair in enumerate(PAIRS):
         one = kept.get(f"pair_{k}")
         if one is None:
+            lines.append(f"| {pair.name} | not run | | | | | |")
             continue
         count += 1
         f = one["figures"]
@@ -334,6 +335,7 @@ def page(path: Path) -> None:
     for file in CALIBRATED:
         one = kept.get(f"calibration_{Path(file).stem}")
         if one is None:
+            lines.append(f"| {file} | not run | | | | |")
             continue
         f = one["figures"]
         low, high = f["error_ratios"] or (float("nan"), float("nan"))
