@@ -76,13 +76,23 @@ def kept(subject: str) -> bool:
     return subject in json.loads(RESULTS.read_text(encoding="utf-8"))["subjects"]
 
 
-def keep(subjects: Mapping[str, Sequence[Table]], machine: Mapping[str, Any]) -> None:
-    """Writes what was measured, beside the subjects that were measured before."""
+def keep(
+    subjects: Mapping[str, Sequence[Table]], machine: Mapping[str, Any], command: str = ""
+) -> None:
+    """Writes what was measured, beside the subjects that were measured before.
+
+    Args:
+        subjects: Tables by what they are about.
+        machine: On what.
+        command: What made them; unless given, this package, of the subject's name.
+    """
     known: dict[str, Any] = {}
     if RESULTS.exists():
         known = json.loads(RESULTS.read_text(encoding="utf-8")).get("subjects", {})
     for name, tables in subjects.items():
-        known[name] = {"machine": dict(machine), "tables": [vars(table) for table in tables]}
+        known[name] = {"machine": dict(machine), "tables": [vars(t) for t in tables]}
+        if command:
+            known[name]["command"] = command
     whole = {"schema": SCHEMA, "subjects": dict(sorted(known.items()))}
     write_whole(RESULTS, json.dumps(whole, indent=1) + "\n")
     write_whole(PAGE, page(whole))
@@ -115,5 +125,5 @@ def page(whole: Mapping[str, Any]) -> str:
                 lines.append("| " + " | ".join(shown(row.get(key)) for key in keys) + " |")
             for note in table["notes"]:
                 lines += ["", f"Note: {note}"]
-        lines += ["", f"(`python -m benchmarks {name}`)"]
+        lines += ["", f"(`{subject.get('command', f'python -m benchmarks {name}')}`)"]
     return "\n".join(lines) + "\n"

@@ -348,13 +348,16 @@ def page(path: Path) -> None:
 
 
 def _found(figures: dict[str, Any]) -> str:
-    """By how much the designed recording alone told what the random one left open."""
+    """By how much the designed recording alone told what the random one left open.
+
+    Negative where what came nearest leads.
+    """
     leads = [
-        abs(told["found"])
+        told["found"]
         for told in figures["found"]
         if told["found"] is not None and told["one"] == figures["first"][0]
     ]
-    return f"{min(leads):.1f}" if leads else "another was named"
+    return f"{min(leads, key=abs):.1f}" if leads else "another was named"
 
 
 def main() -> int:

@@ -93,10 +93,13 @@ def main() -> int:
     apart = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(len(cases), os.cpu_count() or 1), apart) as pool:
         rows = list(pool.map(examined, *zip(*cases, strict=True)))
-    tables = [compared(rows), *gpu.measure()]
+    agreement, machine = compared(rows), timing.machine()
+    report.show(agreement, console)
+    report.keep({"agreement of a GPU": [agreement]}, machine, "make gpu")
+    tables = gpu.measure()
     for table in tables:
         report.show(table, console)
-    report.keep({"gpu": tables}, timing.machine())
+    report.keep({"gpu": tables}, machine)
     wrong = [row for row in rows if not float(row["double"] or 0.0) <= MOST]
     for row in wrong:
         console.print(f"{row['case']}, order {row['order']}: {row['of']} differs", style="red")

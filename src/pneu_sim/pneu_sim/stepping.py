@@ -46,6 +46,37 @@ def advance(
     Returns:
         What was recorded, intervals + 1 samples.
     """
+    out, given = arguments(tile, n_sub, dt_s, opening, watch, closing, fastest)
+    _run(tile)(*given)
+    if watch is not None:
+        watch.step += len(opening) * n_sub
+    tile.clock[1] += len(opening) * n_sub
+    return out
+
+
+def arguments(
+    tile: Tile,
+    n_sub: int,
+    dt_s: float,
+    opening: Floats,
+    watch: Watch | None = None,
+    closing: bool = True,
+    fastest: Floats | None = None,
+) -> tuple[Series, tuple[Any, ...]]:
+    """What `pneu_sim.kernel.advance` is given of a batch, and where it writes down.
+
+    Args:
+        tile: The batch.
+        n_sub: Steps between samples.
+        dt_s: Step, s.
+        opening: See `advance`.
+        watch: Likewise.
+        closing: Likewise.
+        fastest: Likewise.
+
+    Returns:
+        What will be recorded, intervals + 1 samples; and rigs, what moves, clock, openings, record.
+    """
     tile.count_by(dt_s)
     intervals, knots, ports, w = opening.shape
     out = Series.empty(tile.plan, intervals + 1, tile.lanes)
@@ -64,11 +95,7 @@ def advance(
         moves = moving(tile, watch) if tile.plan.cylinders else None
     clock = kernel.Clock(intervals + 1, n_sub, dt_s, knots - 1, tile.clock, step, closing)
     flat = np.ascontiguousarray(opening).reshape(intervals * knots, ports, w)
-    _run(tile)(rigs, moves, clock, flat, record)
-    if watch is not None:
-        watch.step += intervals * n_sub
-    tile.clock[1] += intervals * n_sub
-    return out
+    return out, (rigs, moves, clock, flat, record)
 
 
 def _run(tile: Tile) -> Any:

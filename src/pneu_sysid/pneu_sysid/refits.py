@@ -348,11 +348,15 @@ def settled(problem: Problem, base: Floats, found: Refit, project: Project | Non
     shape = {name: values.get(name, value) for name, value in site.shape.items()}
     named = [v.name.rpartition(".")[2] for v in effect_variables(rig, last)]
     at = named.index(POSITION) if POSITION in named else None
+    strength, error = site.effect.strength, float(estimate.std_errors[0])
+    value = values[strength.name]
+    sure = _error_of_this_shape(estimate) if site.effect.traded else error
     return replace(
         found,
         site=Site(site.effect, site.place, shape),
-        strength=values[site.effect.strength.name],
-        std_error=float(estimate.std_errors[0]),
+        strength=value,
+        std_error=error,
+        t=abs(value - strength.absent) / max(sure, 1e-300),
         position_error_m=None if at is None else float(estimate.std_errors[at]),
         explained=share_explained(base[used], residual[used]),
         held_out=share_explained(base[~used], residual[~used]),

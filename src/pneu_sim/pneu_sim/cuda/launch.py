@@ -4,6 +4,7 @@
 import functools
 import hashlib
 import importlib.util
+import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -120,8 +121,8 @@ def _source(batch: Batch, rigs: Any, moving: Any, clock: Any, record: Any, share
     for name, n, i in copies:
         lines += [share.format(n), f"    {name}[i] = all_{name}[{i}]"]
     lines += ["cuda.syncthreads()", f"advance({', '.join(own)})", "cuda.syncthreads()"]
-    for name, n, i in copies[:1]:
-        lines += [share.format(n), f"    all_{name}[{i}] = {name}[i]"]
+    if shared:  # what steps have changed goes back; tables they only read
+        lines += [share.format(size["near"]), f"    all_near[{begin['near']} + i] = near[i]"]
     return "\n    ".join(lines)
 
 
@@ -154,7 +155,8 @@ def advance(terms: tuple[Callable[..., Any], ...], single: bool, *told: Any) -> 
         told: What that is given: rigs, what of them moves, clock, openings, record.
 
     Returns:
-        How long the steps took there, s, without what is copied; 0 under the simulator.
+        How long the steps took there, s, without what is copied; NaN under the simulator,
+        which tells no times.
     """
     run = prepared(terms, single, *told)
     sent: list[Any] = [
@@ -177,7 +179,9 @@ def advance(terms: tuple[Callable[..., Any], ...], single: bool, *told: Any) -> 
     }
     long = [part.copy_to_host() for part in sent[len(MEMORIES)]]
     run.batch.take_back({MEMORIES[k]: flat for k, flat in own.items()}, long)
-    return 0.0 if config.ENABLE_CUDASIM else 1e-3 * float(cuda.event_elapsed_time(begun, done))
+    if config.ENABLE_CUDASIM:
+        return math.nan
+    return 1e-3 * float(cuda.event_elapsed_time(begun, done))
 
 
 def _allow(run: Launch, sent: list[Any]) -> None:
