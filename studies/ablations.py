@@ -252,6 +252,8 @@ def draw(found: dict[str, list[tuple[float, Case]]], path: Path) -> None:
             axes.loglog(at, [e.mean() for e in each], "o-", color=colour, label=words)
             axes.vlines(at, [e.min() for e in each], [e.max() for e in each], color=colour)
         axes.set(xlabel=named[name].title)
+        axes.set_xticks([value for value, _ in of], [f"{value:.3g}" for value, _ in of])
+        axes.set_xticks([], minor=True)
         axes.spines[["top", "right"]].set_visible(False)
     for axes in grid[:, 0]:
         axes.set(ylabel="mean error, mm")
