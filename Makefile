@@ -14,7 +14,7 @@ GPU_VENV   := .venv-gpu
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-robot test test-long bench lint format gpu bags tosses experiments hand-force hand-tables pushing kokoro simple-model ablations configurations cell-sizes learning folder-is-named exact calibration thinned \
+.PHONY: help demo demo-robot test test-long bench lint format gpu bags observer predictive tosses experiments hand-force hand-tables pushing kokoro simple-model ablations configurations cell-sizes learning folder-is-named exact calibration thinned \
 	confusion thresholds moved faults fuzz study-pressure clean clean-kernels
 
 help:  ## list the targets
@@ -50,6 +50,12 @@ gpu: $(GPU_VENV)/.ready-gpu  ## the gas on this machine's NVIDIA GPU: beside the
 
 bags: folder-is-named $(VENV)/.ready-run  ## slow: fit and diagnose every bag of folders, BAGS=folders; PAGE=file
 	@$(RUN) -m studies.bags $(BAGS) $(if $(PAGE),--page $(PAGE))
+
+observer: folder-is-named $(VENV)/.ready-run  ## slow: what an observer sees of labelled bags of rigs A and B, BAGS=folder
+	@$(RUN) -m studies.observer $(BAGS)
+
+predictive: $(VENV)/.ready-dev  ## slow: table 9.1 with predictive control, in lock step; ARGS=options
+	@$(RUN) -m studies.predictive $(ARGS)
 
 experiments: $(VENV)/.ready-dev  ## slow: do designed recordings tell what random ones left open? resumable
 	@$(RUN) -m studies.experiments $(STAGES)

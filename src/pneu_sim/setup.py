@@ -27,6 +27,7 @@ setup(
         "console_scripts": [
             "simulator = pneu_sim.nodes.simulator:main",
             "hand_simulator = pneu_sim.nodes.hand_simulator:main",
+            "observer = pneu_sim.nodes.observer:main",
             "robot_view = pneu_sim.nodes.robot_view:main",
         ],
         "pneu.commands": ["1-sim = pneu_sim.commands:register"],

@@ -32,6 +32,7 @@ from pneu_policy.control.identity import rig_identity
 from pneu_policy.control.observations import Recipe
 from pneu_policy.control.pid import Gains
 from pneu_policy.control.policy_file import PolicyFile
+from pneu_policy.control.predictive_file import save_predictive
 from pneu_policy.nodes.pid import PidNode
 from pneu_policy.nodes.policy import PolicyNode
 from pneu_policy.nodes.target import TargetNode
@@ -544,3 +545,28 @@ def test_a_policy_for_another_rig_is_not_configured_until_it_is_the_right_one(gr
     assert state == State.PRIMARY_STATE_UNCONFIGURED
     write_policy(parameters["policy"], {"error at 0 s": 1.0}, rig="rig_b_fitted")
     assert configure()
+
+
+def test_a_predictive_controller_goes_on_without_its_tap_for_a_while(graph, tmp_path):
+    path, rig = tmp_path / "ahead.yaml", ROOT / "rigs/lab.yaml"
+    settings = {"holds": [1, 1, 2], "period_s": 0.05, "sample_s": 0.01}
+    save_predictive(path, str(rig), "end", ["valve_out", "end"], settings)
+    node = graph.add(PolicyNode, autostart=True, policy=str(path), virtual_for_s=1.5)
+    beside = node._predictive.planning
+    plant = Plant(graph, others=("valve_out",))
+    plant.others["valve_out"] = plant.pressure_pa
+    plant.ahead_pa = [250e3, 250e3, 250e3]
+    wait_for(lambda: plant.volts() > 5.01)  # there is not enough air
+    plant.readings = False
+
+    def figure(key):
+        told = {value.key: value.value for value in graph.status("control").values}
+        return told.get(key, "")
+
+    wait_for(lambda: figure("tap end") == "no pressure reading")
+    plant.settles_at(5.0)
+    plant.readings = True
+    wait_for(lambda: plant.volts() > 5.01)
+    node.trigger_deactivate()
+    node.destroy_node()
+    assert not beside._process.is_alive()

@@ -103,16 +103,24 @@ class Plant:
         plan: What they have in common: names and order of parts.
         solver: Their gas.
         spools: Their valves.
+        taps: Their pressure sensors.
         clock: Time since the last reset.
     """
 
-    def __init__(self, rigs: Sequence[Rig], dx_m: float | None = None, gas: Gas = AIR) -> None:
+    def __init__(
+        self,
+        rigs: Sequence[Rig],
+        dx_m: float | None = None,
+        gas: Gas = AIR,
+        fewest_cells: int = 2,
+    ) -> None:
         """Builds the rigs, and begins with all at rest.
 
         Args:
             rigs: The rigs, of one structure and by one kind of model.
             dx_m: Cell length that replaces the rigs' own, m; models without cells have none.
             gas: The gas.
+            fewest_cells: Cells that the shortest pipe has at least.
 
         Raises:
             InputError: The rigs do not share one structure or model, or cannot be stepped.
@@ -125,10 +133,10 @@ class Plant:
                     f"rig {other.name!r}: model: found {other.model}, {first.name!r} beside it has"
                     f" {first.model}"
                 )
-        self.plan = common_plan(self.rigs, dx_m)
+        self.plan = common_plan(self.rigs, dx_m, fewest_cells)
         self.solver = kind_of(first).solver(self.rigs, self.plan, gas)
         self.spools = Spools(self.solver.models)
-        self._taps = Sensors.of_taps(self.solver.models)
+        self.taps = Sensors.of_taps(self.solver.models)
         self._encoders = Sensors.of_encoders(self.solver.models)
         self._encoder_of = self._places_of_encoders()
         self.reset()
@@ -195,7 +203,7 @@ class Plant:
         """Has the sensors show the gas as it now is."""
         nothing = np.zeros((0, 2, self.plan.ports.shape[0], self.lanes))
         series = self.solver.advance(nothing, self.solver.step_s)
-        self._taps.begin(series.taps[0])
+        self.taps.begin(series.taps[0])
         self._encoders.begin(self._positions(series)[0])
 
     def _places_of_encoders(self) -> Ints:
@@ -242,7 +250,7 @@ class Plant:
         opening = self.spools.follow(volts, self.clock.origin_s, self.clock.count, interval_s)
         before = self.readings()
         series = self.solver.advance(opening, interval_s)
-        taps = self._taps.follow(series.taps[1:], interval_s)
+        taps = self.taps.follow(series.taps[1:], interval_s)
         encoders = self._encoders.follow(self._positions(series)[1:], interval_s)
         readings = np.concatenate([taps, encoders], axis=1)
         self.clock = self.clock.after(len(opening))
@@ -250,11 +258,11 @@ class Plant:
 
     def readings(self) -> Floats:
         """Returns what the sensors show now, without noise, as of `advance`: (n, lanes)."""
-        return np.concatenate([self._taps.readings(), self._encoders.readings()])
+        return np.concatenate([self.taps.readings(), self._encoders.readings()])
 
     def state(self) -> State:
         """Returns all that the future depends on, to come back to it with `set_state`."""
-        shown = [*self._taps.state(), *self._encoders.state()]
+        shown = [*self.taps.state(), *self._encoders.state()]
         return State(self.clock, self.spools.state(), shown, self.solver.state())
 
     def set_state(self, state: State) -> None:
@@ -266,7 +274,7 @@ class Plant:
         self.clock = state.clock
         self.spools.set_state(state.spools)
         half = len(state.sensors) // 2
-        self._taps.set_state(state.sensors[:half], state.clock.interval_s)
+        self.taps.set_state(state.sensors[:half], state.clock.interval_s)
         self._encoders.set_state(state.sensors[half:], state.clock.interval_s)
         self.solver.set_state(state.gas)
 

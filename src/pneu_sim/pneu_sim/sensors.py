@@ -84,6 +84,20 @@ class Sensors:
         """
         return cls(np.stack([m.encoder for m in models], axis=-1), np.zeros(len(models)))
 
+    @property
+    def lag_s(self) -> Floats:
+        """(n, lanes) first-order lags, s."""
+        return self._lag
+
+    def set_lag(self, lag_s: Floats) -> None:
+        """Changes the lags from now on.
+
+        Args:
+            lag_s: (n, lanes) s, 0 or more.
+        """
+        self._lag = lag_s
+        self._lags = bool(np.any(lag_s > 0.0))
+
     def begin(self, true: Floats) -> None:
         """Has values stand that have long been there.
 

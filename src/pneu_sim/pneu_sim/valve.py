@@ -178,6 +178,10 @@ class Spools:
         self._time, self._volts = time[keep:].copy(), held[:, :, keep:].copy()
         return out
 
+    def reach(self) -> None:
+        """Remembers commands for as long as the valves, now of other parameters, may need them."""
+        self._longest_s = max(self._longest_s, longest_delay_s(self.spool))
+
     def state(self) -> list[Floats]:
         """Returns when commands were told, which, and where the spools stand, rig by rig last."""
         volts, memory = np.moveaxis(self._volts, 0, -1), np.moveaxis(self.memory, 0, -1)

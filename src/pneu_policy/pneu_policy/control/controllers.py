@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Controllers behind one interface: PID, PID with feed-forward, and a learned policy.
+"""Controllers behind one interface: PID, with feed-forward, learned policies, predictive ones.
 
 A controller is stepped once per period with the newest reading of each of its taps and the target
 now and ahead, and answers with a voltage. It knows nothing of clocks, topics or plants.
@@ -30,7 +30,7 @@ PERIOD_S = 0.004
 """Control period of a PID where none is named, s."""
 
 VERSION = 1
-KINDS = ("pid", "feed_forward")
+KINDS = ("pid", "feed_forward", "predictive", "virtual")
 
 
 class Controller(Protocol):
@@ -219,7 +219,9 @@ def load_controller(spec: str | Path) -> Controller:
     """Reads a controller from its file.
 
     Args:
-        spec: A policy (.npz), or a PID or feed-forward PID (.yaml) as `save_pid` writes it.
+        spec: A policy (.npz), a PID or feed-forward PID (.yaml) as `save_pid` writes it, or a
+            predictive controller (.yaml), see `pneu_policy.control.predictive_file`; or another
+            controller by virtual taps (.yaml), see `pneu_policy.control.virtual`.
 
     Returns:
         The controller, at rest.
@@ -231,8 +233,8 @@ def load_controller(spec: str | Path) -> Controller:
     if path.suffix == ".npz":
         return PolicyController(PolicyFile.load(path))
     if path.suffix in (".yaml", ".yml"):
-        return _load_pid(path)
-    raise InputError(f"{path}: a controller is a policy (.npz) or a PID (.yaml)")
+        return _load_yaml(path)
+    raise InputError(f"{path}: a controller is a policy (.npz), a PID or a predictive one (.yaml)")
 
 
 def save_pid(
@@ -270,12 +272,19 @@ def save_pid(
     write_whole(path, text.getvalue())
 
 
-def _load_pid(path: Path) -> PidController | FeedForwardPid:
+def _load_yaml(path: Path) -> Controller:
     data = read_yaml(path, "file of a controller")
     if not isinstance(data, dict) or data.get("pneu_controller") != VERSION:
         found = data.get("pneu_controller") if isinstance(data, dict) else data
         raise InputError(f"{path}: pneu_controller: found {found!r}, this version reads {VERSION}")
     try:
+        if data.get("kind") == "predictive":
+            # here, because no other controller needs the solver
+            from pneu_policy.control.predictive_file import predictive_of
+
+            return predictive_of(data, path)
+        if data.get("kind") == "virtual":
+            return _virtual_of(data, path)
         controller = _pid_of(data)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
@@ -284,6 +293,28 @@ def _load_pid(path: Path) -> PidController | FeedForwardPid:
         raise InputError(f"{path}: tuned: found {tuned!r}, needed is a mapping")
     controller.tuned = tuned
     return controller
+
+
+def _virtual_of(data: Mapping[str, Any], path: Path) -> Controller:
+    """A controller that sees virtual taps, by the files of it and of its rig."""
+    from pneu_policy.control.virtual import VirtualTaps
+    from pneu_sim.rig.load import load_rig
+
+    known = ("pneu_controller", "kind", "controller", "rig", "taps")
+    for name in data:
+        if name not in known:
+            raise InputError(f"{name}: unknown, known are {', '.join(known)}")
+    files = []
+    for name in ("controller", "rig"):
+        file = data.get(name)
+        if not isinstance(file, str):
+            raise InputError(f"{name}: found {file!r}, needed is the path of a file")
+        files.append(path.parent / file)
+    taps = data.get("taps")
+    if not (isinstance(taps, list) and taps and all(isinstance(tap, str) for tap in taps)):
+        raise InputError(f"taps: found {taps!r}, needed are names of taps that are there")
+    inner = load_controller(files[0])
+    return VirtualTaps(inner, load_rig(files[1]), taps, name=path.stem)
 
 
 def _pid_of(data: Mapping[str, Any]) -> PidController | FeedForwardPid:

@@ -113,7 +113,11 @@ def check_identity(trained: Mapping[str, Any], keys: Sequence[str], names: Seque
 
 
 def check_same(
-    trained: Mapping[str, Any], found: Mapping[str, Any], keys: Sequence[str], who: str
+    trained: Mapping[str, Any],
+    found: Mapping[str, Any],
+    keys: Sequence[str],
+    who: str,
+    how: str = "trained for",
 ) -> None:
     """Refuses a rig that a policy was not trained for.
 
@@ -122,6 +126,7 @@ def check_same(
         found: What matters of the rig it shall run on.
         keys: What matters.
         who: The policy.
+        how: What it is to the rig it tells of.
 
     Raises:
         InputError: They differ; the message names the first thing.
@@ -129,7 +134,7 @@ def check_same(
     if found["sha256"] == trained["sha256"]:
         return
     raise InputError(
-        f"{who}: trained for rig {trained['name']!r}, found rig {found['name']!r}:"
+        f"{who}: {how} rig {trained['name']!r}, found rig {found['name']!r}:"
         f" {_difference(trained, found, keys)}"
     )
 

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_policy.control.controllers import Controller, PolicyController, load_controller
+from pneu_policy.control.predictive import PredictiveController
+from pneu_policy.control.virtual import VirtualTaps
 from pneu_policy.judge.metrics import EARLY_S, Track
 from pneu_policy.judge.results import LIMIT, Evaluation, Run
 from pneu_policy.judge.tasks import Conditions, Tasks
@@ -42,6 +44,8 @@ def check_fits(controller: Controller, spec: Path, rig: Rig) -> None:
     """
     if isinstance(controller, PolicyController):
         controller.policy.check_rig(rig)
+    if isinstance(controller, PredictiveController | VirtualTaps):
+        controller.check_rig(rig, str(spec))
     missing = [tap for tap in controller.taps if tap not in rig.taps]
     if missing:
         raise InputError(

@@ -63,8 +63,9 @@ class ControlNode(ControllingNode):
         """Voltage for the newest readings; None leaves the one before.
 
         Args:
-            stamp_ns: Time of the reading of the controlled tap, ns.
-            pressures_pa: Per tap its reading, Pa.
+            stamp_ns: Time of the reading of the controlled tap, or of another where that is lost,
+                ns.
+            pressures_pa: Per tap its reading, Pa; NaN of one that is lost and may be.
         """
 
     def _make(self) -> None:
@@ -126,10 +127,16 @@ class ControlNode(ControllingNode):
         return found
 
     def _asked(self) -> Mapping[str, float] | None:
-        newest = self._readings[self._tap]
-        volts = self._step(newest.stamp_ns, {t: self._readings[t].value for t in self._taps})
+        there = [t for t in (self._tap, *self._taps) if t in self._taps and t not in self._lost]
+        newest = self._readings[there[0]]
+        pressures = {
+            t: math.nan if t in self._lost else self._readings[t].value for t in self._taps
+        }
+        volts = self._step(newest.stamp_ns, pressures)
         if volts is None:
             return None
+        if there[0] != self._tap:
+            return {self._params.command: volts}
         self._error_square += (self._targets_at(newest.stamp_ns, (0.0,))[0] - newest.value) ** 2
         self._error_count += 1.0
         return {self._params.command: volts}

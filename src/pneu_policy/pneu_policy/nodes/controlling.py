@@ -155,6 +155,8 @@ class ControllingNode(LifecycleNode):
         self._taps: tuple[str, ...] = ()
         self._encoders: tuple[str, ...] = ()
         self._valves: tuple[str, ...] = ()
+        self._spare: frozenset[str] = frozenset()
+        self._lost: dict[str, tuple[str, str]] = {}
         self._rig: Rig | None = None
         self._period_s = math.nan
         try:
@@ -192,6 +194,8 @@ class ControllingNode(LifecycleNode):
     def _make(self) -> None:
         """Makes the controller; sets ``_taps``, ``_encoders``, ``_valves`` and ``_period_s``.
 
+        Taps in ``_spare`` may be lost as long as another one is there: ``_lost`` tells which are.
+
         Raises:
             InputError: The parameters make none; the node then stays unconfigured.
         """
@@ -224,6 +228,9 @@ class ControllingNode(LifecycleNode):
         """Topics of readings and of commands where no rig file says which."""
         heard = topics.usual_tap_topics(self._taps) + topics.usual_encoder_topics(self._encoders)
         return heard, topics.usual_command_topics(self._valves)
+
+    def _afterwards(self) -> None:
+        """Does what need not be done before the voltages go out."""
 
     def _figures(self) -> Mapping[str, object]:
         """More figures for /diagnostics."""
@@ -436,22 +443,33 @@ class ControllingNode(LifecycleNode):
         rate = self._clock_rate(now_ns)
         if not 1.0 / self._params.clock_factor <= rate <= self._params.clock_factor:
             return NO_CLOCK, f"simulated time passes {rate:.3g} times as fast as real time"
-        for name in (*self._taps, *self._encoders):
-            reading = self._readings.get(name)
-            if reading is None:
-                return NO_READING, f"never heard {self._where(name)}"
-            if now_ns - reading.arrival_ns > self._params.sensor_timeout_s * 1e9:
-                age = f"for {self._params.sensor_timeout_s:g} s"
-                return NO_READING, f"{age} nothing new of {self._where(name)}"
-            if not math.isfinite(reading.value):
-                return NO_NUMBER, f"found {reading.value} as {self._where(name)}"
-            wrong = self._untrue(name, reading, now_ns) if name in self._taps else None
-            if wrong is not None:
+        self._lost = {
+            name: wrong
+            for name in (*self._taps, *self._encoders)
+            if (wrong := self._lost_reading(name, now_ns)) is not None
+        }
+        for name, wrong in self._lost.items():
+            if name not in self._spare or self._lost.keys() >= set(self._taps):
                 return wrong
-            if abs(reading.off_s) > self._params.stamp_tolerance_s:
-                when = "old" if reading.off_s > 0.0 else "ahead"
-                return OLD_READING, f"{abs(reading.off_s):.3g} s {when} as {self._where(name)}"
         return self._target_lost(now_ns)
+
+    def _lost_reading(self, name: str, now_ns: int) -> tuple[str, str] | None:
+        """What is wrong with a reading, and the particulars."""
+        reading = self._readings.get(name)
+        if reading is None:
+            return NO_READING, f"never heard {self._where(name)}"
+        if now_ns - reading.arrival_ns > self._params.sensor_timeout_s * 1e9:
+            age = f"for {self._params.sensor_timeout_s:g} s"
+            return NO_READING, f"{age} nothing new of {self._where(name)}"
+        if not math.isfinite(reading.value):
+            return NO_NUMBER, f"found {reading.value} as {self._where(name)}"
+        wrong = self._untrue(name, reading, now_ns) if name in self._taps else None
+        if wrong is not None:
+            return wrong
+        if abs(reading.off_s) > self._params.stamp_tolerance_s:
+            when = "old" if reading.off_s > 0.0 else "ahead"
+            return OLD_READING, f"{abs(reading.off_s):.3g} s {when} as {self._where(name)}"
+        return None
 
     def _untrue(self, tap: str, reading: Reading, now_ns: int) -> tuple[str, str] | None:
         """What is wrong with a pressure, which is never so low, so high, or so still."""
@@ -503,6 +521,11 @@ class ControllingNode(LifecycleNode):
             self._forget()
             self._lose(FAILED, f"{type(error).__name__}: {error}")
         self._publish(self._volts)
+        try:
+            self._afterwards()
+        except Exception as error:  # likewise
+            self._forget()
+            self._lose(FAILED, f"{type(error).__name__}: {error}")
 
     def end(self) -> None:
         """Says the safe voltage as the last word, at the end of the process."""

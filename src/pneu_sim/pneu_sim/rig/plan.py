@@ -261,20 +261,21 @@ def _regulators(rig: Rig, port_names: Sequence[str]) -> Ints:
     return np.array(rows, dtype=np.int64).reshape(-1, L.REG_COLUMNS)
 
 
-def common_plan(rigs: Sequence[Rig], dx_m: float | None = None) -> Plan:
+def common_plan(rigs: Sequence[Rig], dx_m: float | None = None, fewest: int = 2) -> Plan:
     """Plan of rigs that run side by side.
 
     Args:
         rigs: The rigs.
         dx_m: Cell length that replaces theirs, m.
+        fewest: Cells that the shortest pipe has at least.
 
     Raises:
         InputError: They do not share one structure.
     """
     first = rigs[0]
-    plan = plan_grid(first, dx_m)
+    plan = plan_grid(first, dx_m, fewest)
     for other in rigs[1:]:
-        own = plan_grid(other, dx_m)
+        own = plan_grid(other, dx_m, fewest)
         same = list(other.pipes) == list(first.pipes) and all(
             np.array_equal(getattr(own, table), getattr(plan, table))
             for table in ("ends", "ports", "cylinder", "moves", "body", "driven_by", "encoder_of")

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predictive control of a pressure: an observer, and plans on the model from the state it sees.
+
+In every period the observer is led on by the readings, the voltage that was decided before goes
+out, and what comes after it is planned from the state as it now is. So a plan has a period to be
+made in. One that is not ready by then is not waited for: the one before goes on, and the late one
+is taken where it then fits.
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneu_common.errors import InputError
+from pneu_policy.control.identity import OF_LINES, check_same, rig_identity
+from pneu_policy.control.planning import Beside, Here, Planner, Planning, Request
+from pneu_policy.control.predictive_settings import PredictiveSettings
+from pneu_sim.observe.observer import Observer
+from pneu_sim.rig.schema import AttachedEffect, Rig
+
+Floats = NDArray[np.float64]
+
+PREVIEW_STEP_S = 0.01
+"""Targets ahead are asked for so closely, s."""
+LONGEST_S = 0.1
+"""A step so long after the last begins anew, s."""
+EARLY = 0.25
+"""A step that is early by less than this share of a period is that of the next one."""
+KEPT = 6000
+"""So many of the latest times that plans took are kept."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """A plan over time.
+
+    Attributes:
+        begin_s: When it begins, s.
+        volts: (knots,) V.
+    """
+
+    begin_s: float
+    volts: Floats
+
+
+class PredictiveController:
+    """Plans ahead on the model of a rig.
+
+    Attributes:
+        name: What to call it.
+        tap: Tap whose pressure it controls.
+        taps: Taps it is told.
+        preview_s: Times ahead at which it is told the target, s.
+        period_s: Time from one step to the next, s.
+        rig: The model.
+        settings: How plans are made.
+        observer: What follows the state.
+        planning: Who makes plans; the controller's own thread unless it is told otherwise.
+        deferred: Whether somebody else calls `follow` once the voltage has gone out.
+        took_s: How long the latest plans took, s.
+        missed: Plans that were not ready in time.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        tap: str = "end",
+        taps: Sequence[str] | None = None,
+        settings: PredictiveSettings | None = None,
+        name: str = "predictive",
+    ) -> None:
+        """Builds the model.
+
+        Args:
+            rig: The rig, calibrated.
+            tap: Tap whose pressure it controls; it need not be one that it is told.
+            taps: Taps it is told; None is all.
+            settings: How plans are made.
+            name: What to call it.
+
+        Raises:
+            InputError: The rig has no such tap, or cannot be followed.
+        """
+        s = self.settings = settings or PredictiveSettings()
+        self.name, self.tap, self.period_s, self.rig = name, tap, s.period_s, rig
+        self.taps = tuple(rig.taps if taps is None else taps)
+        for each in self.taps:
+            if each not in rig.taps:
+                raise InputError(f"taps: {each!r}: rig {rig.name!r} has {', '.join(rig.taps)}")
+        if s.delay_s > 0.0:
+            late = AttachedEffect(
+                effect="valve_delay",
+                place=next(iter(rig.valves), ""),
+                parameters={"delay_s": s.delay_s},
+            )
+            rig = rig.model_copy(update={"effects": [*rig.effects, late]})
+        followed = s.observer.model_copy(update={"dx_m": s.dx_m})
+        self._late_rig = rig
+        planner = Planner(rig, tap, self.taps, s)
+        self._horizon = planner.horizon
+        self.observer = Observer(rig, followed, self.taps)
+        self._ahead = self._horizon.ahead_s
+        count = int(np.ceil(self._ahead[-1] / PREVIEW_STEP_S - 1e-9)) + 1
+        self.preview_s = tuple((PREVIEW_STEP_S * np.arange(count)).round(9).tolist())
+        self.planning: Planning = Here(planner)
+        self.took_s: deque[float] = deque(maxlen=KEPT)
+        self.missed = 0
+        self.deferred = False
+        self.reset()
+
+    def plan_beside(self) -> None:
+        """Has plans be made by a process beside, against the clock.
+
+        Raises:
+            InputError: It does not come up.
+        """
+        self.planning.end()
+        self.planning = Beside(self._late_rig, self.tap, self.taps, self.settings)
+
+    def end(self) -> None:
+        """Ends what makes plans."""
+        self.planning.end()
+
+    def check_rig(self, rig: Rig, who: str) -> None:
+        """Refuses a rig that it does not plan on.
+
+        Args:
+            rig: The rig it shall run on.
+            who: What to call it.
+
+        Raises:
+            InputError: It has other commands, taps or pipes.
+        """
+        check_same(rig_identity(self.rig), rig_identity(rig), OF_LINES, who, "plans on")
+
+    def reset(self) -> None:
+        """Forgets the past: the state is found anew from the first readings."""
+        self._course = Course(0.0, np.full(self._horizon.knots, self.settings.null_v))
+        self._next: Course | None = None
+        self._time_s = 0.0
+        self._asked_s = -math.inf
+        self._now_v = self.settings.null_v
+        self._begun = False
+        self._heard: tuple[dict[str, float], tuple[float, ...], float, float] | None = None
+        self.planning.forget()
+
+    def step(
+        self,
+        taps_pa: Mapping[str, float],
+        targets_pa: Sequence[float],
+        since_s: float | None = None,
+    ) -> float:
+        """Voltage for the next period, decided before; see `Controller.step`.
+
+        Args:
+            taps_pa: Per tap its newest reading, Pa; one that is not finite is not there.
+            targets_pa: Target at the times ahead, Pa.
+            since_s: Time since the readings of the last step, s; None is a period.
+
+        Raises:
+            ValueError: A target is not finite.
+        """
+        if not np.isfinite(targets_pa).all():
+            raise ValueError("found a target that is not finite")
+        if since_s is not None and not 0.0 < since_s <= LONGEST_S and self._begun:
+            self.reset()
+        self.follow()
+        since = self.period_s if since_s is None else since_s
+        if self._begun:
+            self._time_s += since
+        self._take()
+        self._heard = (dict(taps_pa), tuple(targets_pa), since, self._now_v)
+        self._now_v = self._volts(self._time_s)
+        if not self.deferred:
+            self.follow()
+        return self._now_v
+
+    def follow(self) -> None:
+        """Does what is left of the last step: leads the observer on, has the next plan made."""
+        if self._heard is None:
+            return
+        (taps_pa, targets_pa, since_s, held_v), self._heard = self._heard, None
+        self._observe(taps_pa, since_s, held_v)
+        s = self.settings
+        if self._time_s > self._asked_s + (s.every - EARLY) * s.period_s:
+            self._ask(targets_pa)
+
+    def _volts(self, time_s: float) -> float:
+        """What is commanded at a time, V: a plan goes by time, however late a step is."""
+        s, course = self.settings, self._course
+        if self._next is not None and time_s > self._next.begin_s - EARLY * s.period_s:
+            course = self._next
+        at = math.floor((time_s - course.begin_s) / s.period_s + EARLY)
+        return float(self._horizon.every(course.volts)[min(max(at, 0), s.periods - 1)])
+
+    def _ask(self, targets_pa: Sequence[float]) -> None:
+        """Has the next plan made: it begins when the time that it may take is over."""
+        s = self.settings
+        ahead = np.array([self._volts(self._time_s + n * s.period_s) for n in range(s.every)])
+        begin_s = self._time_s + s.every * s.period_s
+        middles = begin_s + self._horizon.middles_s
+        request = Request(
+            begin_s,
+            np.array([self._volts(t) for t in middles]),
+            ahead,
+            np.interp(self._ahead, self.preview_s, targets_pa),
+            self.observer.mean_state(),
+            self.observer.drifts.lasting(),
+        )
+        self._asked_s = self._time_s
+        self.missed += not self.planning.ask(request)
+
+    def _take(self) -> None:
+        """Takes a plan that is ready; it goes on from where it then is."""
+        if self._next is not None and self._time_s > self._next.begin_s - EARLY * self.period_s:
+            self._course, self._next = self._next, None
+        ready = self.planning.take()
+        if ready is not None:
+            self._next = Course(ready.begin_s, ready.volts)
+            self.took_s.append(ready.took_s)
+
+    def _observe(self, taps_pa: Mapping[str, float], since_s: float, held_v: float) -> None:
+        """Leads the observer on, by what was commanded meanwhile."""
+        if self._begun:
+            samples = self.settings.samples
+            self.observer.advance(np.full((1, samples), held_v), since_s / samples)
+        else:
+            command = self.observer.plant.plan.commands[0]
+            self.observer.begin(taps_pa, {command: held_v})
+            self._begun = True
+        self.observer.assimilate(taps_pa)

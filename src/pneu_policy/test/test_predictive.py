@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predictive control: plans on the model, limits, late plans, the file, the process beside."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pneu_common.errors import InputError
+from pneu_policy.control.controllers import PidController, load_controller, save_pid
+from pneu_policy.control.pid import Gains
+from pneu_policy.control.planning import Beside, Planner, Request
+from pneu_policy.control.predictive import PredictiveController
+from pneu_policy.control.predictive_file import save_predictive
+from pneu_policy.control.predictive_settings import PredictiveSettings
+from pneu_policy.judge.evaluate import simulated_tracks
+from pneu_policy.judge.metrics import target_at
+from pneu_policy.judge.tasks import Conditions, Tasks
+from pneu_policy.task.plants import ControlPlant
+from pneu_sim.observe.observer import Observer
+from pneu_sim.rig import load_rig
+from pneu_sim.rig.schema import AttachedEffect
+
+RIGS = Path(__file__).parents[3] / "rigs"
+SHORT = (1, 1, 1, 2, 3)
+METHODS = ("gauss_newton", "mppi", "adaptive")
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return load_rig(RIGS / "lab.yaml")
+
+
+def request_of(rig, s, target_pa, plan=None):
+    observer = Observer(rig, s.observer.model_copy(update={"dx_m": s.dx_m}), ("end",))
+    planner = Planner(rig, "end", ("end",), s)
+    samples = planner.horizon.ahead_s.size
+    knots = planner.horizon.knots
+    asked = Request(
+        0.0,
+        np.full(knots, s.null_v) if plan is None else plan,
+        np.full(s.every, s.null_v),
+        np.full(samples, target_pa),
+        observer.mean_state(),
+        np.zeros(len(observer.drifts.unknowns)),
+    )
+    return planner, asked
+
+
+def test_a_roll_is_what_the_rig_does(lab):
+    s = PredictiveSettings(holds=SHORT)
+    planner, asked = request_of(lab, s, 2e5)
+    horizon = planner.horizon
+    horizon.begin(asked.state, asked.drifted)
+    plan = np.array([5.6, 6.0, 5.2, 4.7, 5.1])
+    seen = horizon.roll(asked.decided, np.tile(plan, (horizon.lanes, 1)))
+    one = ControlPlant([lab], s.period_s, s.dx_m)
+    one.reset(lab.ambient.pressure_pa)
+    at = one.taps.index("end")
+    volts = [5.0, *np.repeat(plan, SHORT)]
+    alone = [float(one.step(v)[0, at]) for v in volts]
+    # grids differ by the cells of the short exhaust line
+    assert seen[s.samples - 1 :: s.samples, 0] == pytest.approx(alone, rel=0.02)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_plans_get_better_within_range_and_rate(lab, method):
+    s = PredictiveSettings(
+        holds=SHORT, method=method, low_v=3.0, high_v=7.0, most_rate_v_s=60.0, plans=16
+    )
+    planner, asked = request_of(lab, s, 1.8e5)
+
+    def cost(plan):
+        lanes = np.tile(plan, (planner.horizon.lanes, 1))
+        planner.horizon.begin(asked.state, asked.drifted)
+        error = planner.horizon.roll(asked.decided, lanes) - asked.target[:, None]
+        return float(planner.horizon.cost(error, lanes, s.null_v)[0])
+
+    plan = asked.plan
+    first = cost(plan)
+    for _ in range(12):
+        asked = Request(0.0, plan, asked.decided, asked.target, asked.state, asked.drifted)
+        plan = planner.plan(asked).volts
+        assert plan.min() >= 3.0 - 1e-9
+        assert plan.max() <= 7.0 + 1e-9
+        assert np.abs(np.diff(plan, prepend=5.0)).max() <= 60.0 * s.period_s + 1e-9
+    assert cost(plan) < 0.5 * first
+
+
+def test_it_follows_on_a_plant_that_its_model_does_not_know(lab, tmp_path):
+    save_predictive(tmp_path / "p.yaml", str(RIGS / "lab.yaml"), "end", None, {})
+    hidden = [
+        AttachedEffect(effect="valve_delay", place="valve", parameters={"delay_s": 0.002}),
+        AttachedEffect(effect="flow_gain", place="valve", parameters={"error": -0.06}),
+        AttachedEffect(effect="dead_band", place="valve", parameters={"width_v": 0.04}),
+    ]
+    plant = lab.model_copy(update={"effects": [*lab.effects, *hidden]})
+    tasks = Tasks(kinds=("smooth",), seeds=(3,), duration_s=2.5)
+    track = simulated_tracks(
+        tmp_path / "p.yaml", plant, [tasks.target("smooth", 3)], [3], 2.5, Conditions(dx_m=0.1)
+    )[0]
+    late = track.time_s > 1.0
+    error = (track.pressure_pa - target_at(track, track.time_s))[late]
+    assert math.sqrt(float(np.mean(error**2))) < 2.5e3  # of 400 kPa, noise of 250 Pa in it
+
+
+def test_a_plan_goes_by_time_and_a_late_one_is_not_waited_for(lab):
+    s = PredictiveSettings(holds=SHORT)
+    controller = PredictiveController(lab, settings=s)
+
+    class Never:
+        """Plans that do not come."""
+
+        def ask(self, request):
+            return request.begin_s < 0.0
+
+        def take(self):
+            return None
+
+        def forget(self):
+            pass
+
+        def end(self):
+            pass
+
+    readings = dict.fromkeys(lab.taps, 101325.0)
+    ahead = [1.5e5] * len(controller.preview_s)
+    for _ in range(3):
+        controller.step(readings, ahead)
+    plan = controller.planning.take()
+    assert plan is not None
+    volts = [plan.volts[0], plan.volts[1], plan.volts[2], *np.repeat(plan.volts[3:], SHORT[3:])]
+
+    class Once(Never):
+        """One plan, then none."""
+
+        def __init__(self):
+            self.plan = plan
+
+        def take(self):
+            out, self.plan = self.plan, None
+            return out
+
+    controller.planning = Once()
+    assert controller.step(readings, ahead) == volts[0]
+    assert controller.step(readings, ahead, 0.02) == volts[2]  # a step of two periods
+    assert controller.step(readings, ahead, 0.01) == volts[3]
+    assert controller.missed == 3
+
+
+def test_plans_made_beside_are_the_same_and_the_process_ends(lab):
+    s = PredictiveSettings(holds=SHORT, rounds=1)
+    planner, asked = request_of(lab, s, 1.7e5)
+    here = planner.plan(asked)
+    beside = Beside(lab, "end", ("end",), s)
+    try:
+        assert beside.ask(asked)
+        assert not beside.ask(asked)  # it is busy
+        found = None
+        while found is None:
+            found = beside.take()
+        assert found.volts == pytest.approx(here.volts, abs=1e-12)
+        assert beside.ask(asked)
+        beside.forget()
+        while beside._busy:
+            assert beside.take() is None  # what was forgotten comes to nothing
+        assert beside.ask(asked)
+    finally:
+        beside.end()
+    assert not beside._process.is_alive()
+    with pytest.raises(InputError, match="has ended"):
+        beside._busy = False
+        beside.ask(asked)
+
+
+def test_it_goes_on_by_its_virtual_tap(lab):
+    s = PredictiveSettings(holds=SHORT)
+    controller = PredictiveController(lab, settings=s)
+    plant = ControlPlant([lab], 0.01, 0.1)
+    seen = plant.reset(101325.0)
+    at = plant.taps.index("end")
+    for n in range(120):
+        read = dict(zip(plant.taps, seen[0].tolist(), strict=True))
+        if n > 60:
+            read["end"] = math.nan
+        volts = controller.step(read, [2.2e5] * len(controller.preview_s))
+        seen = plant.step(volts)
+    assert seen[0, at] == pytest.approx(2.2e5, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("tap: end", "rig: found None, needed is the path of a rig file"),
+        ("rig: {lab}\ntap: 3", "tap: found 3, needed is the name of a tap"),
+        ("rig: {lab}\ntaps: end", "taps: found 'end', needed are names of taps"),
+        ("rig: {lab}\ntap: far", "tap 'far': rig 'lab' has supply"),
+        ("rig: {lab}\ntaps: [far]", "taps: 'far': rig 'lab' has supply"),
+        ("rig: {lab}\nsettings: {{period_s: -1}}", "settings.period_s"),
+        ("rig: {lab}\nsettings: {{sample_s: 0.003}}", "sample_s: found 0.003, it must divide"),
+        ("rig: {lab}\nsettings: {{holds: []}}", "holds: found"),
+        ("rig: {lab}\nsettings: {{observer: {{member: 3}}}}", "did you mean 'members'"),
+        ("rig: {lab}\nspeed: 1", "speed: unknown, known are"),
+        ("rig: nowhere.yaml", "nowhere.yaml"),
+    ],
+)
+def test_a_file_that_makes_none_is_refused_in_a_sentence(tmp_path, text, words):
+    path = tmp_path / "p.yaml"
+    text = text.format(lab=RIGS / "lab.yaml")
+    path.write_text(f"pneu_controller: 1\nkind: predictive\n{text}\n", encoding="utf-8")
+    with pytest.raises(InputError) as found:
+        load_controller(path)
+    assert words in str(found.value)
+    assert str(found.value).startswith(str(path)) or "nowhere" in words
+
+
+def test_it_refuses_another_rig(lab):
+    controller = PredictiveController(lab, settings=PredictiveSettings(holds=SHORT))
+    with pytest.raises(InputError, match="p: plans on rig 'lab', found rig"):
+        controller.check_rig(load_rig(RIGS / "rig_b_fitted.yaml"), "p")
+    with pytest.raises(ValueError, match="a target that is not finite"):
+        controller.step(dict.fromkeys(lab.taps, 1e5), [math.nan] * len(controller.preview_s))
+
+
+def test_a_controller_sees_virtual_taps_and_does_not_know(lab, tmp_path):
+    save_pid(PidController(Gains(2e-5, 1e-4)), {}, tmp_path / "pid.yaml")
+    text = f"pneu_controller: 1\nkind: virtual\ncontroller: pid.yaml\nrig: {RIGS / 'lab.yaml'}\n"
+    (tmp_path / "v.yaml").write_text(text + "taps: [valve_out]\n", encoding="utf-8")
+    controller = load_controller(tmp_path / "v.yaml")
+    assert (controller.tap, controller.taps) == ("end", ("valve_out",))
+    plant = ControlPlant([lab], controller.period_s, 0.1)
+    seen = plant.reset(101325.0)
+    for _ in range(400):
+        read = {"valve_out": float(seen[0, plant.taps.index("valve_out")])}
+        seen = plant.step(controller.step(read, [2.2e5] * len(controller.preview_s)))
+    assert seen[0, plant.taps.index("end")] == pytest.approx(2.2e5, rel=0.02)
+    for line, words in (
+        ("", "taps: found None, needed are names"),
+        ("taps: [far]\n", "'far': rig 'lab' has supply"),
+        ("taps: [end]\nspeed: 1\n", "speed: unknown, known are"),
+    ):
+        (tmp_path / "v.yaml").write_text(text + line, encoding="utf-8")
+        with pytest.raises(InputError, match=words):
+            load_controller(tmp_path / "v.yaml")

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The observer: its analysis against the Kalman filter, and rigs that it sees a part of."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pneu_common.errors import InputError
+from pneu_sim import sensors
+from pneu_sim.observe.nearness import distances, gaspari_cohn
+from pneu_sim.observe.observer import Observer
+from pneu_sim.observe.settings import Drift, ObserverSettings
+from pneu_sim.observe.trust import Trust
+from pneu_sim.observe.update import move
+from pneu_sim.plant import Plant
+from pneu_sim.rig import load_rig
+from pneu_sim.rig.schema import AttachedEffect
+
+LAB = Path(__file__).parents[3] / "rigs/lab.yaml"
+COARSE = ObserverSettings(dx_m=0.25, fewest_cells=1)
+PERIOD_S = 0.004
+NOISE_PA = 250.0
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return load_rig(LAB)
+
+
+def commands(count, seed=1):
+    """Levels about null, each held for 40 ms."""
+    rng = np.random.default_rng(seed)
+    return 5.0 + np.repeat(rng.uniform(-0.7, 0.9, count // 10 + 1), 10)[:count]
+
+
+def recorded(rig, volts, effects=(), dx_m=0.1, seed=2):
+    """What the taps of a rig read under commands: (n, taps) true and noisy."""
+    plant = Plant([rig.model_copy(update={"effects": [*rig.effects, *effects]})], dx_m)
+    _, seen = plant.advance(volts[None, None], PERIOD_S)
+    true = seen[1:, :, 0]
+    noise = np.full(true.shape[1], NOISE_PA)
+    return true, sensors.corrupt(true, noise, np.zeros_like(noise), np.random.default_rng(seed))
+
+
+def followed(rig, volts, read, used, settings=COARSE, spoil=None):
+    """An observer led along; and (n, taps) what it said, and its standard deviations."""
+    observer = Observer(rig, settings, used)
+    mean, std = np.empty_like(read), np.empty_like(read)
+    for n, row in enumerate(read):
+        now = dict(zip(observer.sensors, row.tolist(), strict=True))
+        if spoil is not None:
+            now = spoil(n, now)
+        observer.advance(volts[None, n : n + 1], PERIOD_S)
+        observer.assimilate(now)
+        told = observer.estimate()
+        mean[n], std[n] = list(told.mean.values()), list(told.std.values())
+    return observer, mean, std
+
+
+def test_the_localisation_is_that_of_gaspari_and_cohn():
+    # their eq. 4.10 where both of its pieces meet, and by hand at half of that
+    at = np.array([0.0, 1.0, 2.0, 3.0])
+    assert gaspari_cohn(at) == pytest.approx([1.0, 5.0 / 24.0, 0.0, 0.0])
+    r = 0.5
+    by_hand = -0.25 * r**5 + 0.5 * r**4 + 0.625 * r**3 - 5.0 / 3.0 * r**2 + 1.0
+    assert gaspari_cohn(np.array([r]))[0] == pytest.approx(by_hand)
+
+
+def test_the_analysis_is_the_kalman_filter_s():
+    rng = np.random.default_rng(0)
+    root = np.array([[2.0, 0.0], [1.2, 0.7]])
+    members = root @ rng.standard_normal((2, 60)) + np.array([[3.0], [-1.0]])
+    mean, covariance = members.mean(axis=1), np.cov(members)
+    h, variance, reading = np.array([1.0, 0.5]), 0.8, 4.2
+    move(members, h @ members, reading, variance, np.ones(2), slice(0, 0))
+    gain = covariance @ h / (h @ covariance @ h + variance)
+    assert members.mean(axis=1) == pytest.approx(mean + gain * (reading - h @ mean))
+    assert np.cov(members) == pytest.approx(covariance - np.outer(gain, h @ covariance))
+
+
+def test_what_is_far_away_or_related_by_chance_alone_is_left():
+    rng = np.random.default_rng(3)
+    members = rng.standard_normal((400, 16))
+    before = members.copy()
+    shown = members[0].copy()
+    near = np.ones(400)
+    near[100:200] = 0.0
+    move(members, shown, 1.0, 0.1, near, slice(200, 400))
+    assert np.array_equal(members[100:200], before[100:200])
+    moved = np.abs(members.mean(axis=1) - before.mean(axis=1))
+    assert moved[200:].mean() < 0.5 * moved[1:100].mean()
+
+
+def test_ways_go_along_lines_but_not_through_valves(lab):
+    plant = Plant([lab], 0.25)
+    far, _ = distances(lab, plant.plan)
+    end = list(plant.plan.taps).index("end")
+    first, cells = plant.plan.pipes["tube"]
+    length = lab.pipes["tube"].length_m
+    at = (np.arange(cells) + 0.5) * length / cells
+    want = np.abs(at - lab.taps["end"].position_m)
+    assert far[end, first : first + cells] == pytest.approx(want)
+    first, cells = plant.plan.pipes["supply_line"]
+    assert np.isinf(far[end, first : first + cells]).all()
+
+
+def test_a_tap_that_is_never_shown_is_known_and_its_intervals_hold(lab):
+    volts = commands(400)
+    hidden = [
+        AttachedEffect(effect="flow_gain", place="valve", parameters={"error": 0.03}),
+        AttachedEffect(effect="null_offset", place="valve", parameters={"offset_v": 0.01}),
+    ]
+    true, read = recorded(lab, volts, hidden)
+    observer, mean, std = followed(lab, volts, read, ("valve_out", "end"))
+    taps = {name: n for n, name in enumerate(observer.sensors)}
+    late = slice(100, None)
+    middle = taps["middle"]
+    error = (mean - true)[late, middle]
+    share = 0.5
+    straight = share * (read[:, taps["valve_out"]] + read[:, taps["end"]]) - true[:, middle]
+    rms = math.sqrt(float(np.mean(error**2)))
+    assert rms < 1.5 * NOISE_PA
+    assert rms < 0.3 * math.sqrt(float(np.mean(straight[late] ** 2)))
+    off = np.abs(read - mean)[late, middle] / np.hypot(std[late, middle], NOISE_PA)
+    assert 0.8 < float(np.mean(off < 1.645)) < 0.99
+    assert observer.watch.wrong == []
+
+
+def test_it_is_the_same_for_the_same_seed(lab):
+    volts = commands(20)
+    _, read = recorded(lab, volts)
+    first, again = (followed(lab, volts, read, ("end",))[1] for _ in range(2))
+    other = followed(lab, volts, read, ("end",), COARSE.model_copy(update={"seed": 1}))[1]
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+@pytest.mark.parametrize(
+    ("fault", "word"),
+    [("frozen", "frozen"), ("off", "off by 2"), ("late", "late by")],
+)
+def test_a_tap_that_fails_is_named_and_left_out(lab, fault, word):
+    volts = commands(550, seed=5)
+    true, read = recorded(lab, volts)
+    shown = read.copy()
+    used = ("valve_out", "middle", "end")
+    end = list(lab.taps).index("end")
+    begin = 250
+    if fault == "frozen":
+        shown[begin:, end] = shown[begin, end]
+    elif fault == "off":
+        shown[begin:, end] += 20e3
+    else:
+        for n in range(begin, len(shown)):
+            step = 1.0 - math.exp(-PERIOD_S / 0.02)
+            shown[n, end] = shown[n - 1, end] + step * (read[n, end] - shown[n - 1, end])
+    observer, mean, _ = followed(lab, volts, shown, used)
+    assert [name for name in used if observer.trust.standing[name].out] == ["end"]
+    assert word in observer.trust.matter("end")
+    last = slice(begin + 100, None)
+    assert math.sqrt(float(np.mean((mean - true)[last, end] ** 2))) < 3.0 * NOISE_PA
+
+
+def test_the_drift_of_a_valve_is_found(lab):
+    volts = commands(500, seed=7)
+    hidden = [AttachedEffect(effect="null_offset", place="valve", parameters={"offset_v": 0.06})]
+    _, read = recorded(lab, volts, hidden)
+    wide = ObserverSettings(dx_m=0.25, fewest_cells=1, members=32, null=Drift(std=0.1, time_s=20.0))
+    observer, _, _ = followed(lab, volts, read, ("valve_out", "end"), wide)
+    at = next(n for n, u in enumerate(observer.drifts.unknowns) if u.kind == "null")
+    # an offset adds to where the valve closes: the command counts for less
+    assert observer.drifts.values[at].mean() == pytest.approx(-0.06, abs=0.03)
+
+
+def test_members_that_became_unstable_are_replaced(lab):
+    volts = commands(20)
+    observer = Observer(lab, COARSE, ("end",))
+    state = observer.plant.state()
+    state.gas[0][..., 3] = np.nan
+    observer.plant.set_state(state)
+    observer.advance(volts[None, :1], PERIOD_S)
+    assert not observer.lost
+    told = observer.estimate()
+    assert all(math.isfinite(value) for value in told.mean.values())
+
+
+def test_the_mean_state_is_that_of_one_rig(lab):
+    observer = Observer(lab, COARSE, ("end",))
+    state = observer.mean_state()
+    one = Plant([lab], 0.25, fewest_cells=1)
+    one.set_state(state)
+    assert one.readings()[:, 0] == pytest.approx(list(observer.estimate().mean.values()), rel=1e-9)
+
+
+def test_one_that_is_wrong_does_not_overrule_two_that_agree():
+    s = ObserverSettings()
+    trust = Trust(("a", "b", "c"), dict.fromkeys("abc", 250.0), s)
+    foreseen, total = dict.fromkeys("abc", 3e5), dict.fromkeys("abc", 300.0**2)
+    weights = {}
+    for n in range(40):
+        read = {"a": 3e5 + 100.0, "b": 3e5 - 100.0, "c": 3.2e5}
+        weights = trust.weigh(1.0 + 0.004 * n, 0.004, read, foreseen, total)
+        assert math.isinf(weights["c"])
+    assert trust.standing["c"].out
+    assert weights["a"] == weights["b"] == 1.0
+
+
+def test_bad_input_is_told_in_a_sentence(lab):
+    with pytest.raises(InputError, match="sensor 'nowhere': rig 'lab' has supply"):
+        Observer(lab, COARSE, ("nowhere",))
+    with pytest.raises(InputError, match="members: Input should be greater than or equal to 4"):
+        ObserverSettings(members=2)
+    plate = load_rig(LAB.parent / "rig_a_thin_plate.yaml")
+    with pytest.raises(InputError, match="an observer needs the full one"):
+        Observer(plate, COARSE)
+    with pytest.raises(InputError, match="rig 'rig_j': it moves"):
+        Observer(load_rig(LAB.parent / "rig_j.yaml"), COARSE)

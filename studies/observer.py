@@ -1,0 +1,336 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an observer sees of labelled recordings: a tap it was never shown, faults, a wrong model.
+
+Takes a folder of bags of the two rigs that ``rigs/`` has calibrations of, named as in
+``docs/bags.md``: ``a_`` and ``b_``, ``healthy`` where nothing is hidden.
+"""
+
+import argparse
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from pneu_common.files import write_whole
+from pneu_common.progress import progress
+from pneu_sim.observe.settings import Drift, ObserverSettings
+from pneu_sim.rig.load import load_rig
+from pneu_sim.rig.schema import Rig
+from pneu_sysid.followed import Followed, Spoil, follow
+from pneu_sysid.records.read import read_recording
+from pneu_sysid.records.recording import Recording
+from studies.digest import digest_of
+
+Floats = NDArray[np.float64]
+
+ROOT = Path(__file__).resolve().parent.parent
+RIGS = {"a": ROOT / "rigs" / "rig_a_fitted.yaml", "b": ROOT / "rigs" / "rig_b_fitted.yaml"}
+USED = ("valve_out", "end")
+SEEN = "middle"
+DX_M = 0.1
+NINETY = 1.645
+"""Half width of a 90 % interval, in standard deviations."""
+BEGIN_S = 1.0
+LOST_S = (6.0, 8.0)
+FAULTY_S = 5.0
+QUANTUM_PA = 170.0
+NOT_KNOWN = Drift(std=0.0, time_s=1.0)
+BLIND = ObserverSettings(
+    members=4,
+    dx_m=DX_M,
+    command=NOT_KNOWN,
+    null=NOT_KNOWN,
+    flow=NOT_KNOWN,
+    supply=NOT_KNOWN,
+    start_std_pa=1e-3,
+    start_std_k=1e-6,
+)
+"""A simulation: members that do not differ."""
+
+
+@dataclass
+class Frozen:
+    """A tap that reads on and on what it read.
+
+    Attributes:
+        tap: The tap.
+    """
+
+    tap: str
+    held: float = math.nan
+
+    def __call__(self, time_s: float, read: dict[str, float]) -> dict[str, float]:
+        """See `pneu_sysid.followed.Spoil`.
+
+        Args:
+            time_s: Time, s.
+            read: By tap.
+        """
+        if time_s < FAULTY_S:
+            self.held = read[self.tap]
+        return {**read, self.tap: self.held}
+
+
+@dataclass
+class Late:
+    """A tap with a first-order lag.
+
+    Attributes:
+        tap: The tap.
+        lag_s: The lag, s.
+    """
+
+    tap: str
+    lag_s: float
+    shown: float = math.nan
+
+    def __call__(self, time_s: float, read: dict[str, float]) -> dict[str, float]:
+        """See `pneu_sysid.followed.Spoil`.
+
+        Args:
+            time_s: Time, s.
+            read: By tap.
+        """
+        if time_s < FAULTY_S or math.isnan(self.shown):
+            self.shown = read[self.tap]
+        else:
+            self.shown += (1.0 - math.exp(-0.002 / self.lag_s)) * (read[self.tap] - self.shown)
+        return {**read, self.tap: self.shown}
+
+
+def off(tap: str, by_pa: float) -> Spoil:
+    """A tap that is off by something.
+
+    Args:
+        tap: The tap.
+        by_pa: By how much, Pa.
+    """
+    return lambda t, read: {**read, tap: read[tap] + (by_pa if t >= FAULTY_S else 0.0)}
+
+
+def lost(tap: str) -> Spoil:
+    """A tap that reads nothing for a while.
+
+    Args:
+        tap: The tap.
+    """
+    return lambda t, read: {
+        **read,
+        tap: math.nan if LOST_S[0] <= t < LOST_S[1] else read[tap],
+    }
+
+
+def read(rig: Rig, path: Path) -> Recording:
+    """Reads a bag by a rig's channels.
+
+    Args:
+        rig: The rig.
+        path: The bag.
+    """
+    return read_recording(
+        path,
+        commands={n: c.channel for n, c in rig.commands.items() if c.channel is not None},
+        pressures={n: t.channel for n, t in rig.taps.items() if t.channel is not None},
+    )
+
+
+def rms(values: Floats) -> float:
+    """Root mean square.
+
+    Args:
+        values: Any.
+    """
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def first_wrong(found: Followed) -> tuple[float, str]:
+    """When it was first said that something is wrong, s, and what; infinite and nothing if never.
+
+    Args:
+        found: What an observer said.
+    """
+    for at, wrong, matter in zip(found.time_s, found.wrong, found.matter, strict=True):
+        if wrong or matter:
+            words = [*wrong, *(f"{tap}: {what}" for tap, what in matter.items())]
+            return float(at), words[0]
+    return math.inf, ""
+
+
+def healthy_rows(bag: Path, rig: Rig, noise_pa: float) -> tuple[list[str], str]:
+    """Rows of the page about a recording in which nothing is hidden.
+
+    Args:
+        bag: The recording.
+        rig: Its calibrated rig.
+        noise_pa: Noise of its taps, with what their quantisation adds, Pa.
+    """
+    recording = read(rig, bag)
+    s = ObserverSettings(dx_m=DX_M, noise_pa=noise_pa)
+    found = follow(rig, recording, USED, s)
+    blind = follow(rig, recording, USED, BLIND, only_first=True)
+    a, b = (rig.taps[name].position_m for name in USED)
+    share = (rig.taps[SEEN].position_m - a) / (b - a)
+    between = (1.0 - share) * found.read[USED[0]] + share * found.read[USED[1]]
+    straight = (found.read[SEEN] - between)[found.time_s >= BEGIN_S]
+    own = found.error(SEEN, BEGIN_S)
+    row = (
+        f"| {bag.name} | {rms(own):.0f} | {rms(own) / noise_pa:.2f} |"
+        f" {100 * found.covered(SEEN, noise_pa, NINETY, BEGIN_S, math.inf):.0f} % |"
+        f" {rms(straight[np.isfinite(straight)]):.0f} | {rms(blind.error(SEEN, BEGIN_S)):.0f} |"
+    )
+    rows = []
+    whole = rms(found.error(SEEN, *LOST_S))
+    for tap in USED:
+        without = follow(rig, recording, USED, s, spoil=lost(tap))
+        gone = rms(without.error(SEEN, *LOST_S))
+        rows.append(
+            f"| {bag.name} | {tap} | {whole:.0f} | {gone:.0f} | {gone / noise_pa:.2f} |"
+            f" {rms(without.error(tap, *LOST_S)):.0f} |"
+        )
+    at, what = first_wrong(found)
+    told = "nothing" if math.isinf(at) else f"after {at:.2f} s: {what}"
+    return rows, f"{row} {told} |"
+
+
+def fault_rows(bag: Path, rig: Rig, noise_pa: float) -> list[str]:
+    """Rows of the page about taps that fail.
+
+    Args:
+        bag: A recording in which nothing is hidden.
+        rig: Its calibrated rig.
+        noise_pa: Noise of its taps, Pa.
+    """
+    recording = read(rig, bag)
+    s = ObserverSettings(dx_m=DX_M, noise_pa=noise_pa)
+    rows = []
+    makes: Mapping[str, Callable[[str], Spoil]] = {
+        "frozen": Frozen,
+        "off by 20 kPa": lambda tap: off(tap, 20e3),
+        "late by 20 ms": lambda tap: Late(tap, 0.02),
+    }
+    for words, make in makes.items():
+        for tap in (*USED, SEEN):
+            used = (*USED, SEEN)
+            found = follow(rig, recording, used, s, spoil=make(tap))
+            named = [
+                (t, m[tap])
+                for t, m in zip(found.time_s, found.matter, strict=True)
+                if t >= FAULTY_S and tap in m
+            ]
+            others = {
+                other
+                for t, m in zip(found.time_s, found.matter, strict=True)
+                if t >= FAULTY_S
+                for other in m
+            } - {tap}
+            after = f"{1e3 * (named[0][0] - FAULTY_S):.0f} ms" if named else "never"
+            last = named[-1][1] if named else "-"
+            # what the tap truly would have shown: the recording, not what was done to it
+            error = rms(found.error(tap, FAULTY_S + 0.5))
+            rows.append(
+                f"| {bag.name} | {tap} {words} | {after} | {last} |"
+                f" {', '.join(sorted(others)) or 'none'} | {error:.0f} |"
+            )
+    return rows
+
+
+def main() -> int:
+    """Runs the study."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("bags", type=Path, help="folder of the bags")
+    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "observer.md")
+    asked = parser.parse_args()
+    bags = sorted(path for path in asked.bags.iterdir() if path.is_dir())
+    noise_pa = math.hypot(250.0, QUANTUM_PA / math.sqrt(12.0))
+    rigs = {key: load_rig(path) for key, path in RIGS.items()}
+    seen, gone, wrong, faults = [], [], [], []
+    with progress("observer") as told:
+        for n, bag in enumerate(bags):
+            told(bag.name, n / len(bags))
+            rig = rigs[bag.name[0]]
+            if "healthy" in bag.name:
+                rows, row = healthy_rows(bag, rig, noise_pa)
+                seen.append(row)
+                gone += rows
+                if bag.name == "a_healthy_2":
+                    faults += fault_rows(bag, rig, noise_pa)
+                continue
+            s = ObserverSettings(dx_m=DX_M, noise_pa=noise_pa)
+            found = follow(rig, read(rig, bag), USED, s)
+            at, what = first_wrong(found)
+            when = "never" if math.isinf(at) else f"{at:.2f} s"
+            wrong.append(
+                f"| {bag.name} | {when} | {what or '-'} | {rms(found.error(SEEN, BEGIN_S)):.0f} |"
+            )
+    sources = digest_of([ROOT / "src/pneu_sim/pneu_sim", *RIGS.values(), *bags])
+    write_whole(asked.page, "\n".join(page(sources, noise_pa, seen, gone, wrong, faults)))
+    Console().print(f"{asked.page} is written")
+    return 0
+
+
+def page(
+    sources: str,
+    noise_pa: float,
+    seen: list[str],
+    gone: list[str],
+    wrong: list[str],
+    faults: list[str],
+) -> list[str]:
+    """The page.
+
+    Args:
+        sources: Digest of what it was made from.
+        noise_pa: Noise of the taps, Pa.
+        seen: Rows about the tap that was never shown.
+        gone: Rows about taps that were lost.
+        wrong: Rows about models that are wrong.
+        faults: Rows about taps that fail.
+    """
+    return [
+        "# An observer on labelled recordings",
+        "",
+        f"Made by `make observer BAGS=folder`, from the model, rigs and recordings {sources}.",
+        "",
+        f"The observer of `pneu_sim.observe`, 16 members in cells of {DX_M:g} m, takes the commands"
+        f" and the taps {' and '.join(USED)} at 500 Hz. Errors are recorded less estimated, Pa,"
+        f" from {BEGIN_S:g} s on; a recording's own noise is {noise_pa:.0f} Pa. No setting was"
+        " fitted to these recordings but the thresholds of the last column, which were looked at"
+        " on them.",
+        "",
+        "## A tap that it was never shown",
+        "",
+        f"| recording | {SEEN} | over the noise | within 90 % intervals | straight line between"
+        " the taps | simulation from the first readings | said of the model |",
+        "|---|---|---|---|---|---|---|",
+        *seen,
+        "",
+        f"## A tap lost from {LOST_S[0]:g} to {LOST_S[1]:g} s",
+        "",
+        f"| recording | lost | {SEEN} with both | {SEEN} without | over the noise | the lost one |",
+        "|---|---|---|---|---|---|",
+        *gone,
+        "",
+        "## A tap that fails",
+        "",
+        f"At {FAULTY_S:g} s, with all three taps of the tube.",
+        "",
+        "| recording | fault | left out after | named | others left out | error of its virtual"
+        " tap |",
+        "|---|---|---|---|---|---|",
+        *faults,
+        "",
+        "## A model that is wrong",
+        "",
+        f"| recording | first said after | what | {SEEN} |",
+        "|---|---|---|---|",
+        *wrong,
+        "",
+    ]
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Table 9.1 with predictive control: on the plants of the emulated lab, in lock step.
+
+The plants are those of ``make study-pressure``, with what they hide; targets, noise and delays are
+the same. Nothing runs against the clock, so that the figures are the same on any machine: what a
+controller commands in one period acts in the next, whatever time it took. Runs that are there
+already in ``out/predictive`` are not run again.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import joblib
+import numpy as np
+from rich.console import Console
+
+from pneu_common.files import write_whole
+from pneu_common.progress import progress
+from pneu_policy.control.controllers import load_controller
+from pneu_policy.judge.evaluate import check_fits, file_for, simulated_tracks
+from pneu_policy.judge.tasks import Conditions
+from pneu_sim.rig.load import load_rig
+from studies.digest import digest_of
+from studies.pressure import POLICIES, TASKS, TUBES, policies, revealed
+
+ROOT = Path(__file__).resolve().parent.parent
+OUT = ROOT / "out" / "predictive"
+PREDICTIVE = {
+    "predictive": "all taps, plans by Gauss-Newton steps",
+    "predictive_virtual": "the same without the controlled tap: its virtual one instead",
+    "predictive_one_tap": "the same with the controlled tap alone",
+    "predictive_mppi": "all taps, plans by path integrals, 64 draws",
+    "predictive_adaptive": "the same, the spread of the draws learnt",
+}
+LEARNED = ("pde", "pde_fine", "one_tap")
+VIRTUAL = {"pde_fine_virtual": "`pde_fine` with the controlled tap alone, the others virtual"}
+CLASSICAL = ("feed_forward", "pid")
+LIMITS = ROOT / "docs" / "pressure.json"
+
+
+def files_of(tube: str, name: str) -> list[Path]:
+    """Files of a controller of a tube; none where it was not made for that.
+
+    Args:
+        tube: Name of the tube.
+        name: Of the controller.
+    """
+    if name in LEARNED:
+        return policies(tube, name)
+    if name in VIRTUAL:
+        return sorted(POLICIES.glob(f"{tube}_{name}_*.yaml"))
+    path = POLICIES / f"{tube}_{name}.yaml"
+    return [path] if path.exists() else []
+
+
+def one(tube: str, name: str, kind: str, seed: int) -> dict[str, float]:
+    """Figures of one run.
+
+    Args:
+        tube: Name of the tube.
+        name: Of the controller.
+        kind: Of the target.
+        seed: Of the target.
+    """
+    files = files_of(tube, name)
+    path = OUT / f"{tube}-{name}-{kind}-{seed}-{digest_of([*files, *made_of(tube)])}.json"
+    if path.exists():
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    rig = load_rig(TUBES[tube].rig)
+    conditions = Conditions(dx_m=0.5 * rig.grid.dx_m)
+    track = simulated_tracks(
+        file_for(files, seed),
+        revealed(tube),
+        [TASKS.target(kind, seed)],
+        [seed],
+        TASKS.duration_s,
+        conditions,
+    )[0]
+    found = TASKS.judge(track).to_dict()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, json.dumps(found))
+    return found
+
+
+def made_of(tube: str) -> list[Path]:
+    """What the runs on a tube depend on besides the controllers' files.
+
+    Args:
+        tube: Name of the tube.
+    """
+    sources = [ROOT / "src/pneu_sim/pneu_sim", ROOT / "src/pneu_policy/pneu_policy/control"]
+    return [*sources, TUBES[tube].rig, TUBES[tube].sealed]
+
+
+def limits() -> dict[str, float]:
+    """The plants' limits by ``tube, kind``, mean error of their runs, atm."""
+    told = json.loads(LIMITS.read_text(encoding="utf-8"))
+    found: dict[str, list[float]] = {}
+    for run in told["runs"]:
+        if run["controller"] == "limit":
+            found.setdefault(f"{run['plant']}, {run['kind']}", []).append(
+                float(run["metrics"]["rmse_atm"])
+            )
+    return {key: float(np.mean(values)) for key, values in found.items()}
+
+
+def cell(runs: Sequence[Mapping[str, float]]) -> str:
+    """Mean and standard deviation of the runs' errors; a dash where there are none.
+
+    Args:
+        runs: Their figures.
+    """
+    if not runs:
+        return "-"
+    values = [run["rmse_atm"] for run in runs]
+    return f"{np.mean(values):.4f} ± {np.std(values, ddof=1):.4f}"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the study; returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--only", nargs="+", help="controllers")
+    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "predictive.md")
+    asked = parser.parse_args(arguments)
+    names = asked.only or [*PREDICTIVE, *VIRTUAL, *LEARNED, *CLASSICAL]
+    jobs = [
+        (tube, name, kind, seed)
+        for name in names
+        for tube in TUBES
+        if files_of(tube, name)
+        for kind in TASKS.kinds
+        for seed in TASKS.seeds
+    ]
+    for tube, name, _, _ in jobs:
+        file = files_of(tube, name)[0]
+        check_fits(load_controller(file), file, load_rig(TUBES[tube].rig))
+    found: dict[tuple[str, str, str], list[dict[str, float]]] = {}
+    runs = joblib.Parallel(n_jobs=asked.workers, return_as="generator")(
+        joblib.delayed(one)(*job) for job in jobs
+    )
+    with progress("runs") as told:
+        for n, ((tube, name, kind, _), figures) in enumerate(zip(jobs, runs, strict=True)):
+            told(f"{tube} {name}", n / len(jobs))
+            found.setdefault((tube, kind, name), []).append(figures)
+    write_whole(asked.page, "\n".join(page(found, names)))
+    Console().print(f"{asked.page} is written")
+    return 0
+
+
+def page(
+    found: dict[tuple[str, str, str], list[dict[str, float]]], names: Sequence[str]
+) -> list[str]:
+    """The page.
+
+    Args:
+        found: Figures of runs by tube, kind of target and controller.
+        names: Controllers, in order.
+    """
+    files = [f for t in TUBES for n in names for f in files_of(t, n)]
+    digest = digest_of([*files, *(p for tube in TUBES for p in made_of(tube))])
+    known, told = limits(), PREDICTIVE | VIRTUAL
+    lines = [
+        "# Predictive control of a pressure",
+        "",
+        f"Made by `make predictive`, from the model, controllers and plants {digest}.",
+        "",
+        "Table 9.1 of the thesis on the plants of the emulated lab, whose hidden effects no model"
+        " knows, in lock step: see `studies/predictive.py`. Predictive controllers plan on the"
+        " calibrated rig and find out by what the plant differs while they control"
+        " ([control.md](control.md)).",
+        "",
+        *(f"- `{name}`: {words}" for name, words in told.items() if name in names),
+        "",
+        f"RMSE in atm, mean and standard deviation of {len(TASKS.seeds)} runs of"
+        f" {TASKS.duration_s:g} s, the first {TASKS.skip_s:g} s not judged. The limit is that of"
+        " [pressure.md](pressure.md); the mark is twice the limit and 0.01 atm.",
+        "",
+        f"| | {' | '.join(names)} | limit | mark |",
+        f"|---|{'---|' * (len(names) + 2)}",
+    ]
+    for tube in TUBES:
+        for kind in TASKS.kinds:
+            cells = [cell(found.get((tube, kind, name), [])) for name in names]
+            limit = known[f"{tube}, {kind}"]
+            lines.append(
+                f"| {tube}, {kind} | {' | '.join(cells)} | {limit:.4f} | {2.0 * limit + 0.01:.4f} |"
+            )
+    lines += [
+        "",
+        "Greatest error of all runs, atm, and RMS of the command's change, V/s:",
+        "",
+        f"| | {' | '.join(names)} |",
+        f"|---|{'---|' * len(names)}",
+    ]
+    for tube in TUBES:
+        for kind in TASKS.kinds:
+            cells = []
+            for name in names:
+                runs = found.get((tube, kind, name))
+                if not runs:
+                    cells.append("-")
+                    continue
+                worst = max(f["worst_atm"] for f in runs)
+                rate = np.mean([f["effort_rate_v_s"] for f in runs])
+                cells.append(f"{worst:.2f}, {rate:.0f}")
+            lines.append(f"| {tube}, {kind} | {' | '.join(cells)} |")
+    return [*lines, ""]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
