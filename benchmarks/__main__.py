@@ -14,6 +14,7 @@ from rich.console import Console
 from benchmarks import (
     accuracy,
     contacts,
+    control,
     gpu,
     graph,
     growth,
@@ -42,6 +43,7 @@ SUBJECTS = {
     "sysid": sysid,
     "contacts": contacts,
     "training": training,
+    "control": control,
     "hands": hands,
     "graph": graph,
 }

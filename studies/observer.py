@@ -7,8 +7,6 @@ Takes a folder of bags of the two rigs that ``rigs/`` has calibrations of, named
 
 import argparse
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +18,11 @@ from pneu_common.progress import progress
 from pneu_sim.observe.settings import Drift, ObserverSettings
 from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.followed import Followed, Spoil, follow
+from pneu_sysid.followed import Followed, follow
 from pneu_sysid.records.read import read_recording
 from pneu_sysid.records.recording import Recording
 from studies.digest import digest_of
+from studies.tap_faults import FAULTS, Fault
 
 Floats = NDArray[np.float64]
 
@@ -50,78 +49,6 @@ BLIND = ObserverSettings(
     start_std_k=1e-6,
 )
 """A simulation: members that do not differ."""
-
-
-@dataclass
-class Frozen:
-    """A tap that reads on and on what it read.
-
-    Attributes:
-        tap: The tap.
-    """
-
-    tap: str
-    held: float = math.nan
-
-    def __call__(self, time_s: float, read: dict[str, float]) -> dict[str, float]:
-        """See `pneu_sysid.followed.Spoil`.
-
-        Args:
-            time_s: Time, s.
-            read: By tap.
-        """
-        if time_s < FAULTY_S:
-            self.held = read[self.tap]
-        return {**read, self.tap: self.held}
-
-
-@dataclass
-class Late:
-    """A tap with a first-order lag.
-
-    Attributes:
-        tap: The tap.
-        lag_s: The lag, s.
-    """
-
-    tap: str
-    lag_s: float
-    shown: float = math.nan
-
-    def __call__(self, time_s: float, read: dict[str, float]) -> dict[str, float]:
-        """See `pneu_sysid.followed.Spoil`.
-
-        Args:
-            time_s: Time, s.
-            read: By tap.
-        """
-        if time_s < FAULTY_S or math.isnan(self.shown):
-            self.shown = read[self.tap]
-        else:
-            self.shown += (1.0 - math.exp(-0.002 / self.lag_s)) * (read[self.tap] - self.shown)
-        return {**read, self.tap: self.shown}
-
-
-def off(tap: str, by_pa: float) -> Spoil:
-    """A tap that is off by something.
-
-    Args:
-        tap: The tap.
-        by_pa: By how much, Pa.
-    """
-    return lambda t, read: {**read, tap: read[tap] + (by_pa if t >= FAULTY_S else 0.0)}
-
-
-def lost(tap: str) -> Spoil:
-    """A tap that reads nothing for a while.
-
-    Args:
-        tap: The tap.
-    """
-    return lambda t, read: {
-        **read,
-        tap: math.nan if LOST_S[0] <= t < LOST_S[1] else read[tap],
-    }
 
 
 def read(rig: Rig, path: Path) -> Recording:
@@ -185,7 +112,7 @@ def healthy_rows(bag: Path, rig: Rig, noise_pa: float) -> tuple[list[str], str]:
     rows = []
     whole = rms(found.error(SEEN, *LOST_S))
     for tap in USED:
-        without = follow(rig, recording, USED, s, spoil=lost(tap))
+        without = follow(rig, recording, USED, s, spoil=Fault(tap, *LOST_S))
         gone = rms(without.error(SEEN, *LOST_S))
         rows.append(
             f"| {bag.name} | {tap} | {whole:.0f} | {gone:.0f} | {gone / noise_pa:.2f} |"
@@ -207,15 +134,10 @@ def fault_rows(bag: Path, rig: Rig, noise_pa: float) -> list[str]:
     recording = read(rig, bag)
     s = ObserverSettings(dx_m=DX_M, noise_pa=noise_pa)
     rows = []
-    makes: Mapping[str, Callable[[str], Spoil]] = {
-        "frozen": Frozen,
-        "off by 20 kPa": lambda tap: off(tap, 20e3),
-        "late by 20 ms": lambda tap: Late(tap, 0.02),
-    }
-    for words, make in makes.items():
+    for words, make in FAULTS.items():
         for tap in (*USED, SEEN):
             used = (*USED, SEEN)
-            found = follow(rig, recording, used, s, spoil=make(tap))
+            found = follow(rig, recording, used, s, spoil=make(tap, FAULTY_S))
             named = [
                 (t, m[tap])
                 for t, m in zip(found.time_s, found.matter, strict=True)

@@ -9,8 +9,9 @@ already in ``out/predictive`` are not run again.
 
 import argparse
 import json
+import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import joblib
@@ -20,14 +21,21 @@ from rich.console import Console
 from pneu_common.files import write_whole
 from pneu_common.progress import progress
 from pneu_policy.control.controllers import load_controller
+from pneu_policy.control.predictive import PredictiveController
 from pneu_policy.judge.evaluate import check_fits, file_for, simulated_tracks
+from pneu_policy.judge.metrics import ATM_PA
 from pneu_policy.judge.tasks import Conditions
+from pneu_policy.task.plants import ControlPlant
 from pneu_sim.rig.load import load_rig
+from pneu_sim.rig.schema import AttachedEffect
+from pneu_sysid.followed import Spoil
 from studies.digest import digest_of
 from studies.pressure import POLICIES, TASKS, TUBES, policies, revealed
+from studies.tap_faults import FAULTS, Fault
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "out" / "predictive"
+BROKEN: dict[str, Callable[[str, float], Spoil]] = {"lost": Fault, **FAULTS}
 PREDICTIVE = {
     "predictive": "all taps, plans by Gauss-Newton steps",
     "predictive_virtual": "the same without the controlled tap: its virtual one instead",
@@ -38,6 +46,8 @@ PREDICTIVE = {
 LEARNED = ("pde", "pde_fine", "one_tap")
 VIRTUAL = {"pde_fine_virtual": "`pde_fine` with the controlled tap alone, the others virtual"}
 CLASSICAL = ("feed_forward", "pid")
+FAULTY_SEED = 101
+FAULTY_S, FAULTY_FOR_S = 3.0, 6.0
 LIMITS = ROOT / "docs" / "pressure.json"
 
 
@@ -83,6 +93,54 @@ def one(tube: str, name: str, kind: str, seed: int) -> dict[str, float]:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, json.dumps(found))
     return found
+
+
+def with_a_fault(
+    tube: str, words: str, make: Callable[[str, float], Spoil] | None, tap: str
+) -> str:
+    """A row of the page: a run during which a tap fails.
+
+    Args:
+        tube: Name of the tube.
+        words: What fails.
+        make: How; None does not.
+        tap: The tap.
+    """
+    controller = load_controller(POLICIES / f"{tube}_predictive.yaml")
+    assert isinstance(controller, PredictiveController)
+    rig, conditions = revealed(tube), Conditions()
+    late = AttachedEffect(
+        effect="valve_delay",
+        place=next(iter(rig.valves)),
+        parameters={"delay_s": conditions.delay_s},
+    )
+    rig = rig.model_copy(update={"effects": [*rig.effects, late]})
+    plant = ControlPlant([rig], controller.period_s, 0.5 * load_rig(TUBES[tube].rig).grid.dx_m)
+    clean, rng = plant.reset(rig.ambient.pressure_pa), np.random.default_rng([FAULTY_SEED, 7])
+    target = TASKS.target("smooth", FAULTY_SEED)
+    spoil = None if make is None else make(tap, FAULTY_S)
+    at, errors, highest = plant.taps.index(controller.tap), [], 0.0
+    named: list[tuple[float, str]] = []
+    for n in range(round(FAULTY_FOR_S / controller.period_s)):
+        now = n * controller.period_s
+        seen = clean[0] + conditions.noise_pa * rng.standard_normal(clean.shape[1])
+        read = dict(zip(plant.taps, seen.tolist(), strict=True))
+        if spoil is not None:
+            read = spoil(now, read)
+        volts = controller.step(read, target.at(now + np.array(controller.preview_s)).tolist())
+        if now >= FAULTY_S:
+            errors.append(float(clean[0, at]) - float(target.at(now)))
+            highest = max(highest, float(clean[0, at]))
+            if matter := controller.observer.trust.matter(tap):
+                named.append((now - FAULTY_S, matter))
+        clean = plant.step(volts)
+    found = np.array(errors) / ATM_PA
+    when = f"{1e3 * named[0][0]:.0f} ms" if named else "-"
+    return (
+        f"| {tube} | {tap} {words} | {when} | {named[-1][1] if named else '-'} |"
+        f" {math.sqrt(float(np.mean(found**2))):.4f} | {np.abs(found).max():.2f} |"
+        f" {highest / 1e3:.0f} |"
+    )
 
 
 def made_of(tube: str) -> list[Path]:
@@ -146,9 +204,37 @@ def main(arguments: list[str] | None = None) -> int:
         for n, ((tube, name, kind, _), figures) in enumerate(zip(jobs, runs, strict=True)):
             told(f"{tube} {name}", n / len(jobs))
             found.setdefault((tube, kind, name), []).append(figures)
-    write_whole(asked.page, "\n".join(page(found, names)))
+    kinds: list[tuple[str, Callable[[str, float], Spoil] | None, str]] = [
+        ("as ever", None, "end"),
+        *((words, make, tap) for tap in ("end", "valve_out") for words, make in BROKEN.items()),
+    ]
+    faults = joblib.Parallel(n_jobs=asked.workers)(
+        joblib.delayed(with_a_fault)(tube, *kind) for tube in TUBES for kind in kinds
+    )
+    write_whole(asked.page, "\n".join([*page(found, names), *of_faults(faults)]))
     Console().print(f"{asked.page} is written")
     return 0
+
+
+def of_faults(rows: Sequence[str]) -> list[str]:
+    """The part of the page about taps that fail.
+
+    Args:
+        rows: Rows of its table.
+    """
+    return [
+        "## Taps that fail",
+        "",
+        f"Smooth target, all taps, one of which fails after {FAULTY_S:g} s: when the observer"
+        " leaves it out, what it says, and the true pressure at `end` from then on: error against"
+        " the target, atm, and highest, kPa; targets reach"
+        f" {TASKS.high_pa / 1e3:g}.",
+        "",
+        "| plant | tap | left out after | named | RMSE | worst | highest |",
+        "|---|---|---|---|---|---|---|",
+        *rows,
+        "",
+    ]
 
 
 def page(
