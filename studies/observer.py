@@ -7,6 +7,7 @@ Takes a folder of bags of the two rigs that ``rigs/`` has calibrations of, named
 
 import argparse
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,13 @@ from rich.console import Console
 
 from pneu_common.files import write_whole
 from pneu_common.progress import progress
+from pneu_sim.gas import AIR
+from pneu_sim.observe.observer import Observer
 from pneu_sim.observe.settings import Drift, ObserverSettings
+from pneu_sim.plant import Plant
 from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.followed import Followed, follow
+from pneu_sysid.followed import Followed, evenly, follow
 from pneu_sysid.records.read import read_recording
 from pneu_sysid.records.recording import Recording
 from studies.digest import digest_of
@@ -36,6 +40,9 @@ NINETY = 1.645
 BEGIN_S = 1.0
 LOST_S = (6.0, 8.0)
 FAULTY_S = 5.0
+PERIOD_S = 0.002
+AHEAD_S, EVERY_S = 0.02, 0.1
+"""Roll-outs begin so often, and are looked at so long after."""
 QUANTUM_PA = 170.0
 NOT_KNOWN = Drift(std=0.0, time_s=1.0)
 BLIND = ObserverSettings(
@@ -123,6 +130,65 @@ def healthy_rows(bag: Path, rig: Rig, noise_pa: float) -> tuple[list[str], str]:
     return rows, f"{row} {told} |"
 
 
+def start_row(bag: Path, rig: Rig, noise_pa: float) -> str:
+    """A row of the page about roll-outs that begin in the middle of a recording.
+
+    Args:
+        bag: A recording in which nothing is hidden.
+        rig: Its calibrated rig.
+        noise_pa: Noise of its taps, Pa.
+    """
+    recording = read(rig, bag)
+    time, volts, seen = evenly(recording, PERIOD_S)
+    observer = Observer(rig, ObserverSettings(dx_m=DX_M, noise_pa=noise_pa), tuple(rig.taps))
+    one = Plant([rig], DX_M)
+    taps = list(one.plan.taps)
+    ahead, every = round(AHEAD_S / PERIOD_S), round(EVERY_S / PERIOD_S)
+    off: dict[str, list[Floats]] = {"straight": [], "observed": []}
+    for n in range(time.size - ahead):
+        now = {name: float(values[n]) for name, values in seen.items()}
+        if n == 0:
+            observer.begin(now)
+        else:
+            observer.advance(volts[:, n - 1 : n], PERIOD_S)
+        observer.assimilate(now)
+        if time[n] < BEGIN_S or n % every or not np.isfinite(list(now.values())).all():
+            continue
+        state = observer.mean_state()
+        coming = volts[None, :, n : n + ahead]
+        measured = np.array([seen[tap][n + ahead] for tap in taps])
+        for way in off:
+            one.set_state(state)
+            if way == "straight":
+                lines_between(one, now)
+            _, shown = one.advance(coming, PERIOD_S)
+            off[way].append(shown[-1, : len(taps), 0] - measured)
+    straight, observed = (np.array(off[way]) for way in ("straight", "observed"))
+    fine = np.isfinite(straight).all(axis=1)
+    return (
+        f"| {bag.name} | {int(fine.sum())} | {rms(straight[fine]):.0f} |"
+        f" {rms(observed[fine]):.0f} |"
+    )
+
+
+def lines_between(plant: Plant, read: Mapping[str, float]) -> None:
+    """Fills lines with gas at rest, its pressure on straight lines between the taps.
+
+    Args:
+        plant: One rig.
+        read: By tap, Pa.
+    """
+    rig = plant.rigs[0]
+    for pipe, (_, cells) in plant.plan.pipes.items():
+        at = (np.arange(cells) + 0.5) * rig.pipes[pipe].length_m / cells
+        known = sorted(
+            (tap.position_m, read[name]) for name, tap in rig.taps.items() if tap.pipe == pipe
+        )
+        pressure = np.interp(at, *np.array(known).T)
+        warm = AIR.r_specific * rig.ambient.temperature_k
+        plant.set_gas(pipe, pressure / warm, 0.0, pressure)
+
+
 def fault_rows(bag: Path, rig: Rig, noise_pa: float) -> list[str]:
     """Rows of the page about taps that fail.
 
@@ -169,7 +235,7 @@ def main() -> int:
     bags = sorted(path for path in asked.bags.iterdir() if path.is_dir())
     noise_pa = math.hypot(250.0, QUANTUM_PA / math.sqrt(12.0))
     rigs = {key: load_rig(path) for key, path in RIGS.items()}
-    seen, gone, wrong, faults = [], [], [], []
+    seen, gone, starts, wrong, faults = [], [], [], [], []
     with progress("observer") as told:
         for n, bag in enumerate(bags):
             told(bag.name, n / len(bags))
@@ -178,6 +244,7 @@ def main() -> int:
                 rows, row = healthy_rows(bag, rig, noise_pa)
                 seen.append(row)
                 gone += rows
+                starts.append(start_row(bag, rig, noise_pa))
                 if bag.name == "a_healthy_2":
                     faults += fault_rows(bag, rig, noise_pa)
                 continue
@@ -189,7 +256,7 @@ def main() -> int:
                 f"| {bag.name} | {when} | {what or '-'} | {rms(found.error(SEEN, BEGIN_S)):.0f} |"
             )
     sources = digest_of([ROOT / "src/pneu_sim/pneu_sim", *RIGS.values(), *bags])
-    write_whole(asked.page, "\n".join(page(sources, noise_pa, seen, gone, wrong, faults)))
+    write_whole(asked.page, "\n".join(page(sources, noise_pa, seen, gone, starts, wrong, faults)))
     Console().print(f"{asked.page} is written")
     return 0
 
@@ -199,6 +266,7 @@ def page(
     noise_pa: float,
     seen: list[str],
     gone: list[str],
+    starts: list[str],
     wrong: list[str],
     faults: list[str],
 ) -> list[str]:
@@ -209,6 +277,7 @@ def page(
         noise_pa: Noise of the taps, Pa.
         seen: Rows about the tap that was never shown.
         gone: Rows about taps that were lost.
+        starts: Rows about roll-outs that begin in the middle.
         wrong: Rows about models that are wrong.
         faults: Rows about taps that fail.
     """
@@ -235,6 +304,16 @@ def page(
         f"| recording | lost | {SEEN} with both | {SEEN} without | over the noise | the lost one |",
         "|---|---|---|---|---|---|",
         *gone,
+        "",
+        "## Roll-outs that begin in the middle",
+        "",
+        f"From {BEGIN_S:g} s on every {1e3 * EVERY_S:g} ms: all taps {1e3 * AHEAD_S:g} ms after"
+        " the beginning, from gas at rest on straight lines between the readings of then, and from"
+        " the mean of the members; Pa.",
+        "",
+        "| recording | roll-outs | from straight lines | from the observer |",
+        "|---|---|---|---|",
+        *starts,
         "",
         "## A tap that fails",
         "",
