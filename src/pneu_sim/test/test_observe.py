@@ -186,6 +186,18 @@ def test_members_that_became_unstable_are_replaced(lab):
     assert all(math.isfinite(value) for value in told.mean.values())
 
 
+def test_where_all_members_are_lost_it_begins_with_what_is_read(lab):
+    observer = Observer(lab, COARSE, ("valve_out", "end"))
+    state = observer.plant.state()
+    state.gas[0][:] = np.nan
+    observer.plant.set_state(state)
+    observer.advance(np.full((1, 1), 5.0), PERIOD_S)
+    assert observer.lost
+    observer.assimilate({"valve_out": 3e5, "end": 3e5})
+    assert not observer.lost
+    assert observer.estimate().mean["middle"] == pytest.approx(3e5, abs=5e3)
+
+
 def test_the_mean_state_is_that_of_one_rig(lab):
     observer = Observer(lab, COARSE, ("end",))
     state = observer.mean_state()

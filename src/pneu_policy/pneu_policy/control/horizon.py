@@ -59,6 +59,7 @@ class Horizon:
         self._drifts = Drifts(self._plant, settings.observer, taps)
         self._at = self._plant.plan.taps.index(tap)
         self._held = np.repeat(np.arange(self.knots), settings.holds)
+        self._late, self._before_v = 0, settings.null_v
         self._from = np.zeros(lanes, dtype=np.int64)
 
     @property
@@ -77,6 +78,15 @@ class Horizon:
         self._state = state
         self._drifts.take(drifted)
 
+    def late(self, late_s: float, before_v: float) -> None:
+        """Says how much later than they are told commands reach the valve, from now on.
+
+        Args:
+            late_s: Beyond what the rig knows, s.
+            before_v: What is in force until then, V.
+        """
+        self._late, self._before_v = max(0, round(late_s / self._s.sample_s)), before_v
+
     def roll(self, decided: Floats, plans: Floats) -> Floats:
         """What the tap would show.
 
@@ -91,7 +101,11 @@ class Horizon:
         volts = np.empty((self.lanes, s.every + s.periods))
         volts[:, : s.every] = decided
         volts[:, s.every :] = plans[:, self._held]
-        each = np.repeat(volts, s.samples, axis=1)[:, None, :] + self._drifts.off_v().T[:, :, None]
+        told = np.repeat(volts, s.samples, axis=1)
+        if self._late:
+            told[:, self._late :] = told[:, : -self._late].copy()
+            told[:, : self._late] = self._before_v
+        each = told[:, None, :] + self._drifts.off_v().T[:, :, None]
         self._plant.set_state(self._state.of(self._from))
         _, readings = self._plant.advance(each, s.sample_s)
         return np.asarray(readings[1:, self._at])

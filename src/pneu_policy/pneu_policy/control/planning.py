@@ -39,6 +39,8 @@ class Request:
         target: (samples,) Pa.
         state: State now, of one rig.
         drifted: (unknowns,) by how much the rig is off its file.
+        late_s: How much later than they are told commands reach the valve, s.
+        before_v: What is in force until then, V.
     """
 
     begin_s: float
@@ -47,6 +49,8 @@ class Request:
     target: Floats
     state: State
     drifted: Floats
+    late_s: float = 0.0
+    before_v: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,7 @@ class Planner:
         """
         s, begin = self._s, time.perf_counter()
         self.horizon.begin(request.state, request.drifted)
+        self.horizon.late(request.late_s, request.before_v)
         volts = request.plan
         for _ in range(s.rounds):
             volts = self._improve.better(self.horizon, volts, request.target, request.decided)
@@ -191,6 +196,7 @@ class Beside:
         theirs.close()
         self._busy = False
         self._stale = False
+        self._plan: Plan | None = None
         if not self._mine.poll(READY_S) or self._hear() is not None:
             self.end()
             raise InputError("the process that makes plans did not come up")
@@ -209,6 +215,7 @@ class Beside:
         Args:
             request: The request.
         """
+        self._look()
         if self._busy:
             return False
         try:
@@ -220,15 +227,22 @@ class Beside:
 
     def take(self) -> Plan | None:
         """Takes what is ready; see `Planning.take`."""
+        self._look()
+        plan, self._plan = self._plan, None
+        return plan
+
+    def _look(self) -> None:
+        """Hears whether the plan that was asked for is there."""
         if not (self._busy and self._mine.poll()):
-            return None
+            return
         plan, self._busy = self._hear(), False
         stale, self._stale = self._stale, False
-        return None if stale else plan
+        self._plan = None if stale else plan
 
     def forget(self) -> None:
         """Has the plan that is being made come to nothing."""
         self._stale = self._busy
+        self._plan = None
 
     def end(self) -> None:
         """Ends the process."""

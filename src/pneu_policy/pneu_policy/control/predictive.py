@@ -28,6 +28,8 @@ PREVIEW_STEP_S = 0.01
 """Targets ahead are asked for so closely, s."""
 LONGEST_S = 0.1
 """A step so long after the last begins anew, s."""
+SAME_S = 1e-7
+"""Times that are as near to each other are the same."""
 EARLY = 0.25
 """A step that is early by less than this share of a period is that of the next one."""
 KEPT = 6000
@@ -45,6 +47,25 @@ class Course:
 
     begin_s: float
     volts: Floats
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What a step was told.
+
+    Attributes:
+        taps_pa: By tap, Pa.
+        targets_pa: At the times ahead, Pa.
+        time_s: When it was read, s.
+        since_s: Since what was read before, s.
+        late_s: How old it was, s.
+    """
+
+    taps_pa: Mapping[str, float]
+    targets_pa: Sequence[float]
+    time_s: float
+    since_s: float
+    late_s: float
 
 
 class PredictiveController:
@@ -145,7 +166,8 @@ class PredictiveController:
         self._asked_s = -math.inf
         self._now_v = self.settings.null_v
         self._begun = False
-        self._heard: tuple[dict[str, float], tuple[float, ...], float, float] | None = None
+        self._heard: Heard | None = None
+        self._told: deque[tuple[float, float]] = deque([(-math.inf, self.settings.null_v)])
         self.planning.forget()
 
     def step(
@@ -153,6 +175,7 @@ class PredictiveController:
         taps_pa: Mapping[str, float],
         targets_pa: Sequence[float],
         since_s: float | None = None,
+        late_s: float = 0.0,
     ) -> float:
         """Voltage for the next period, decided before; see `Controller.step`.
 
@@ -160,6 +183,7 @@ class PredictiveController:
             taps_pa: Per tap its newest reading, Pa; one that is not finite is not there.
             targets_pa: Target at the times ahead, Pa.
             since_s: Time since the readings of the last step, s; None is a period.
+            late_s: How old the readings are, s: so much later than they commands begin to act.
 
         Raises:
             ValueError: A target is not finite.
@@ -173,8 +197,9 @@ class PredictiveController:
         if self._begun:
             self._time_s += since
         self._take()
-        self._heard = (dict(taps_pa), tuple(targets_pa), since, self._now_v)
+        self._heard = Heard(dict(taps_pa), tuple(targets_pa), self._time_s, since, late_s)
         self._now_v = self._volts(self._time_s)
+        self._told.append((self._time_s + late_s, self._now_v))
         if not self.deferred:
             self.follow()
         return self._now_v
@@ -183,11 +208,11 @@ class PredictiveController:
         """Does what is left of the last step: leads the observer on, has the next plan made."""
         if self._heard is None:
             return
-        (taps_pa, targets_pa, since_s, held_v), self._heard = self._heard, None
-        self._observe(taps_pa, since_s, held_v)
+        heard, self._heard = self._heard, None
+        self._observe(heard)
         s = self.settings
         if self._time_s > self._asked_s + (s.every - EARLY) * s.period_s:
-            self._ask(targets_pa)
+            self._ask(heard)
 
     def _volts(self, time_s: float) -> float:
         """What is commanded at a time, V: a plan goes by time, however late a step is."""
@@ -197,7 +222,7 @@ class PredictiveController:
         at = math.floor((time_s - course.begin_s) / s.period_s + EARLY)
         return float(self._horizon.every(course.volts)[min(max(at, 0), s.periods - 1)])
 
-    def _ask(self, targets_pa: Sequence[float]) -> None:
+    def _ask(self, heard: Heard) -> None:
         """Has the next plan made: it begins when the time that it may take is over."""
         s = self.settings
         ahead = np.array([self._volts(self._time_s + n * s.period_s) for n in range(s.every)])
@@ -207,9 +232,11 @@ class PredictiveController:
             begin_s,
             np.array([self._volts(t) for t in middles]),
             ahead,
-            np.interp(self._ahead, self.preview_s, targets_pa),
+            np.interp(self._ahead, self.preview_s, heard.targets_pa),
             self.observer.mean_state(),
             self.observer.drifts.lasting(),
+            heard.late_s,
+            self._in_force(heard.time_s),
         )
         self._asked_s = self._time_s
         self.missed += not self.planning.ask(request)
@@ -223,13 +250,33 @@ class PredictiveController:
             self._next = Course(ready.begin_s, ready.volts)
             self.took_s.append(ready.took_s)
 
-    def _observe(self, taps_pa: Mapping[str, float], since_s: float, held_v: float) -> None:
-        """Leads the observer on, by what was commanded meanwhile."""
+    def _in_force(self, time_s: float) -> float:
+        """The command that acts at a time, V."""
+        return next(volts for at, volts in reversed(self._told) if at <= time_s + SAME_S)
+
+    def _observe(self, heard: Heard) -> None:
+        """Leads the observer on, by what acted meanwhile."""
+        end_s = heard.time_s
         if self._begun:
             samples = self.settings.samples
-            self.observer.advance(np.full((1, samples), held_v), since_s / samples)
+            step_s = heard.since_s / samples
+            begin_s = end_s - heard.since_s
+            held = [self._mean(begin_s + n * step_s, step_s) for n in range(samples)]
+            self.observer.advance(np.array([held]), step_s)
         else:
             command = self.observer.plant.plan.commands[0]
-            self.observer.begin(taps_pa, {command: held_v})
+            self.observer.begin(heard.taps_pa, {command: self._in_force(end_s)})
             self._begun = True
-        self.observer.assimilate(taps_pa)
+        self.observer.assimilate(heard.taps_pa)
+        while len(self._told) > 1 and self._told[1][0] <= end_s:
+            self._told.popleft()
+
+    def _mean(self, begin_s: float, long_s: float) -> float:
+        """Mean of the commands that acted for a while, V."""
+        first, end_s = self._in_force(begin_s), begin_s + long_s
+        extra, before = 0.0, first
+        for at, volts in self._told:
+            if begin_s + SAME_S < at < end_s - SAME_S:
+                extra += (volts - before) * (end_s - at)
+                before = volts
+        return first + extra / long_s

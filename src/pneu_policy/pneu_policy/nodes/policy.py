@@ -21,6 +21,11 @@ from pneu_policy.control.virtual import VirtualTaps
 from pneu_policy.nodes.control import ControlNode, ControlParameters
 from pneu_policy.nodes.running import run_controller
 
+MOST_LATE_S = 0.05
+"""An age of readings that is beyond this is that of another clock."""
+LATEST_NS = 100_000_000
+"""A reading that is older than the last one by no more than this is late, else the clock jumped."""
+
 
 @dataclass
 class PolicyParameters(ControlParameters):
@@ -140,11 +145,13 @@ class PolicyNode(ControlNode):
     ) -> float:
         period_ns = round(controller.period_s * 1e9)
         before = self._stepped_ns
-        if before is not None and stamp_ns == before:  # nothing new
+        if before is not None and 0 <= before - stamp_ns <= LATEST_NS:
+            # nothing new, or of before what has been foreseen already
             stamp_ns, pressures_pa = before + period_ns, {}
         self._stepped_ns = stamp_ns
         since_s = None if before is None else (stamp_ns - before) * 1e-9
-        return controller.step(pressures_pa, targets, since_s)
+        late_s = 1e-9 * (int(self.get_clock().now().nanoseconds) - stamp_ns)
+        return controller.step(pressures_pa, targets, since_s, min(max(late_s, 0.0), MOST_LATE_S))
 
     def _afterwards(self) -> None:
         if self._predictive is not None:

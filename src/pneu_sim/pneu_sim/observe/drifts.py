@@ -32,6 +32,8 @@ SPOOL = {
 """Columns of a valve's row that drift, none of which may be negative."""
 LASTING_S = 0.5
 """What forgets sooner says nothing of a plan's horizon."""
+MOST = 6.0
+"""No number wanders farther than so many of its standard deviations, whatever is read."""
 LEAST_FLOW = 0.05
 """Least share that a port lets through, whatever a member thinks."""
 
@@ -164,7 +166,9 @@ class Drifts:
         self.apply()
 
     def apply(self) -> None:
-        """Has the members be as their numbers say."""
+        """Has the members be as their numbers say, none of which is beyond what is possible."""
+        most = MOST * self._std[:, None]
+        np.clip(self.values, -most, most, out=self.values)
         solver = self._plant.solver
         for k in self._of["supply"]:
             index = self.unknowns[k].index

@@ -187,6 +187,8 @@ class Observer:
         Returns:
             What each that is used said beyond what was foreseen.
         """
+        if self.lost:  # all members at once: what is read now is all that is known
+            self.begin(readings)
         shown = self.plant.readings()
         read = {
             name: float(readings[name])

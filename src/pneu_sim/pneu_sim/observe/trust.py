@@ -5,7 +5,7 @@ A reading far beyond what was foreseen counts less (Huber 1964): as if its noise
 it is just within the gate, or not at all where all others are within. One that stays beyond while
 the others agree with the model is out: its sensor is wrong, and the rest goes on without it until
 it agrees again. Where most readings are beyond at once it is the model that is wrong, and all are
-taken.
+taken in full.
 """
 
 import math
@@ -98,7 +98,8 @@ class Trust:
         far = {n for n, value in z.items() if abs(value) > s.gate}
         keep = math.exp(-interval_s / s.patience_s)
         believed = [n for n in z if not self.standing[n].out]
-        most_far = len([n for n in believed if n in far]) * 2 > len(believed)
+        # of one or two nobody can tell which is wrong
+        most_far = len(believed) > 2 and len(far & set(believed)) * 2 > len(believed)
         out: dict[str, float] = {}
         for name, value in z.items():
             at = self.standing[name]
