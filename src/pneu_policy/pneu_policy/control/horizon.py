@@ -68,6 +68,11 @@ class Horizon:
         s = self._s
         return np.asarray((1 + np.arange((s.every + s.periods) * s.samples)) * s.sample_s)
 
+    def at_rest(self) -> tuple[State, Floats]:
+        """Returns the state of one rig at rest, and that it is not off its file."""
+        one = self._plant.state().of(np.zeros(1, dtype=np.int64))
+        return one, np.zeros(len(self._drifts.unknowns))
+
     def begin(self, state: State, drifted: Floats) -> None:
         """Takes the state that plans begin from, and by how much the rig is off its file.
 

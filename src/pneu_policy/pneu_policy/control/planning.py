@@ -130,6 +130,15 @@ class Planner:
                 break
         return Plan(request.begin_s, volts, time.perf_counter() - begin)
 
+    def warm(self) -> None:
+        """Makes a plan that nobody asked for: the first of a process loads what it runs."""
+        s, knots = self._s, self.horizon.knots
+        state, drifted = self.horizon.at_rest()
+        target = np.full(self.horizon.ahead_s.size, 2e5)
+        plan, decided = np.full(knots, s.null_v), np.full(s.every, s.null_v)
+        self.plan(Request(0.0, plan, decided, target, state, drifted))
+        self.forget()
+
     def forget(self) -> None:
         """Forgets what it has learnt."""
         self._improve.reset()
@@ -266,7 +275,7 @@ def _serve(
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, os.getpriority(os.PRIO_PROCESS, os.getppid()))
     planner = Planner(rig, tap, taps, settings)
-    first = True
+    planner.warm()
     pipe.send(None)
     while True:
         try:
@@ -274,7 +283,6 @@ def _serve(
         except (EOFError, OSError):
             return
         begin = time.monotonic()
-        plan = planner.plan(request, None if first else functools.partial(_since, begin))
-        first = False
+        plan = planner.plan(request, functools.partial(_since, begin))
         with contextlib.suppress(OSError):
             pipe.send(plan)
