@@ -6,6 +6,7 @@ with the newest reading of each tap that the controller sees. Parameters and top
 ``ros_ws/README.md``.
 """
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -67,6 +68,7 @@ class PolicyNode(ControlNode):
         """
         self._controller: Controller | None = None
         self._predictive: PredictiveController | None = None
+        self._first = contextlib.ExitStack()
         super().__init__("policy", **options)
 
     def _make_one(self) -> None:
@@ -91,8 +93,9 @@ class PolicyNode(ControlNode):
         self._end_planning()
         if isinstance(controller, PredictiveController):
             self._check_model(controller)
-            with precedence():  # the process that plans inherits it
-                controller.plan_beside()
+            # late commands are wrong ones; the process that plans inherits it
+            self._first.enter_context(precedence())
+            controller.plan_beside()
             controller.deferred = True
             self._predictive = controller
             self._spare = frozenset(controller.taps)
@@ -117,6 +120,7 @@ class PolicyNode(ControlNode):
         if self._predictive is not None:
             self._predictive.end()
             self._predictive = None
+            self._first.close()
 
     def destroy_node(self) -> None:
         """Ends planning, then the node."""
