@@ -21,13 +21,13 @@ from rich.console import Console
 from pneu_common.files import write_whole
 from pneu_common.progress import progress
 from pneu_policy.control.controllers import load_controller
+from pneu_policy.control.late import with_delay
 from pneu_policy.control.predictive import PredictiveController
 from pneu_policy.judge.evaluate import check_fits, file_for, simulated_tracks
 from pneu_policy.judge.metrics import ATM_PA
 from pneu_policy.judge.tasks import Conditions
 from pneu_policy.task.plants import ControlPlant
 from pneu_sim.rig.load import load_rig
-from pneu_sim.rig.schema import AttachedEffect
 from pneu_sysid.followed import Spoil
 from studies.digest import digest_of
 from studies.pressure import POLICIES, TASKS, TUBES, policies, revealed
@@ -109,12 +109,7 @@ def with_a_fault(
     controller = load_controller(POLICIES / f"{tube}_predictive.yaml")
     assert isinstance(controller, PredictiveController)
     rig, conditions = revealed(tube), Conditions()
-    late = AttachedEffect(
-        effect="valve_delay",
-        place=next(iter(rig.valves)),
-        parameters={"delay_s": conditions.delay_s},
-    )
-    rig = rig.model_copy(update={"effects": [*rig.effects, late]})
+    rig = with_delay(rig, conditions.delay_s)
     plant = ControlPlant([rig], controller.period_s, 0.5 * load_rig(TUBES[tube].rig).grid.dx_m)
     clean, rng = plant.reset(rig.ambient.pressure_pa), np.random.default_rng([FAULTY_SEED, 7])
     target = TASKS.target("smooth", FAULTY_SEED)

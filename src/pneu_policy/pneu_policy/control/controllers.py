@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from ruamel.yaml import YAML
 from pneu_common.documents import read_yaml
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
+from pneu_policy.control.controller import Controller as Controller
 from pneu_policy.control.feed_forward import FeedForward
 from pneu_policy.control.observations import Observer
 from pneu_policy.control.pid import Gains, Pid
@@ -31,41 +32,6 @@ PERIOD_S = 0.004
 
 VERSION = 1
 KINDS = ("pid", "feed_forward", "predictive", "virtual")
-
-
-class Controller(Protocol):
-    """What all controllers have in common.
-
-    Attributes:
-        name: What to call it.
-        tap: Tap whose pressure it controls.
-        taps: Taps it must be told, the controlled one among them.
-        preview_s: Times ahead at which it must be told the target, s, rising from 0.
-        period_s: Time from one step to the next, s.
-    """
-
-    name: str
-    tap: str
-    taps: tuple[str, ...]
-    preview_s: tuple[float, ...]
-    period_s: float
-
-    def reset(self) -> None:
-        """Forgets the past."""
-
-    def step(self, taps_pa: Mapping[str, float], targets_pa: Sequence[float]) -> float:
-        """Voltage for the next period.
-
-        Args:
-            taps_pa: Per tap its newest reading, Pa.
-            targets_pa: Target at the times ahead, Pa.
-
-        Returns:
-            The voltage, V.
-
-        Raises:
-            ValueError: A number is not finite.
-        """
 
 
 class PidController:

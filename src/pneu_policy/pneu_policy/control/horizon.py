@@ -8,14 +8,12 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_policy.control.predictive_settings import PredictiveSettings
+from pneu_policy.control.shooting import SCALE_PA, cost
 from pneu_sim.observe.drifts import Drifts
 from pneu_sim.plant import Plant, State
 from pneu_sim.rig.schema import Rig
 
 Floats = NDArray[np.float64]
-
-SCALE_PA = 1e3
-"""Errors are told in this, Pa."""
 
 
 class Horizon:
@@ -123,11 +121,12 @@ class Horizon:
             plans: (lanes, knots) V.
             now_v: What is commanded until the plans begin, V.
         """
-        moved = np.diff(plans, axis=1, prepend=now_v)
-        weight = self._s.smooth_pa_per_v / SCALE_PA
-        return np.asarray(
-            np.sum((error / SCALE_PA) ** 2, axis=0) + weight**2 * np.sum(moved**2, axis=1)
-        )
+        return cost(error / SCALE_PA, plans, now_v, self.weight)
+
+    @property
+    def weight(self) -> float:
+        """What a volt of change from knot to knot counts as, in the unit of errors."""
+        return self._s.smooth_pa_per_v / SCALE_PA
 
     def every(self, plan: Floats) -> Floats:
         """(periods,) the voltage of every period of a plan.

@@ -10,17 +10,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_policy.control.horizon import SCALE_PA, Horizon
+from pneu_policy.control.horizon import Horizon
 from pneu_policy.control.predictive_settings import PredictiveSettings
-from pneu_sysid.gauss_newton import damped_steps
+from pneu_policy.control.shooting import LANES, SCALE_PA, differences, steps_of
 
 Floats = NDArray[np.float64]
 
-LANES = 8
-"""Rigs run side by side in multiples of this at no further cost."""
-DIFFERENCES_V = (0.1, -0.1, 0.3, -0.3)
-"""Steps of the differences in turn: forth and back, as the valve's flow has a kink at null, and far
-enough to come out of its backlash."""
 DAMPING = (1e-4, 1e-2, 1.0)
 """Levenberg-Marquardt terms that are tried, relative to the mean square of the derivatives."""
 LEARN = 0.1
@@ -83,29 +78,13 @@ class GaussNewton:
             decided: (every,).
         """
         s, knots, now_v = self._s, horizon.knots, float(decided[-1])
-        step = DIFFERENCES_V[self._turn % len(DIFFERENCES_V)]
+        plans, signed = differences(plan, self._turn, self.lanes, s.low_v, s.high_v)
         self._turn += 1
-        # the other way where the range ends
-        signed = np.where((plan + step > s.high_v) | (plan + step < s.low_v), -step, step)
-        plans = np.repeat(plan[None], self.lanes, axis=0)
-        plans[np.arange(knots) + 1, np.arange(knots)] += signed
         seen = horizon.roll(decided, plans)
         if not np.isfinite(seen).all():
             return plan
-        error = (seen[:, 0] - target) / SCALE_PA
-        slope = (seen[:, 1 : knots + 1] - seen[:, :1]) / signed / SCALE_PA
-        change = np.eye(knots) - np.eye(knots, k=-1)
-        weight = s.smooth_pa_per_v / SCALE_PA
-        moved = change @ plan
-        moved[0] -= now_v
-        size = np.sqrt(float(np.mean(np.sum(slope**2, axis=0))) + 1e-12)
-        steps = damped_steps(
-            np.vstack([slope, weight * change]),
-            -np.concatenate([error, weight * moved]),
-            s.low_v - plan,
-            s.high_v - plan,
-            DAMPING,
-            np.full(knots, size),
+        error, steps = steps_of(
+            plan, seen, signed, target, now_v, (s.low_v, s.high_v), horizon.weight, DAMPING
         )
         tried = [plan + 0.5**k * step for k in range(2) for step in steps]
         tried += [np.full(knots, s.null_v)] * (self.lanes - len(tried))

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_policy.control.identity import OF_LINES, check_same, rig_identity
+from pneu_policy.control.late import with_delay
 from pneu_policy.control.planning import Beside, Here, Planner, Planning, Request
 from pneu_policy.control.predictive_settings import PredictiveSettings
 from pneu_sim.observe.observer import Observer
-from pneu_sim.rig.schema import AttachedEffect, Rig
+from pneu_sim.rig.schema import Rig
 
 Floats = NDArray[np.float64]
 
@@ -112,13 +113,7 @@ class PredictiveController:
         for each in self.taps:
             if each not in rig.taps:
                 raise InputError(f"taps: {each!r}: rig {rig.name!r} has {', '.join(rig.taps)}")
-        if s.delay_s > 0.0:
-            late = AttachedEffect(
-                effect="valve_delay",
-                place=next(iter(rig.valves), ""),
-                parameters={"delay_s": s.delay_s},
-            )
-            rig = rig.model_copy(update={"effects": [*rig.effects, late]})
+        rig = with_delay(rig, s.delay_s)
         followed = s.observer.model_copy(update={"dx_m": s.dx_m})
         self._late_rig = rig
         planner = Planner(rig, tap, self.taps, s)

@@ -6,39 +6,20 @@ too, and does not know the difference.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
 
 import numpy as np
 
 from pneu_common.errors import InputError
+from pneu_policy.control.controller import Controller
 from pneu_policy.control.identity import OF_LINES, check_same, rig_identity
+from pneu_policy.control.late import with_delay
 from pneu_policy.control.predictive_settings import ADAPTING
 from pneu_sim.observe.observer import Observer
 from pneu_sim.observe.settings import ObserverSettings
-from pneu_sim.rig.schema import AttachedEffect, Rig
+from pneu_sim.rig.schema import Rig
 
 SAMPLE_S = 2e-3
 """Commands are followed at least this finely within a period."""
-
-
-class Controller(Protocol):
-    """What is needed of the other controller; see `pneu_policy.control.controllers.Controller`."""
-
-    tap: str
-    taps: tuple[str, ...]
-    preview_s: tuple[float, ...]
-    period_s: float
-
-    def reset(self) -> None:
-        """Forgets the past."""
-
-    def step(self, taps_pa: Mapping[str, float], targets_pa: Sequence[float]) -> float:
-        """Voltage for the next period.
-
-        Args:
-            taps_pa: Per tap its newest reading, Pa.
-            targets_pa: Target at the times ahead, Pa.
-        """
 
 
 class VirtualTaps:
@@ -57,7 +38,7 @@ class VirtualTaps:
 
     def __init__(
         self,
-        controller: "Controller",
+        controller: Controller,
         rig: Rig,
         taps: Sequence[str],
         settings: ObserverSettings = ADAPTING,
@@ -83,13 +64,7 @@ class VirtualTaps:
         for tap in controller.taps:
             if tap not in rig.taps:
                 raise InputError(f"taps: {tap!r}: rig {rig.name!r} has {', '.join(rig.taps)}")
-        late = AttachedEffect(
-            effect="valve_delay",
-            place=next(iter(rig.valves), ""),
-            parameters={"delay_s": delay_s},
-        )
-        followed = rig.model_copy(update={"effects": [*rig.effects, late]})
-        self.observer = Observer(followed, settings, self.taps)
+        self.observer = Observer(with_delay(rig, delay_s), settings, self.taps)
         self._null_v = next(iter(rig.valves.values())).spool.null_v
         self.reset()
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_policy.control.controllers import Controller, PolicyController, load_controller
+from pneu_policy.control.late import with_delay
 from pneu_policy.control.predictive import PredictiveController
 from pneu_policy.control.virtual import VirtualTaps
 from pneu_policy.judge.metrics import EARLY_S, Track
@@ -24,7 +25,7 @@ from pneu_policy.judge.tasks import Conditions, Tasks
 from pneu_policy.task.plants import ControlPlant
 from pneu_policy.task.targets import Target
 from pneu_sim import sensors
-from pneu_sim.rig.schema import AttachedEffect, Rig
+from pneu_sim.rig.schema import Rig
 
 Floats = NDArray[np.float64]
 Controllers = Mapping[str, Sequence[Path]]
@@ -146,13 +147,7 @@ def simulated_tracks(
     controllers = [load_controller(spec) for _ in targets]
     first = controllers[0]
     check_fits(first, spec, rig)
-    if c.delay_s > 0.0:
-        late = AttachedEffect(
-            effect="valve_delay",
-            place=next(iter(rig.valves)),
-            parameters={"delay_s": c.delay_s},
-        )
-        rig = rig.model_copy(update={"effects": [*rig.effects, late]})
+    rig = with_delay(rig, c.delay_s)
     plant = ControlPlant([rig] * len(targets), first.period_s, c.dx_m)
     room_pa = rig.ambient.pressure_pa
     clean = plant.reset(room_pa if c.start_pa is None else c.start_pa)

@@ -19,6 +19,7 @@ from pydantic import model_validator
 
 from pneu_common.errors import InputError
 from pneu_common.validation import Settings
+from pneu_policy.control.shooting import LANES, SCALE_PA, cost, differences, steps_of
 from pneu_policy.judge.evaluate import target_series
 from pneu_policy.judge.metrics import Track
 from pneu_policy.judge.results import LIMIT, Evaluation, Run
@@ -27,17 +28,9 @@ from pneu_policy.task.plants import ControlPlant
 from pneu_policy.task.targets import Target
 from pneu_sim.plant import State
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.gauss_newton import damped_steps
 
 Floats = NDArray[np.float64]
 
-LANES = 8
-"""Rigs run side by side in multiples of this at no further cost."""
-SCALE_PA = 1.0e3
-"""Errors are told in this, Pa."""
-DIFFERENCES_V = (0.1, -0.1, 0.3, -0.3)
-"""Steps of the differences in turn: forth and back, as the valve's flow has a kink at null, and far
-enough to come out of its backlash."""
 DAMPING = (1e-4, 1e-2, 1.0, 100.0)
 """Levenberg-Marquardt terms that are tried, relative to the mean square of the derivatives."""
 
@@ -201,56 +194,24 @@ class _Search:
         """A better plan from a state, or the same."""
         s, count = self._s, self._lanes.size
         for _ in range(rounds):
-            step = DIFFERENCES_V[self._count % len(DIFFERENCES_V)]
+            plans, signed = differences(plan, self._count, count, s.low_v, s.high_v)
             self._count += 1
-            # The other way where the range ends.
-            signed = np.where((plan + step > s.high_v) | (plan + step < s.low_v), -step, step)
-            plans = np.repeat(plan[None], count, axis=0)
-            plans[np.arange(self.knots) + 1, np.arange(self.knots)] += signed
             seen = self._roll(state, plans)
-            error = (seen[:, 0] - target) / SCALE_PA
-            slope = (seen[:, 1 : self.knots + 1] - seen[:, :1]) / signed / SCALE_PA
-            tried = np.stack(list(self._candidates(plan, error, slope, last_v, count)))
-            costs = self._cost(
-                (self._roll(state, tried) - target[:, None]) / SCALE_PA, tried, last_v
+            weight = s.smooth_pa_per_v / SCALE_PA
+            error, steps = steps_of(
+                plan, seen, signed, target, last_v, (s.low_v, s.high_v), weight, DAMPING
             )
+            # steps of several dampings and lengths, one per lane
+            lengths = range(count // len(DAMPING))
+            tried = np.stack(
+                [np.clip(plan + 0.6**k * d, s.low_v, s.high_v) for d in steps for k in lengths]
+            )
+            brought = (self._roll(state, tried) - target[:, None]) / SCALE_PA
+            costs = cost(brought, tried, last_v, weight)
             best = int(np.argmin(costs))
-            before = float(self._cost(error[:, None], plan[None], last_v)[0])
-            if costs[best] < before:
+            if costs[best] < float(cost(error[:, None], plan[None], last_v, weight)[0]):
                 plan = tried[best]
         return plan
-
-    def _candidates(
-        self, plan: Floats, error: Floats, slope: Floats, last_v: float, count: int
-    ) -> list[Floats]:
-        """Steps of several dampings and lengths, one per lane."""
-        s = self._s
-        # Changes of voltage from knot to knot, the first from what was commanded before.
-        change = np.eye(self.knots) - np.eye(self.knots, k=-1)
-        weight = s.smooth_pa_per_v / SCALE_PA
-        moved = change @ plan
-        moved[0] -= last_v
-        size = math.sqrt(float(np.mean(np.sum(slope**2, axis=0))) + 1e-12)
-        lengths = count // len(DAMPING)
-        steps = damped_steps(
-            np.vstack([slope, weight * change]),
-            -np.concatenate([error, weight * moved]),
-            s.low_v - plan,
-            s.high_v - plan,
-            DAMPING,
-            np.full(self.knots, size),
-        )
-        return [
-            np.clip(plan + 0.6**k * step, s.low_v, s.high_v)
-            for step in steps
-            for k in range(lengths)
-        ]
-
-    def _cost(self, error: Floats, plans: Floats, last_v: float) -> Floats:
-        """(lanes,) sums of squares of (steps, lanes) errors and of the plans' changes."""
-        moved = np.diff(plans, axis=1, prepend=last_v)
-        weight = self._s.smooth_pa_per_v / SCALE_PA
-        return np.asarray(np.sum(error**2, axis=0) + weight**2 * np.sum(moved**2, axis=1))
 
 
 def limit_track(

@@ -16,8 +16,6 @@ from pneu_sim.full_solver import FullSolver
 from pneu_sim.observe.settings import Drift, ObserverSettings
 from pneu_sim.plant import Plant
 from pneu_sim.rig import model as M
-from pneu_sim.rig.network import reservoir_of_pipes
-from pneu_sim.rig.schema import AttachedEffect, Rig
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +44,7 @@ class Unknown:
         name: Its path in the rig, and what of it.
         unit: Its unit.
         kind: Which of the drifts of the settings it is.
-        index: Valve, port, reservoir or leak.
+        index: Valve, port, reservoir or tap.
         std: Standard deviation about zero.
         time_s: Over which it forgets, s.
     """
@@ -57,27 +55,6 @@ class Unknown:
     index: int
     std: float
     time_s: float
-
-
-def with_leaks(rig: Rig, settings: ObserverSettings) -> Rig:
-    """The rig with a leak of no size in the middle of every line, where leaks are followed.
-
-    Args:
-        rig: The rig.
-        settings: How it is followed.
-    """
-    if settings.leak.std == 0.0:
-        return rig
-    more = [
-        AttachedEffect(
-            effect="leak",
-            place=name,
-            parameters={"area_m2": settings.leak.std, "position_m": 0.5 * pipe.length_m},
-        )
-        for name, pipe in rig.pipes.items()
-        if name not in reservoir_of_pipes(rig, list(rig.reservoirs))
-    ]
-    return rig.model_copy(update={"effects": [*rig.effects, *more]})
 
 
 class Drifts:
@@ -128,20 +105,13 @@ class Drifts:
                     add("flow", q, path, "share", settings.flow, 1.0)
                     add("gain", q, f"{path}, slowly", "share", settings.gain, 1.0)
             self._port = self._tile.port[:, [L.Q_CONDUCTANCE, L.Q_AREA]].copy()
-            self._leak = self._tile.leak[:, L.LEAK_SIZE].copy()
-            if settings.leak.std > 0.0:
-                for k, (slot, kind) in enumerate(self._tile.leak_index):
-                    if kind == L.ORIFICE and slot >= 0:
-                        self._leak[k] -= settings.leak.std
-                        name = next(n for n, (f, c) in plan.pipes.items() if f <= slot < f + c)
-                        add("leak", k, f"pipes.{name}: leak", "m^2", settings.leak, 1.0)
         self.unknowns = found
         self.values = np.zeros((len(found), plant.lanes))
         self._std = np.array([u.std for u in found])
         self._time_s = np.array([u.time_s for u in found])
         self._of = {
             kind: [k for k, u in enumerate(found) if u.kind == kind]
-            for kind in ("command", "null", *SPOOL, "supply", "flow", "gain", "lag", "leak")
+            for kind in ("command", "null", *SPOOL, "supply", "flow", "gain", "lag")
         }
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -183,10 +153,6 @@ class Drifts:
         if self._of["flow"] or self._of["gain"]:
             factor = np.maximum(share, LEAST_FLOW)[:, None]
             self._tile.port[:, [L.Q_CONDUCTANCE, L.Q_AREA]] = self._port * factor
-        for k in self._of["leak"]:
-            row = self.unknowns[k].index
-            size = np.maximum(self._leak[row] + self.values[k], 0.0)
-            self._tile.leak[row, L.LEAK_SIZE] = size
 
     def _turn(self) -> None:
         """Has the valves and the taps of the members be as their numbers say."""

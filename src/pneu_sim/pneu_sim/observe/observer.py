@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_sim.models import kind_of
 from pneu_sim.observe.beginning import begin
-from pneu_sim.observe.drifts import Drifts, with_leaks
+from pneu_sim.observe.drifts import Drifts
 from pneu_sim.observe.settings import ObserverSettings
 from pneu_sim.observe.trust import Trust
 from pneu_sim.observe.update import move
@@ -99,7 +99,7 @@ class Observer:
             raise InputError(
                 f"rig {rig.name!r}: it moves; an observer follows gas in lines and chambers alone"
             )
-        self.plant = Plant([with_leaks(rig, s)] * s.members, s.dx_m, fewest_cells=s.fewest_cells)
+        self.plant = Plant([rig] * s.members, s.dx_m, fewest_cells=s.fewest_cells)
         self._vector = StateVector(self.plant, s.reach_m)
         taps, encoders = list(self.plant.plan.taps), list(self.plant.plan.encoders)
         self.sensors = [*taps, *encoders]

@@ -42,7 +42,6 @@ class ObserverSettings(Settings):
         hysteresis: Drift of every valve's backlash, full width, V.
         bandwidth: Drift of every spool's bandwidth, as a share.
         lag: Drift of every tap's lag, s.
-        leak: Drift of a leak to the room in the middle of every line, effective m^2.
         noise_pa: Noise of taps whose noise no file tells, one sigma, Pa.
         noise_position: Noise of encoders whose noise no file tells, rad or m.
         timing_s: How much a reading and the model may be apart in time, s: what stamps and the
@@ -80,7 +79,6 @@ class ObserverSettings(Settings):
     hysteresis: Drift = Drift(std=0.0, time_s=20.0)
     bandwidth: Drift = Drift(std=0.0, time_s=20.0)
     lag: Drift = Drift(std=0.0, time_s=20.0)
-    leak: Drift = Drift(std=0.0, time_s=20.0)
     noise_pa: Annotated[float, Field(gt=0.0)] = 250.0
     noise_position: Annotated[float, Field(gt=0.0)] = 1e-3
     timing_s: Annotated[float, Field(ge=0.0)] = 1e-4
