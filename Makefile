@@ -14,7 +14,7 @@ GPU_VENV   := .venv-gpu
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-robot test test-long bench lint format gpu bags observer predictive tosses experiments hand-force hand-tables pushing kokoro simple-model ablations configurations cell-sizes learning folder-is-named exact calibration thinned \
+.PHONY: help demo demo-robot test test-long bench lint format gpu bags observer predictive predictive-live tosses experiments hand-force hand-tables pushing kokoro simple-model ablations configurations cell-sizes learning folder-is-named exact calibration thinned \
 	confusion thresholds moved faults fuzz study-pressure clean clean-kernels
 
 help:  ## list the targets
@@ -56,6 +56,9 @@ observer: folder-is-named $(VENV)/.ready-run  ## slow: what an observer sees of 
 
 predictive: $(VENV)/.ready-dev  ## slow: table 9.1 with predictive control, in lock step; ARGS=options
 	@$(RUN) -m studies.predictive $(ARGS)
+
+predictive-live: $(VENV)/.ready-dev  ## slow: the same against the clock, on the emulated lab; ARGS=options
+	@$(RUN) -m studies.predictive_live $(ARGS)
 
 experiments: $(VENV)/.ready-dev  ## slow: do designed recordings tell what random ones left open? resumable
 	@$(RUN) -m studies.experiments $(STAGES)

@@ -55,20 +55,20 @@ class Size:
     Attributes:
         drawn: Rigs drawn at random by task, besides the one as it is.
         plate: Trainings in each simple model, by task.
-        iterations: Of each, by task; None is the settings file's.
+        iterations: Of each, by task.
     """
 
     drawn: dict[str, int]
     plate: dict[str, int]
-    iterations: dict[str, int | None]
+    iterations: dict[str, int]
 
 
 TASKS = ("balance", "swing_up", "arm", "dog")
 SIZES = {
     "small": Size(
-        dict.fromkeys(TASKS, 2) | {"dog": 0},
+        dict.fromkeys(TASKS, 1) | {"dog": 0},
         dict.fromkeys(TASKS, 1),
-        dict.fromkeys(TASKS),
+        dict.fromkeys(TASKS, 100) | {"dog": 120},
     ),
     "full": Size(
         {"balance": 100, "swing_up": 100, "arm": 20, "dog": 0},
@@ -228,8 +228,7 @@ def cases(size: Size, tasks: tuple[str, ...] = TASKS) -> dict[str, list[Case]]:
         found[task] = []
         for rig in rigs:
             document = load_document(ROOT / SETTINGS / f"{task}.yaml")
-            if size.iterations[task] is not None:
-                document["iterations"] = size.iterations[task]
+            document["iterations"] = size.iterations[task]
             fit(document, rig)
             folder = OUT / f"{task}_{rig.name}"
             seeds = {"pde": (0,), "plate": tuple(range(size.plate[task]))}

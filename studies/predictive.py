@@ -49,6 +49,9 @@ CLASSICAL = ("feed_forward", "pid")
 FAULTY_SEED = 101
 FAULTY_S, FAULTY_FOR_S = 3.0, 6.0
 LIMITS = ROOT / "docs" / "pressure.json"
+LIVE = ROOT / "docs" / "predictive_live.json"
+"""What ``make predictive-live`` found."""
+LIVE_NAMES = ("predictive", "predictive_one_tap", "pde_fine", "pde_fine_virtual", "feed_forward")
 
 
 def files_of(tube: str, name: str) -> list[Path]:
@@ -169,6 +172,8 @@ def cell(runs: Sequence[Mapping[str, float]]) -> str:
     if not runs:
         return "-"
     values = [run["rmse_atm"] for run in runs]
+    if len(values) == 1:
+        return f"{values[0]:.4f}"
     return f"{np.mean(values):.4f} ± {np.std(values, ddof=1):.4f}"
 
 
@@ -206,9 +211,41 @@ def main(arguments: list[str] | None = None) -> int:
     faults = joblib.Parallel(n_jobs=asked.workers)(
         joblib.delayed(with_a_fault)(tube, *kind) for tube in TUBES for kind in kinds
     )
-    write_whole(asked.page, "\n".join([*page(found, names), *of_faults(faults)]))
+    write_whole(asked.page, "\n".join([*page(found, names), *of_live(), *of_faults(faults)]))
     Console().print(f"{asked.page} is written")
     return 0
+
+
+def of_live() -> list[str]:
+    """The part of the page about runs against the clock; none where there were none."""
+    if not LIVE.exists():
+        return []
+    told = json.loads(LIVE.read_text(encoding="utf-8"))
+    machine = told["machine"]
+    names = [name for name in LIVE_NAMES if any(r["controller"] == name for r in told["runs"])]
+    lines = [
+        "## Against the clock",
+        "",
+        "The same on the emulated lab itself, over Modbus and the live graph, judged by recordings:"
+        f" `make predictive-live`, from what is {told['of']}. Machine: processor"
+        f" {machine['processor']}, cores {machine['cores']}, {told['labs']} labs at a time. Mean"
+        " and standard deviation of the valid runs; in brackets how many of all are valid, where"
+        " some are not: the bus, the lab or plans were late in each of three tries.",
+        "",
+        f"| | {' | '.join(names)} |",
+        f"|---|{'---|' * len(names)}",
+    ]
+    for tube in TUBES:
+        for kind in TASKS.kinds:
+            cells = []
+            for name in names:
+                key = (tube, kind, name)
+                own = [r for r in told["runs"] if (r["tube"], r["kind"], r["controller"]) == key]
+                valid = [r["figures"] for r in own if r["figures"] is not None]
+                of = f" ({len(valid)} of {len(own)})" if len(valid) < len(own) else ""
+                cells.append(cell(valid) + of)
+            lines.append(f"| {tube}, {kind} | {' | '.join(cells)} |")
+    return [*lines, ""]
 
 
 def of_faults(rows: Sequence[str]) -> list[str]:

@@ -75,6 +75,8 @@ def test_a_table_of_cells_is_percent_of_its_diagonal() -> None:
         [[[1.0, 1.5], [3.0, 3.5]], [[4.4, 4.0], [3.6, 4.0]]]
     )  # trained, seeds, tested
     np.testing.assert_allclose(cell_sizes.table(errors), [[0.0, 25.0], [0.0, 0.0]])
+    assert cell_sizes.agreeing(np.array([[0.0, 25.0], [0.0, 0.0]])) == 0
+    assert cell_sizes.agreeing(np.array([[0.0, 90.0, 0.0], [9.0, 0.0, 1.0], [1.0, 2.0, 0.0]])) == 1
 
 
 def _case(folder: Path, rig: Rig) -> two_models.Case:

@@ -10,6 +10,7 @@ from pneu_runtime import hook
 
 hook.install()
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
 from pneu_msgs.msg import PressureTarget, ValveCommand  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 from sensor_msgs.msg import FluidPressure  # noqa: E402
@@ -31,6 +32,7 @@ KINDS = {
     "/lab/target": "pneu_msgs/msg/PressureTarget",
     "/lab/valve/command": "pneu_msgs/msg/ValveCommand",
     "/lab/valve/applied": "pneu_msgs/msg/ValveCommand",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
 
 
@@ -42,7 +44,7 @@ def volts(time_s):
     return 5.0 + math.sin(2.0 * math.pi * time_s)
 
 
-def record(folder, rate_hz=500.0, late_s=0.02, vented=(9.0, 9.0), without=""):
+def record(folder, rate_hz=500.0, late_s=0.02, vented=(9.0, 9.0), without="", plans_late=()):
     """A run in which the pressure is the target of a while ago, and the valve is vented once."""
     writer = BagWriter(folder)
     for topic, name in KINDS.items():
@@ -69,6 +71,11 @@ def record(folder, rate_hz=500.0, late_s=0.02, vented=(9.0, 9.0), without=""):
         write("/lab/valve/command", at, command)
         held = 0.0 if vented[0] <= at < vented[1] else volts(at)
         write("/lab/valve/applied", at + 0.002, ValveCommand(name=["voltage"], voltage_v=[held]))
+    for second, late in enumerate(plans_late):
+        told = {"plans": 1000 + 100 * second, "plans late": late}
+        values = [KeyValue(key=key, value=str(value)) for key, value in told.items()]
+        status = DiagnosticStatus(values=values)
+        write("/diagnostics", float(second), DiagnosticArray(status=[status]))
     assert writer.close() == []
     return folder
 
@@ -101,6 +108,13 @@ def test_time_begins_with_the_first_target(tmp_path):
 def test_a_run_that_shows_another_thing_does_not_count(tmp_path, fault, told):
     with pytest.raises(LateError, match=told):
         track_of(record(tmp_path / "bag", **fault), "end")
+
+
+def test_a_run_whose_plans_were_late_does_not_count(tmp_path):
+    with pytest.raises(LateError, match="12 of 300 plans were not made in time"):
+        track_of(record(tmp_path / "late", plans_late=(40, 44, 48, 52)), "end")
+    # those of before do not count, nor do a few
+    track_of(record(tmp_path / "fine", plans_late=(400, 401, 403, 404)), "end")
 
 
 def test_a_recording_cut_short_does_not_count(tmp_path):

@@ -88,6 +88,26 @@ def test_plans_get_better_within_range_and_rate(lab, method):
     assert cost(plan) < 0.5 * first
 
 
+def test_more_plans_than_fit_one_tile(lab):
+    s = PredictiveSettings(holds=SHORT, method="mppi", plans=80)
+    planner, asked = request_of(lab, s, 2e5)
+    planner.horizon.begin(asked.state, np.full_like(asked.drifted, 0.01))
+    seen = planner.horizon.roll(asked.decided, np.tile(np.full(len(SHORT), 6.0), (80, 1)))
+    assert np.ptp(seen, axis=1).max() == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_large_step_is_tried_before_it_is_taken(lab):
+    s = PredictiveSettings(holds=SHORT)
+    tries = []
+    for target_pa in (101e3, 5e5):  # where it is, and far away
+        planner, asked = request_of(lab, s, target_pa)
+        roll, rolled = planner.horizon.roll, []
+        planner.horizon.roll = lambda *a, roll=roll, rolled=rolled: rolled.append(1) or roll(*a)
+        planner.plan(asked)
+        tries.append(len(rolled))
+    assert tries == [1, 2]
+
+
 def test_it_follows_on_a_plant_that_its_model_does_not_know(lab, tmp_path):
     save_predictive(tmp_path / "p.yaml", str(RIGS / "lab.yaml"), "end", None, {})
     hidden = [

@@ -18,6 +18,10 @@ Floats = NDArray[np.float64]
 
 DAMPING = (1e-4, 1e-2, 1.0)
 """Levenberg-Marquardt terms that are tried, relative to the mean square of the derivatives."""
+UNTRIED = 1e-2
+"""That of a step which is taken untried."""
+LARGE_V = 1.0
+"""A step that changes a voltage by so much is tried first: a linear model may not reach so far."""
 LEARN = 0.1
 """Share of the variances of the draws that is learnt anew with every plan."""
 LEAST, MOST = 0.4, 2.0
@@ -50,8 +54,11 @@ class Improve(Protocol):
 class GaussNewton:
     """One step of Gauss and Newton with box constraints, derivatives by differences.
 
-    One roll-out of all differences makes steps of several dampings and lengths, a second one says
-    which is best, if any (Nocedal and Wright, Numerical Optimization, 2nd ed. 2006, ch. 10).
+    One roll-out of all differences makes a step, which is taken untried as in the real-time
+    iteration of Diehl, Bock and Schloeder (2005, SIAM J. Control Optim. 43, 1714): the next plan
+    begins from where it led. A step that is large is tried first, in several dampings and lengths;
+    a second roll-out says which is best, if any (Nocedal and Wright, Numerical Optimization, 2nd
+    ed. 2006, ch. 10).
     """
 
     def __init__(self, settings: PredictiveSettings) -> None:
@@ -83,9 +90,13 @@ class GaussNewton:
         seen = horizon.roll(decided, plans)
         if not np.isfinite(seen).all():
             return plan
-        error, steps = steps_of(
-            plan, seen, signed, target, now_v, (s.low_v, s.high_v), horizon.weight, DAMPING
+        dampings, bounds = (UNTRIED, *DAMPING), (s.low_v, s.high_v)
+        error, (first, *steps) = steps_of(
+            plan, seen, signed, target, now_v, bounds, horizon.weight, dampings
         )
+        quick = horizon.allowed((plan + first)[None], now_v)[0]
+        if np.abs(quick - plan).max() < LARGE_V:
+            return np.asarray(quick)
         tried = [plan + 0.5**k * step for k in range(2) for step in steps]
         tried += [np.full(knots, s.null_v)] * (self.lanes - len(tried))
         candidates = horizon.allowed(np.stack(tried[: self.lanes]), now_v)

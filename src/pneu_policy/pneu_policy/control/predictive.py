@@ -84,7 +84,8 @@ class PredictiveController:
         planning: Who makes plans; the controller's own thread unless it is told otherwise.
         deferred: Whether somebody else calls `follow` once the voltage has gone out.
         took_s: How long the latest plans took, s.
-        missed: Plans that were not ready in time.
+        asked: Plans that were wanted.
+        missed: Those of them that were not made, as the one before was not ready in time.
     """
 
     def __init__(
@@ -124,7 +125,7 @@ class PredictiveController:
         self.preview_s = tuple((PREVIEW_STEP_S * np.arange(count)).round(9).tolist())
         self.planning: Planning = Here(planner)
         self.took_s: deque[float] = deque(maxlen=KEPT)
-        self.missed = 0
+        self.asked = self.missed = 0
         self.deferred = False
         self.reset()
 
@@ -234,6 +235,7 @@ class PredictiveController:
             self._in_force(heard.time_s),
         )
         self._asked_s = self._time_s
+        self.asked += 1
         self.missed += not self.planning.ask(request)
 
     def _take(self) -> None:

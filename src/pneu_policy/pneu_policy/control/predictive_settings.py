@@ -48,7 +48,8 @@ class PredictiveSettings(Settings):
         smooth_pa_per_v: What a volt of change from one voltage to the next counts as, Pa.
         method: How plans are improved.
         rounds: Improvements per plan at most; fewer where time is up.
-        plans: Plans side by side of ``mppi`` and ``adaptive``.
+        plans: Plans side by side of ``mppi`` and ``adaptive``; a GPU takes thousands in the time
+            of one.
         spread_v: Standard deviation with which those are drawn at first, V.
         temperature: Their costs are weighed by the exponential of their difference from the least
             over this times their standard deviation.
@@ -69,7 +70,7 @@ class PredictiveSettings(Settings):
     smooth_pa_per_v: Annotated[float, Field(ge=0.0)] = 100.0
     method: Method = "gauss_newton"
     rounds: Annotated[int, Field(ge=1)] = 1
-    plans: Annotated[int, Field(ge=4, le=64)] = 32
+    plans: Annotated[int, Field(ge=4, le=8192)] = 32
     spread_v: Annotated[float, Field(gt=0.0)] = 0.3
     temperature: Annotated[float, Field(gt=0.0)] = 0.1
     share: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5

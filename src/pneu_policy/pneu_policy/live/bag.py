@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a recording of the live graph shows of a run: pressure, target and what the valve did.
 
-Bag in, series out: nothing that the processes claim of themselves is used.
+Bag in, series out: nothing that the processes claim of themselves is used, but that a controller
+had no time for its plans.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,14 +13,18 @@ import numpy as np
 
 from pneu_common.errors import InputError
 from pneu_graph.bag.reader import BagReader
+from pneu_policy.control.planning import PLANS, PLANS_LATE
 from pneu_policy.judge.metrics import Track
 from pneu_runtime import hook
 
 NAMESPACE = "lab"
+DIAGNOSTICS = "/diagnostics"
 MOST_UNFOLLOWED_S = 0.02
 """Longest total time in which the bridge held the valve safe, in a valid run."""
 SAFE_V = 0.0
 """Voltage at which it does, after the register map of the lab."""
+MOST_UNPLANNED = 0.02
+"""Most plans of a controller that were not made in time, in a valid run, as a share of all."""
 LEAST_RATE_HZ = 200.0
 """Fewest readings per second of a valid run; the bridge aims at 500."""
 
@@ -37,10 +42,11 @@ def track_of(bag: Path, tap: str, namespace: str = NAMESPACE) -> Track:
         namespace: Of the graph.
 
     Raises:
-        LateError: The recording is damaged, lacks a topic or has too few readings, or the valve
-            was not where it was commanded.
+        LateError: The recording is damaged, lacks a topic or has too few readings, the valve was
+            not where it was commanded, or the controller had no time for its plans.
     """
     hook.install()
+    from diagnostic_msgs.msg import DiagnosticArray
     from pneu_msgs.msg import PressureTarget, ValveCommand
     from rclpy.serialization import deserialize_message
     from sensor_msgs.msg import FluidPressure
@@ -52,14 +58,22 @@ def track_of(bag: Path, tap: str, namespace: str = NAMESPACE) -> Track:
         f"/{namespace}/valve/applied": ValveCommand,
     }
     found: dict[str, dict[int, Any]] = {topic: {} for topic in kinds}
+    told: dict[str, list[float]] = {PLANS: [], PLANS_LATE: []}
     try:
-        recorded = list(BagReader(bag).messages(set(kinds)))
+        recorded = list(BagReader(bag).messages({*kinds, DIAGNOSTICS}))
     except InputError as error:
         raise LateError(f"no recording: {error}") from None
     for message in recorded:
+        if message.topic == DIAGNOSTICS:
+            for status in deserialize_message(message.data, DiagnosticArray).status:
+                for pair in status.values:
+                    if pair.key in told:
+                        told[pair.key].append(float(pair.value))
+            continue
         content = deserialize_message(message.data, kinds[message.topic])
         stamp = content.header.stamp
         found[message.topic][stamp.sec * 1_000_000_000 + stamp.nanosec] = content
+    _check_planned(told[PLANS], told[PLANS_LATE])
     readings, targets, commands, applied = found.values()
     for topic, messages in found.items():
         if len(messages) < 2:
@@ -88,6 +102,20 @@ def track_of(bag: Path, tap: str, namespace: str = NAMESPACE) -> Track:
         track, seconds(commands), values(commands, lambda message: message.voltage_v[0])
     )
     return track
+
+
+def _check_planned(wanted: list[float], late: list[float]) -> None:
+    """Raises where a controller had no time for its plans; those of before the run do not count.
+
+    Args:
+        wanted: How many were wanted so far, as diagnostics told it time and again.
+        late: How many of them were not made in time.
+    """
+    if not wanted or not late:
+        return
+    all_of_them, missing = wanted[-1] - wanted[0], late[-1] - late[0]
+    if missing > MOST_UNPLANNED * max(all_of_them, 1.0):
+        raise LateError(f"{missing:.0f} of {all_of_them:.0f} plans were not made in time")
 
 
 def _check_followed(track: Track, command_s: Any, volts: Any) -> None:

@@ -28,7 +28,7 @@ from pneu_graph.tools.executables import command_of
 from pneu_hw_bridge.lab.asking import ask
 from pneu_policy.judge.metrics import EARLY_S
 from pneu_policy.judge.tasks import NOISE_PA, Tasks
-from pneu_policy.live.bag import NAMESPACE, LateError
+from pneu_policy.live.bag import DIAGNOSTICS, NAMESPACE, LateError
 from pneu_policy.task.targets import Target
 from pneu_runtime import hook
 from pneu_sim.rig import load_rig, save_rig
@@ -282,7 +282,7 @@ class LiveRig:
             InputError: The controller refuses the rig.
         """
         topics = [self._topic(name) for name in (f"taps/{self.tap}/pressure", "valve/command")]
-        topics += [self._topic("valve/applied"), self._topic("target"), "/diagnostics"]
+        topics += [self._topic("valve/applied"), self._topic("target"), DIAGNOSTICS]
         skipped_s = self.status()["plant"]["skipped_s"]
         with contextlib.ExitStack() as stack:
             node = self._target_node(target, stack)

@@ -17,6 +17,7 @@ from pneu_common.errors import InputError
 from pneu_graph.nodes.parameters import parameter
 from pneu_hw_bridge.priority import precedence
 from pneu_policy.control.controllers import Controller, PolicyController, load_controller
+from pneu_policy.control.planning import PLANS, PLANS_LATE
 from pneu_policy.control.predictive import PredictiveController
 from pneu_policy.control.virtual import VirtualTaps
 from pneu_policy.nodes.control import ControlNode, ControlParameters
@@ -177,7 +178,7 @@ class PolicyNode(ControlNode):
         if isinstance(controller, PredictiveController):
             took = np.array(controller.took_s or [np.nan])
             told["plan, 99 of 100 (ms)"] = 1e3 * float(np.quantile(took, 0.99))
-            told["plans late"] = controller.missed
+            told[PLANS], told[PLANS_LATE] = controller.asked, controller.missed
             observer = controller.observer
             told["model"] = "; ".join(observer.watch.wrong) or "holds"
             for name in controller.taps:

@@ -96,15 +96,16 @@ class Drifts:
                 add("lag", t, f"taps.{name}: lag", "s", settings.lag, 1.0)
         self._lag = plant.taps.lag_s.copy()
         self._spool = plant.spools.spool.copy()
-        self._tile = solver.tiles[0][0] if isinstance(solver, FullSolver) else None
-        if self._tile is not None:
+        self._tiles = solver.tiles if isinstance(solver, FullSolver) else []
+        if self._tiles:
             for q, name in enumerate(plan.port_names):
                 if plan.port_valve[q] >= 0:
                     valve, port = name.split(".", 1)
                     path = f"valves.{valve}.ports.{port}: flow"
                     add("flow", q, path, "share", settings.flow, 1.0)
                     add("gain", q, f"{path}, slowly", "share", settings.gain, 1.0)
-            self._port = self._tile.port[:, [L.Q_CONDUCTANCE, L.Q_AREA]].copy()
+            # all members are of one rig
+            self._port = self._tiles[0][0].port[:, [L.Q_CONDUCTANCE, L.Q_AREA], :1].copy()
         self.unknowns = found
         self.values = np.zeros((len(found), plant.lanes))
         self._std = np.array([u.std for u in found])
@@ -144,15 +145,16 @@ class Drifts:
             index = self.unknowns[k].index
             solver.set_reservoir(index, self._supply[index] + self.values[k])
         self._turn()
-        if self._tile is None:
+        if not self._tiles:
             return
-        share = np.ones(self._port[:, 0].shape)
+        share = np.ones((len(self._port), self._plant.lanes))
         for kind in ("flow", "gain"):
             for k in self._of[kind]:
                 share[self.unknowns[k].index] += self.values[k]
         if self._of["flow"] or self._of["gain"]:
             factor = np.maximum(share, LEAST_FLOW)[:, None]
-            self._tile.port[:, [L.Q_CONDUCTANCE, L.Q_AREA]] = self._port * factor
+            for tile, of in self._tiles:
+                tile.port[:, [L.Q_CONDUCTANCE, L.Q_AREA]] = self._port * factor[..., of]
 
     def _turn(self) -> None:
         """Has the valves and the taps of the members be as their numbers say."""
