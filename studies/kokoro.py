@@ -104,7 +104,8 @@ LEARNED = (
     Line("force", "hybrid (plan): force", (4.0, 3.8, -3.0), (8.6, 7.3, 26.0)),
     Line("uncorrelated", "hybrid: force, uncorrelated", (2.7, 2.3, -5.0), (4.4, 3.4, 16.0)),
 )
-LINES = (*TUNED, *LEARNED)
+PLANNED = (Line("predictive", "predictive, plans on the model (not in the thesis)"),)
+LINES = (*TUNED, *PLANNED, *LEARNED)
 
 
 def tuning(kind: str) -> JointTuneSettings:
@@ -174,7 +175,7 @@ def files_of(line: Line) -> list[Path]:
     Args:
         line: The row.
     """
-    if line in TUNED:
+    if line in (*TUNED, *PLANNED):
         return [POLICIES / f"kokoro_{line.name}.yaml"]
     return [_kept(line.name, run) for run in runs_of(line.name)]
 

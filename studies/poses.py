@@ -6,6 +6,7 @@ goes; and from where encoders were, control period by control period.
 """
 
 import math
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -188,5 +189,8 @@ def film(rig: Rig, told: dict[str, Any], period_s: float, path: Path) -> None:
         return []
 
     moving = FuncAnimation(figure, frame, frames=range(0, len(told["path"]), every))
-    with whole(path) as aside:
-        moving.save(aside, writer=PillowWriter(fps=round(1.0 / (every * period_s))), dpi=60)
+    # Pillow goes by the name's ending, which a file that is written aside does not have
+    with tempfile.TemporaryDirectory() as folder, whole(path) as aside:
+        made = Path(folder) / "film.gif"
+        moving.save(made, writer=PillowWriter(fps=round(1.0 / (every * period_s))), dpi=60)
+        aside.write_bytes(made.read_bytes())

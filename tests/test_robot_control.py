@@ -14,8 +14,9 @@ from tests.robots import KOKORO, kokoro_lab
 from trajectory_msgs.msg import JointTrajectory  # isort: skip
 
 from pneu_graph.nodes import common
+from pneu_policy.control.drive import Drive
 from pneu_policy.control.joint import JointGains
-from pneu_policy.control.robot_controllers import Drive, JointPidController, save_robot_controller
+from pneu_policy.control.robot_controllers import JointPidController, save_robot_controller
 from pneu_sim.rig import load_rig
 
 OVERRIDES = """

@@ -552,7 +552,7 @@ def test_a_predictive_controller_goes_on_without_its_tap_for_a_while(graph, tmp_
     settings = {"holds": [1, 1, 2], "period_s": 0.05, "sample_s": 0.01}
     save_predictive(path, str(rig), "end", ["valve_out", "end"], settings)
     node = graph.add(PolicyNode, autostart=True, policy=str(path), virtual_for_s=1.5)
-    beside = node._predictive.planning
+    beside = node._plans.controller.planning
     plant = Plant(graph, others=("valve_out",))
     plant.others["valve_out"] = plant.pressure_pa
     plant.ahead_pa = [250e3, 250e3, 250e3]

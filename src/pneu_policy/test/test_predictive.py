@@ -9,13 +9,16 @@ import pytest
 
 from pneu_common.errors import InputError
 from pneu_policy.control.controllers import PidController, load_controller, save_pid
+from pneu_policy.control.horizon import Aim
 from pneu_policy.control.pid import Gains
 from pneu_policy.control.planning import Beside, Planner, Request
 from pneu_policy.control.predictive import PredictiveController
 from pneu_policy.control.predictive_file import save_predictive
 from pneu_policy.control.predictive_settings import PredictiveSettings
+from pneu_policy.control.robot_controllers import load_robot_controller
 from pneu_policy.judge.evaluate import simulated_tracks
 from pneu_policy.judge.metrics import target_at
+from pneu_policy.judge.robot import JointTasks, judge_joint
 from pneu_policy.judge.tasks import Conditions, Tasks
 from pneu_policy.task.plants import ControlPlant
 from pneu_sim.observe.observer import Observer
@@ -34,7 +37,7 @@ def lab():
 
 def request_of(rig, s, target_pa, plan=None):
     observer = Observer(rig, s.observer.model_copy(update={"dx_m": s.dx_m}), ("end",))
-    planner = Planner(rig, "end", ("end",), s)
+    planner = Planner(rig, Aim("end", ("end",)), s)
     samples = planner.horizon.ahead_s.size
     knots = planner.horizon.knots
     asked = Request(
@@ -173,7 +176,7 @@ def test_plans_made_beside_are_the_same_and_the_process_ends(lab):
     s = PredictiveSettings(holds=SHORT, rounds=1)
     planner, asked = request_of(lab, s, 1.7e5)
     here = planner.plan(asked)
-    beside = Beside(lab, "end", ("end",), s)
+    beside = Beside(lab, Aim("end", ("end",)), s)
     try:
         assert beside.ask(asked)
         assert not beside.ask(asked)  # it is busy
@@ -215,7 +218,7 @@ def test_it_goes_on_by_its_virtual_tap(lab):
         ("tap: end", "rig: found None, needed is the path of a rig file"),
         ("rig: {lab}\ntap: 3", "tap: found 3, needed is the name of a tap"),
         ("rig: {lab}\ntaps: end", "taps: found 'end', needed are names of taps"),
-        ("rig: {lab}\ntap: far", "tap 'far': rig 'lab' has supply"),
+        ("rig: {lab}\ntap: far", "'far': rig 'lab' has supply"),
         ("rig: {lab}\ntaps: [far]", "taps: 'far': rig 'lab' has supply"),
         ("rig: {lab}\nsettings: {{period_s: -1}}", "settings.period_s"),
         ("rig: {lab}\nsettings: {{sample_s: 0.003}}", "sample_s: found 0.003, it must divide"),
@@ -263,3 +266,29 @@ def test_a_controller_sees_virtual_taps_and_does_not_know(lab, tmp_path):
         (tmp_path / "v.yaml").write_text(text + line, encoding="utf-8")
         with pytest.raises(InputError, match=words):
             load_controller(tmp_path / "v.yaml")
+
+
+def test_a_joint_follows_by_both_its_valves():
+    known, path = load_rig(RIGS / "kokoro_fitted.yaml"), RIGS.parent / "policies"
+    tasks = JointTasks("elbow", -0.4, 0.4, kinds=("smooth",), runs=1, seconds=1.5)
+    (run,) = judge_joint(path / "kokoro_predictive.yaml", known, known, tasks, 0.12)
+    assert run.rmse < math.radians(1.5)
+    # one opens as far as the other closes
+    np.testing.assert_allclose(run.volts.sum(axis=0), 10.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("settings: {period_s: 0.02}", "period_s"),
+        ("settings: {dx: 0.2}", "did you mean .dx_m"),
+        ("drives: []", "drives: found 0, a predictive controller has one"),
+    ],
+)
+def test_a_file_of_a_joint_that_makes_none_is_refused(tmp_path, text, words):
+    head = "pneu_robot_controller: 1\nkind: predictive\nperiod_s: 0.01\n"
+    drives = "drives: [{encoder: elbow, cylinder: forearm, taps: [head_port, rod_port]}]\n"
+    path = tmp_path / "p.yaml"
+    path.write_text(head + ("" if "drives" in text else drives) + text + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match=words):
+        load_robot_controller(path, load_rig(RIGS / "kokoro_fitted.yaml"))

@@ -166,6 +166,17 @@ class FullSolver(Solver):
             tiles.rearrange(tile, position[:, of], velocity[:, of])
         self._lean()
 
+    def shift(self, position: Floats, velocity: Floats) -> None:
+        """Moves joints a little, as `place` does; pistons may be pressed into their stops.
+
+        Args:
+            position: (n_joints, lanes).
+            velocity: (n_joints, lanes).
+        """
+        for tile, of in self.tiles:
+            tiles.rearrange(tile, position[:, of], velocity[:, of], pressed=True)
+        self._lean()
+
     def _lean(self) -> None:
         """Has the forces on pistons be those of the gas as it now is."""
         if not self.plan.cylinders:

@@ -104,6 +104,7 @@ class Plant:
         solver: Their gas.
         spools: Their valves.
         taps: Their pressure sensors.
+        encoder_of: (n_encoders,) joint of the solver that each encoder is on, or -1 - cylinder.
         clock: Time since the last reset.
     """
 
@@ -138,13 +139,22 @@ class Plant:
         self.spools = Spools(self.solver.models)
         self.taps = Sensors.of_taps(self.solver.models)
         self._encoders = Sensors.of_encoders(self.solver.models)
-        self._encoder_of = self._places_of_encoders()
+        self.encoder_of = self._places_of_encoders()
         self.reset()
 
     @property
     def lanes(self) -> int:
         """Number of rigs."""
         return len(self.rigs)
+
+    @property
+    def joint_names(self) -> Sequence[str]:
+        """Names of the joints of bodies."""
+        return self.solver.joint_names
+
+    def joints(self) -> Floats:
+        """Returns (joints, 2, lanes) places, rad or m, and speeds of the joints of bodies."""
+        return self.solver.joints()
 
     @property
     def time_s(self) -> float:
@@ -228,7 +238,7 @@ class Plant:
         """(samples, n_encoders, lanes) positions of what the encoders are on."""
         on = [
             series.joints[:, at, 0] if at >= 0 else series.cylinders[:, -1 - at, 0]
-            for at in self._encoder_of.tolist()
+            for at in self.encoder_of.tolist()
         ]
         return np.stack(on, axis=1) if on else np.zeros((len(series.taps), 0, self.lanes))
 

@@ -328,19 +328,22 @@ def forget(tile: Tile) -> None:
         place_joints(tile, tile.body_joint[:, L.PJ_START], 0.0)
 
 
-def place_joints(tile: Tile, position: Floats, velocity: Floats | float) -> None:
+def place_joints(
+    tile: Tile, position: Floats, velocity: Floats | float, pressed: bool = False
+) -> None:
     """Sets bodies and the pistons that move them, whatever the gas; others stand where they stood.
 
     Args:
         tile: The batch.
         position: (n_joints, lanes) rad or m.
         velocity: (n_joints, lanes) per second; a joint that is held has none.
+        pressed: Whether pistons may be pressed into their stops, as steps press them.
 
     Raises:
         InputError: A piston would stand beyond its stroke; nothing has moved then.
     """
     moves = moving(tile, unwatched(tile))
-    joints, cylinders = _standing(tile, position, velocity)
+    joints, cylinders = _standing(tile, position, velocity, pressed)
     stood = tile.cylinder_state[:, L.SY_EXTENSION] == cylinders[:, L.SY_EXTENSION]
     counts = slice(L.SY_COUNT, L.SY_COUNT_ROD + 1)
     before = tile.cylinder_state[:, counts].copy()
@@ -378,7 +381,9 @@ def reachable(tile: Tile, position: Floats) -> NDArray[np.bool_]:
     return np.asarray(((at >= -SLIPPED_M) & (at <= stroke + SLIPPED_M)).all(axis=0))
 
 
-def _standing(tile: Tile, position: Floats, velocity: Floats | float) -> tuple[Floats, Floats]:
+def _standing(
+    tile: Tile, position: Floats, velocity: Floats | float, pressed: bool = False
+) -> tuple[Floats, Floats]:
     """States of joints and cylinders with the joints somewhere else; nothing is changed."""
     moves = moving(tile, unwatched(tile))
     held = tile.body_joint[:, L.PJ_HELD] > 0.0
@@ -393,7 +398,7 @@ def _standing(tile: Tile, position: Floats, velocity: Floats | float) -> tuple[F
         moves.bodies._replace(state=joints, joint=tight),
         moves.cylinders._replace(state=cylinders),
     )
-    for j, model in enumerate(tile.models):
+    for j, model in enumerate(() if pressed else tile.models):
         check_extensions(model, cylinders[:, L.SY_EXTENSION, j])
     return joints, cylinders
 
@@ -419,7 +424,7 @@ def force_at_rest(tile: Tile) -> Floats:
     return tile.cylinder_state[:, L.SY_FORCE].copy()
 
 
-def rearrange(tile: Tile, position: Floats, velocity: Floats) -> None:
+def rearrange(tile: Tile, position: Floats, velocity: Floats, pressed: bool = False) -> None:
     """Moves bodies and their pistons elsewhere; gas keeps its pressure and temperature.
 
     Gas in cells comes to rest where its piston moved, all of it as beside its way in.
@@ -428,13 +433,14 @@ def rearrange(tile: Tile, position: Floats, velocity: Floats) -> None:
         tile: The batch.
         position: (n_joints, lanes) rad or m.
         velocity: (n_joints, lanes) per second.
+        pressed: Whether pistons may be pressed into their stops, as steps press them.
 
     Raises:
         InputError: A piston would stand beyond its stroke; nothing has moved then.
     """
     before = tile.chamber[:, L.C_VOLUME].copy()
     stood = tile.cylinder_state[:, L.SY_EXTENSION].copy()
-    place_joints(tile, position, velocity)
+    place_joints(tile, position, velocity, pressed)
     tile.chamber_state *= (tile.chamber[:, L.C_VOLUME] / before)[:, None]
     for row, moved in zip(
         tile.plan.cylinder, tile.cylinder_state[:, L.SY_EXTENSION] != stood, strict=True

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What plans would bring: rigs side by side, rolled out from one state under a voltage each."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_policy.control.predictive_settings import PredictiveSettings
-from pneu_policy.control.shooting import SCALE_PA, cost
+from pneu_policy.control.shooting import cost
 from pneu_sim.observe.drifts import Drifts
 from pneu_sim.plant import Plant, State
 from pneu_sim.rig.schema import Rig
@@ -16,8 +17,46 @@ from pneu_sim.rig.schema import Rig
 Floats = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class Aim:
+    """What is controlled, by what.
+
+    Attributes:
+        sensor: Tap or encoder that shall follow.
+        used: Taps and encoders that the observer is told.
+        signs: By command 1 where it is the voltage of a plan, -1 where it is as far on the other
+            side of the null, as of the valve at the other side of a piston (thesis eq. 9.2); empty
+            for the rig's only one.
+    """
+
+    sensor: str
+    used: tuple[str, ...]
+    signs: Mapping[str, float] = field(default_factory=dict)
+
+    def signs_of(self, rig: Rig) -> Floats:
+        """(commands,) the signs in the order of a rig's commands.
+
+        Args:
+            rig: The rig.
+
+        Raises:
+            InputError: The rig has no such sensor, or other commands.
+        """
+        known = {**rig.taps, **rig.encoders}
+        for name in (self.sensor, *self.used):
+            if name not in known:
+                raise InputError(f"taps: {name!r}: rig {rig.name!r} has {', '.join(known)}")
+        signs = self.signs or dict.fromkeys(rig.commands, 1.0)
+        if set(signs) != set(rig.commands) or (not self.signs and len(signs) != 1):
+            needed = ", ".join(self.signs) or "one alone"
+            raise InputError(
+                f"rig {rig.name!r}: found commands {', '.join(rig.commands)}, planned is {needed}"
+            )
+        return np.array([signs[name] for name in rig.commands])
+
+
 class Horizon:
-    """Plans of one valve, tried on the model.
+    """Plans of one voltage, tried on the model.
 
     A plan is a row of voltages, each held for the periods that the settings say. What is commanded
     in the periods before it, while it is being made, is decided.
@@ -25,37 +64,30 @@ class Horizon:
     Attributes:
         lanes: How many plans are tried at once.
         knots: Voltages of a plan.
+        scale: The unit of errors, Pa, rad or m.
+        weight: What a volt of change from knot to knot counts as, in that unit.
     """
 
-    def __init__(
-        self,
-        rig: Rig,
-        tap: str,
-        taps: Sequence[str],
-        settings: PredictiveSettings,
-        lanes: int,
-    ) -> None:
+    def __init__(self, rig: Rig, aim: Aim, settings: PredictiveSettings, lanes: int) -> None:
         """Builds the rigs.
 
         Args:
             rig: The rig, with all that delays its commands.
-            tap: Tap that shall follow.
-            taps: Taps that the observer is told.
+            aim: What is controlled, by what.
             settings: How plans are made.
             lanes: How many plans are tried at once.
 
         Raises:
-            InputError: The rig has no such tap, or not one valve.
+            InputError: The rig has no such sensor, or other commands.
         """
-        if tap not in rig.taps:
-            raise InputError(f"tap {tap!r}: rig {rig.name!r} has {', '.join(rig.taps)}")
-        if len(rig.commands) != 1:
-            raise InputError(f"rig {rig.name!r}: found {len(rig.commands)} valves, needed is one")
+        self._signs = aim.signs_of(rig)
+        self.scale, self.weight = settings.scale, settings.weight
         self._s, self.lanes, self.knots = settings, lanes, len(settings.holds)
         fewest = settings.observer.fewest_cells
         self._plant = Plant([rig] * lanes, settings.dx_m, fewest_cells=fewest)
-        self._drifts = Drifts(self._plant, settings.observer, taps)
-        self._at = self._plant.plan.taps.index(tap)
+        self._drifts = Drifts(self._plant, settings.observer, aim.used)
+        plan = self._plant.plan
+        self._at = [*plan.taps, *plan.encoders].index(aim.sensor)
         self._held = np.repeat(np.arange(self.knots), settings.holds)
         self._late, self._before_v = 0, settings.null_v
         self._from = np.zeros(lanes, dtype=np.int64)
@@ -91,14 +123,14 @@ class Horizon:
         self._late, self._before_v = max(0, round(late_s / self._s.sample_s)), before_v
 
     def roll(self, decided: Floats, plans: Floats) -> Floats:
-        """What the tap would show.
+        """What the sensor would show.
 
         Args:
             decided: (every,) what is commanded until the plans begin, V.
             plans: (lanes, knots) V.
 
         Returns:
-            (samples, lanes) Pa.
+            (samples, lanes) Pa, rad or m.
         """
         s = self._s
         volts = np.empty((self.lanes, s.every + s.periods))
@@ -108,25 +140,32 @@ class Horizon:
         if self._late:
             told[:, self._late :] = told[:, : -self._late].copy()
             told[:, : self._late] = self._before_v
-        each = told[:, None, :] + self._drifts.off_v().T[:, :, None]
+        each = self.each(told) + self._drifts.off_v().T[:, :, None]
         self._plant.set_state(self._state.of(self._from))
         _, readings = self._plant.advance(each, s.sample_s)
         return np.asarray(readings[1:, self._at])
+
+    def each(self, volts: Floats) -> Floats:
+        """What every valve is commanded.
+
+        Args:
+            volts: (..., periods) voltages of plans, V.
+
+        Returns:
+            (..., valves, periods) V.
+        """
+        other = 2.0 * self._s.null_v - volts
+        return np.stack([volts if sign > 0.0 else other for sign in self._signs], axis=-2)
 
     def cost(self, error: Floats, plans: Floats, now_v: float) -> Floats:
         """(lanes,) sums of squares of errors and of changes of the voltage.
 
         Args:
-            error: (samples, lanes) Pa.
+            error: (samples, lanes) Pa, rad or m.
             plans: (lanes, knots) V.
             now_v: What is commanded until the plans begin, V.
         """
-        return cost(error / SCALE_PA, plans, now_v, self.weight)
-
-    @property
-    def weight(self) -> float:
-        """What a volt of change from knot to knot counts as, in the unit of errors."""
-        return self._s.smooth_pa_per_v / SCALE_PA
+        return cost(error / self.scale, plans, now_v, self.weight)
 
     def every(self, plan: Floats) -> Floats:
         """(periods,) the voltage of every period of a plan.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pneu_policy.control.horizon import Horizon
 from pneu_policy.control.predictive_settings import PredictiveSettings
-from pneu_policy.control.shooting import LANES, SCALE_PA, differences, steps_of
+from pneu_policy.control.shooting import LANES, differences, steps_of
 
 Floats = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class Improve(Protocol):
         Args:
             horizon: Where it is tried; it has begun.
             plan: (knots,) V.
-            target: (samples,) Pa.
+            target: (samples,) Pa, rad or m.
             decided: (every,) what is commanded until it begins, V.
         """
 
@@ -92,7 +92,7 @@ class GaussNewton:
             return plan
         dampings, bounds = (UNTRIED, *DAMPING), (s.low_v, s.high_v)
         error, (first, *steps) = steps_of(
-            plan, seen, signed, target, now_v, bounds, horizon.weight, dampings
+            plan, seen, signed, target, now_v, bounds, horizon.weight, dampings, horizon.scale
         )
         quick = horizon.allowed((plan + first)[None], now_v)[0]
         if np.abs(quick - plan).max() < LARGE_V:
@@ -103,7 +103,7 @@ class GaussNewton:
         costs = horizon.cost(horizon.roll(decided, candidates) - target[:, None], candidates, now_v)
         costs = np.where(np.isfinite(costs), costs, np.inf)
         best = int(np.argmin(costs))
-        stay = float(horizon.cost(error[:, None] * SCALE_PA, plan[None], now_v)[0])
+        stay = float(horizon.cost(error[:, None] * horizon.scale, plan[None], now_v)[0])
         return np.asarray(candidates[best]) if costs[best] < stay else plan
 
 

@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Protocol
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
-from pneu_policy.control.horizon import Horizon
+from pneu_policy.control.horizon import Aim, Horizon
 from pneu_policy.control.improve import improvement
 from pneu_policy.control.predictive_settings import PredictiveSettings
 from pneu_sim.plant import State
@@ -38,7 +38,7 @@ class Request:
         begin_s: When the plan begins, s.
         plan: (knots,) what to begin from, V.
         decided: (every,) what is commanded until then, V.
-        target: (samples,) Pa.
+        target: (samples,) Pa, rad or m.
         state: State now, of one rig.
         drifted: (unknowns,) by how much the rig is off its file.
         late_s: How much later than they are told commands reach the valve, s.
@@ -96,15 +96,12 @@ class Planning(Protocol):
 class Planner:
     """Makes plans."""
 
-    def __init__(
-        self, rig: Rig, tap: str, taps: Sequence[str], settings: PredictiveSettings
-    ) -> None:
+    def __init__(self, rig: Rig, aim: Aim, settings: PredictiveSettings) -> None:
         """Builds the model.
 
         Args:
             rig: The rig.
-            tap: Tap that shall follow.
-            taps: Taps that the observer is told.
+            aim: What is controlled, by what.
             settings: How plans are made.
 
         Raises:
@@ -112,7 +109,7 @@ class Planner:
         """
         self._s = settings
         self._improve = improvement(settings)
-        self.horizon = Horizon(rig, tap, taps, settings, self._improve.lanes)
+        self.horizon = Horizon(rig, aim, settings, self._improve.lanes)
 
     def plan(self, request: Request, elapsed_s: Callable[[], float] | None = None) -> Plan:
         """Makes a plan.
@@ -136,7 +133,7 @@ class Planner:
         """Makes a plan that nobody asked for: the first of a process loads what it runs."""
         s, knots = self._s, self.horizon.knots
         state, drifted = self.horizon.at_rest()
-        target = np.full(self.horizon.ahead_s.size, 2e5)
+        target = np.full(self.horizon.ahead_s.size, 2e5 if s.scale > 1.0 else 0.0)
         plan, decided = np.full(knots, s.null_v), np.full(s.every, s.null_v)
         self.plan(Request(0.0, plan, decided, target, state, drifted))
         self.forget()
@@ -184,15 +181,12 @@ class Here:
 class Beside:
     """Plans in a process of its own, against the clock."""
 
-    def __init__(
-        self, rig: Rig, tap: str, taps: Sequence[str], settings: PredictiveSettings
-    ) -> None:
+    def __init__(self, rig: Rig, aim: Aim, settings: PredictiveSettings) -> None:
         """Starts the process, and waits until it has its model.
 
         Args:
             rig: The rig.
-            tap: Tap that shall follow.
-            taps: Taps that the observer is told.
+            aim: What is controlled, by what.
             settings: How plans are made.
 
         Raises:
@@ -201,7 +195,7 @@ class Beside:
         context = multiprocessing.get_context("spawn")
         self._mine, theirs = context.Pipe()
         self._process = context.Process(
-            target=_serve, args=(theirs, rig, tap, tuple(taps), settings), daemon=True
+            target=_serve, args=(theirs, rig, aim, settings), daemon=True
         )
         self._process.start()
         theirs.close()
@@ -269,14 +263,12 @@ def _since(begin_s: float) -> float:
     return time.monotonic() - begin_s
 
 
-def _serve(
-    pipe: Connection, rig: Rig, tap: str, taps: Sequence[str], settings: PredictiveSettings
-) -> None:
+def _serve(pipe: Connection, rig: Rig, aim: Aim, settings: PredictiveSettings) -> None:
     """What the process does: plans until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # its controller ends it
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, os.getpriority(os.PRIO_PROCESS, os.getppid()))
-    planner = Planner(rig, tap, taps, settings)
+    planner = Planner(rig, aim, settings)
     planner.warm()
     pipe.send(None)
     while True:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predictive control of a pressure: an observer, and plans on the model from the state it sees.
+"""Predictive control of a pressure or a joint: an observer, and plans from the state it sees.
 
 In every period the observer is led on by the readings, the voltage that was decided before goes
 out, and what comes after it is planned from the state as it now is. So a plan has a period to be
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_common.errors import InputError
+from pneu_policy.control.horizon import Aim
 from pneu_policy.control.identity import OF_LINES, check_same, rig_identity
 from pneu_policy.control.late import with_delay
 from pneu_policy.control.planning import Beside, Here, Planner, Planning, Request
@@ -55,15 +55,15 @@ class Heard:
     """What a step was told.
 
     Attributes:
-        taps_pa: By tap, Pa.
-        targets_pa: At the times ahead, Pa.
+        readings: By sensor, Pa, rad or m.
+        targets: At the times ahead, likewise.
         time_s: When it was read, s.
         since_s: Since what was read before, s.
         late_s: How old it was, s.
     """
 
-    taps_pa: Mapping[str, float]
-    targets_pa: Sequence[float]
+    readings: Mapping[str, float]
+    targets: Sequence[float]
     time_s: float
     since_s: float
     late_s: float
@@ -74,8 +74,8 @@ class PredictiveController:
 
     Attributes:
         name: What to call it.
-        tap: Tap whose pressure it controls.
-        taps: Taps it is told.
+        tap: Tap whose pressure it controls, or encoder.
+        taps: Taps and encoders it is told.
         preview_s: Times ahead at which it is told the target, s.
         period_s: Time from one step to the next, s.
         rig: The model.
@@ -95,29 +95,30 @@ class PredictiveController:
         taps: Sequence[str] | None = None,
         settings: PredictiveSettings | None = None,
         name: str = "predictive",
+        signs: Mapping[str, float] | None = None,
     ) -> None:
         """Builds the model.
 
         Args:
             rig: The rig, calibrated.
-            tap: Tap whose pressure it controls; it need not be one that it is told.
-            taps: Taps it is told; None is all.
+            tap: Tap whose pressure it controls, or encoder; it need not be one that it is told.
+            taps: Taps and encoders it is told; None is all taps.
             settings: How plans are made.
             name: What to call it.
+            signs: By command which side of the null it is on; see `horizon.Aim`.
 
         Raises:
-            InputError: The rig has no such tap, or cannot be followed.
+            InputError: The rig has no such sensor, other commands, or cannot be followed.
         """
         s = self.settings = settings or PredictiveSettings()
         self.name, self.tap, self.period_s, self.rig = name, tap, s.period_s, rig
         self.taps = tuple(rig.taps if taps is None else taps)
-        for each in self.taps:
-            if each not in rig.taps:
-                raise InputError(f"taps: {each!r}: rig {rig.name!r} has {', '.join(rig.taps)}")
+        self._aim = Aim(tap, self.taps, dict(signs or {}))
+        self._aim.signs_of(rig)
         rig = with_delay(rig, s.delay_s)
         followed = s.observer.model_copy(update={"dx_m": s.dx_m})
         self._late_rig = rig
-        planner = Planner(rig, tap, self.taps, s)
+        planner = Planner(rig, self._aim, s)
         self._horizon = planner.horizon
         self.observer = Observer(rig, followed, self.taps)
         self._ahead = self._horizon.ahead_s
@@ -136,7 +137,7 @@ class PredictiveController:
             InputError: It does not come up.
         """
         self.planning.end()
-        self.planning = Beside(self._late_rig, self.tap, self.taps, self.settings)
+        self.planning = Beside(self._late_rig, self._aim, self.settings)
 
     def end(self) -> None:
         """Ends what makes plans."""
@@ -176,8 +177,9 @@ class PredictiveController:
         """Voltage for the next period, decided before; see `Controller.step`.
 
         Args:
-            taps_pa: Per tap its newest reading, Pa; one that is not finite is not there.
-            targets_pa: Target at the times ahead, Pa.
+            taps_pa: Per sensor its newest reading, Pa, rad or m; one that is not finite is not
+                there.
+            targets_pa: Target at the times ahead, likewise.
             since_s: Time since the readings of the last step, s; None is a period.
             late_s: How old the readings are, s: so much later than they commands begin to act.
 
@@ -228,7 +230,7 @@ class PredictiveController:
             begin_s,
             np.array([self._volts(t) for t in middles]),
             ahead,
-            np.interp(self._ahead, self.preview_s, heard.targets_pa),
+            np.interp(self._ahead, self.preview_s, heard.targets),
             self.observer.mean_state(),
             self.observer.drifts.lasting(),
             heard.late_s,
@@ -259,12 +261,13 @@ class PredictiveController:
             step_s = heard.since_s / samples
             begin_s = end_s - heard.since_s
             held = [self._mean(begin_s + n * step_s, step_s) for n in range(samples)]
-            self.observer.advance(np.array([held]), step_s)
+            self.observer.advance(self._horizon.each(np.array(held)), step_s)
         else:
-            command = self.observer.plant.plan.commands[0]
-            self.observer.begin(heard.taps_pa, {command: self._in_force(end_s)})
+            volts = self._horizon.each(np.array([self._in_force(end_s)]))[:, 0]
+            told = dict(zip(self.observer.plant.plan.commands, volts.tolist(), strict=True))
+            self.observer.begin(heard.readings, told)
             self._begun = True
-        self.observer.assimilate(heard.taps_pa)
+        self.observer.assimilate(heard.readings)
         while len(self._told) > 1 and self._told[1][0] <= end_s:
             self._told.popleft()
 

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from pneu_common.validation import Listed, Settings
+from pneu_policy.control.shooting import SCALE_PA
 from pneu_sim.observe.settings import Drift, ObserverSettings
 
 Method = Literal["gauss_newton", "mppi", "adaptive"]
@@ -96,6 +97,16 @@ class PredictiveSettings(Settings):
         return self
 
     @property
+    def scale(self) -> float:
+        """The unit that errors are told in, Pa."""
+        return SCALE_PA
+
+    @property
+    def weight(self) -> float:
+        """What a volt of change from one voltage to the next counts as, in that unit."""
+        return self.smooth_pa_per_v / SCALE_PA
+
+    @property
     def samples(self) -> int:
         """Samples of a period."""
         return round(self.period_s / self.sample_s)
@@ -104,3 +115,28 @@ class PredictiveSettings(Settings):
     def periods(self) -> int:
         """Periods that a plan looks ahead, from where it can begin to act."""
         return sum(self.holds)
+
+
+SCALE_JOINT = 0.01
+"""Errors of a joint are told in this, rad or m."""
+
+
+class JointPredictiveSettings(PredictiveSettings):
+    """The same for a joint.
+
+    Attributes:
+        smooth_per_v: What a volt of change from one voltage to the next counts as, rad or m.
+    """
+
+    delay_s: Annotated[float, Field(ge=0.0)] = 0.006
+    smooth_per_v: Annotated[float, Field(ge=0.0)] = 0.002
+
+    @property
+    def scale(self) -> float:
+        """The unit that errors are told in, rad or m."""
+        return SCALE_JOINT
+
+    @property
+    def weight(self) -> float:
+        """What a volt of change from one voltage to the next counts as, in that unit."""
+        return self.smooth_per_v / SCALE_JOINT

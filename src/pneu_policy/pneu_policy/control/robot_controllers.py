@@ -6,6 +6,7 @@
   a proportional and integral loop over the pressures.
 - a learned policy, with the plan's forces before it where its recipe asks for them: with positions
   told, a hint (9.2.3); with forces alone, the hybrid (9.2.4).
+- ``predictive``: plans on the rig's own model (`pneu_policy.control.predictive_joint`).
 
 A controller is stepped once per period with the newest readings and the targets from now on, and
 answers with voltages. It knows nothing of clocks, topics or plants.
@@ -25,17 +26,21 @@ from ruamel.yaml import YAML
 from pneu_common.documents import read_yaml
 from pneu_common.errors import InputError
 from pneu_common.files import write_whole
+from pneu_policy.control.drive import Drive
 from pneu_policy.control.joint import JointGains, JointPid
 from pneu_policy.control.plan_settings import PlanSettings
 from pneu_policy.control.planner import Planner
+from pneu_policy.control.predictive_joint import PredictiveJoint
+from pneu_policy.control.predictive_settings import JointPredictiveSettings
 from pneu_policy.control.robot_policy import RobotPolicy
-from pneu_policy.control.robot_recipe import Moment, Push, RobotObserver
-from pneu_sim.rig.network import joined
+from pneu_policy.control.robot_recipe import Moment, RobotObserver
 from pneu_sim.rig.schema import Rig
 
 Floats = NDArray[np.float64]
 
 VERSION = 1
+KINDS = ("joint_pid", "computed_torque", "predictive")
+"""Those that come from a ``.yaml``."""
 
 
 class RobotController(Protocol):
@@ -75,90 +80,6 @@ class RobotController(Protocol):
         Raises:
             ValueError: A number is not finite.
         """
-
-
-@dataclass(frozen=True)
-class Drive:
-    """A joint with the cylinder that moves it and the valves on either side.
-
-    Attributes:
-        encoder: Encoder of the joint.
-        cylinder: The cylinder.
-        head_command: Command of the valve at its head.
-        rod_command: Command of the valve at its rod side.
-        push: Its taps and areas.
-        null_v: Voltage at which a valve is closed, V.
-    """
-
-    encoder: str
-    cylinder: str
-    head_command: str
-    rod_command: str
-    push: Push
-    null_v: float = 5.0
-
-    def force_n(self, taps_pa: Mapping[str, float]) -> float:
-        """Net force of the gas on the piston, N.
-
-        Args:
-            taps_pa: By tap its reading, Pa.
-        """
-        return float(self.push.force_n(taps_pa))
-
-    @property
-    def taps(self) -> tuple[str, ...]:
-        """Taps that tell the force."""
-        return tuple(tap for tap in (self.push.head_tap, self.push.rod_tap) if tap is not None)
-
-    @classmethod
-    def of_rig(cls, rig: Rig, encoder: str, cylinder: str, taps: tuple[str, str]) -> "Drive":
-        """Finds the valves of a cylinder: those whose ports lead to its sides' lines.
-
-        Args:
-            rig: The rig.
-            encoder: Encoder of the joint.
-            cylinder: The cylinder.
-            taps: Taps at its head and at its rod side.
-
-        Raises:
-            InputError: There is no such part, or a side has no valve of its own.
-        """
-        asked: tuple[tuple[str, str, Mapping[str, Any]], ...] = (
-            ("encoder", encoder, rig.encoders),
-            ("cylinder", cylinder, rig.cylinders),
-            *(("tap", tap, rig.taps) for tap in taps),
-        )
-        for what, name, known in asked:
-            if name not in known:
-                raise InputError(
-                    f"{what}: found {name!r}, rig {rig.name!r} has {', '.join(known) or 'none'}"
-                )
-        group = joined(rig)
-        commands = []
-        for side_name, side in rig.cylinders[cylinder].sides.items():
-            there = group.get(side.node, side.node)
-            found = [
-                valve.command
-                for valve in rig.valves.values()
-                if any(
-                    there in (group.get(p.from_node, p.from_node), group.get(p.to_node, p.to_node))
-                    for p in valve.ports.values()
-                )
-            ]
-            if len(set(found)) != 1:
-                raise InputError(
-                    f"cylinder: found {cylinder!r}, whose {side_name} side"
-                    f" {len(set(found)) or 'no'} valves fill; eq. 9.2 needs one to each side"
-                )
-            commands.append(found[0])
-        if len(commands) != 2 or commands[0] == commands[1]:
-            raise InputError(
-                f"cylinder: found {cylinder!r}, which one valve fills; eq. 9.2 needs one to each"
-                " side"
-            )
-        nulls = {v.spool.null_v for v in rig.valves.values() if v.command in commands}
-        push = Push(head_tap=taps[0], rod_tap=taps[1]).of_rig(rig, cylinder)
-        return cls(encoder, cylinder, commands[0], commands[1], push, nulls.pop())
 
 
 class JointPidController:
@@ -446,20 +367,36 @@ def load_robot_controller(path: str | Path, rig: Rig) -> RobotController:
 
 def _from_document(document: dict[str, Any], rig: Rig, name: str) -> RobotController:
     kind, period_s = document["kind"], float(document["period_s"])
+    if kind not in KINDS:
+        raise InputError(f"kind: found {kind!r}, allowed are {', '.join(KINDS)}")
     if not (math.isfinite(period_s) and period_s > 0.0):
         raise InputError(f"period_s: found {period_s:g}, it must be positive")
     drives = []
     for given in document["drives"]:
         head, rod = given["taps"]
         drives.append(Drive.of_rig(rig, given["encoder"], given["cylinder"], (head, rod)))
+    if kind == "predictive":
+        return _predictive(document, drives, rig, name)
     gains = [given["gains"] for given in document["drives"]]
     if kind == "joint_pid":
         return JointPidController(drives, [_gains(JointGains, g) for g in gains], period_s, name)
-    if kind == "computed_torque":
-        plan = PlanSettings(**document["plan"])
-        loops = [_gains(TorqueGains, g) for g in gains]
-        return ComputedTorque(drives, loops, plan, rig, period_s, name)
-    raise InputError(f"kind: found {kind!r}, allowed are joint_pid, computed_torque")
+    plan = PlanSettings(**document["plan"])
+    loops = [_gains(TorqueGains, g) for g in gains]
+    return ComputedTorque(drives, loops, plan, rig, period_s, name)
+
+
+def _predictive(
+    document: dict[str, Any], drives: list[Drive], rig: Rig, name: str
+) -> PredictiveJoint:
+    if len(drives) != 1:
+        raise InputError(f"drives: found {len(drives)}, a predictive controller has one")
+    try:
+        settings = JointPredictiveSettings(
+            **document.get("settings", {}), period_s=document["period_s"]
+        )
+    except InputError as error:
+        raise InputError(f"settings.{error}") from None
+    return PredictiveJoint(drives[0], rig, settings, name)
 
 
 def _gains(of: Any, given: dict[str, Any]) -> Any:

@@ -2,7 +2,7 @@
 """Direct single shooting of a valve's voltages: differences, Gauss-Newton steps, and the cost.
 
 Rigs that run side by side give the derivatives, and try the steps (Nocedal and Wright, Numerical
-Optimization, 2nd ed. 2006, ch. 10). Errors are those of a pressure, in units of `SCALE_PA`.
+Optimization, 2nd ed. 2006, ch. 10). Errors are told in a unit that makes them about one.
 """
 
 import math
@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 LANES = 8
 """Rigs run side by side in multiples of this at no further cost."""
 SCALE_PA = 1.0e3
-"""Errors are told in this, Pa."""
+"""Errors of a pressure are told in this, Pa."""
 DIFFERENCES_V = (0.1, -0.1, 0.3, -0.3)
 """Steps of the differences in turn: forth and back, as the valve's flow has a kink at null, and far
 enough to come out of its backlash."""
@@ -56,25 +56,27 @@ def steps_of(
     bounds: tuple[float, float],
     weight: float,
     dampings: Sequence[float],
+    scale: float = SCALE_PA,
 ) -> tuple[Floats, list[Floats]]:
     """Gauss-Newton steps by what differences brought.
 
     Args:
         plan: (knots,) V.
-        seen: (samples, lanes) pressures of `differences`, Pa.
+        seen: (samples, lanes) what `differences` made of what is controlled, Pa, rad or m.
         signed: (knots,) their differences, V.
-        target: (samples,) Pa.
+        target: (samples,) in the same unit.
         last_v: What is commanded before the plan, V.
         bounds: Lowest and highest voltage, V.
         weight: What a volt of change from knot to knot counts as, in the unit of errors.
         dampings: Levenberg-Marquardt terms, relative to the mean square of the derivatives.
+        scale: The unit of errors.
 
     Returns:
-        (samples,) error of the plan, and for each damping (knots,) a step, V.
+        (samples,) error of the plan in that unit, and for each damping (knots,) a step, V.
     """
     knots = plan.size
-    error = (seen[:, 0] - target) / SCALE_PA
-    slope = (seen[:, 1 : knots + 1] - seen[:, :1]) / signed / SCALE_PA
+    error = (seen[:, 0] - target) / scale
+    slope = (seen[:, 1 : knots + 1] - seen[:, :1]) / signed / scale
     # changes of voltage from knot to knot, the first from what was commanded before
     change = np.eye(knots) - np.eye(knots, k=-1)
     moved = change @ plan
@@ -95,7 +97,7 @@ def cost(error: Floats, plans: Floats, last_v: float, weight: float) -> Floats:
     """(lanes,) sums of squares of errors and of the plans' changes.
 
     Args:
-        error: (samples, lanes), in units of `SCALE_PA`.
+        error: (samples, lanes), in the unit of errors.
         plans: (lanes, knots) V.
         last_v: What is commanded before the plans, V.
         weight: See `steps_of`.

@@ -6,27 +6,18 @@ with the newest reading of each tap that the controller sees. Parameters and top
 ``ros_ws/README.md``.
 """
 
-import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from pneu_common.errors import InputError
 from pneu_graph.nodes.parameters import parameter
-from pneu_hw_bridge.priority import precedence
 from pneu_policy.control.controllers import Controller, PolicyController, load_controller
-from pneu_policy.control.planning import PLANS, PLANS_LATE
 from pneu_policy.control.predictive import PredictiveController
 from pneu_policy.control.virtual import VirtualTaps
 from pneu_policy.nodes.control import ControlNode, ControlParameters
+from pneu_policy.nodes.plans import Plans
 from pneu_policy.nodes.running import run_controller
-
-MOST_LATE_S = 0.05
-"""An age of readings that is beyond this is that of another clock."""
-LATEST_NS = 100_000_000
-"""A reading that is older than the last one by no more than this is late, else the clock jumped."""
 
 
 @dataclass
@@ -68,8 +59,7 @@ class PolicyNode(ControlNode):
             InputError: It shall start at once, and the file holds no controller of the rig.
         """
         self._controller: Controller | None = None
-        self._predictive: PredictiveController | None = None
-        self._first = contextlib.ExitStack()
+        self._plans = Plans()
         super().__init__("policy", **options)
 
     def _make_one(self) -> None:
@@ -91,14 +81,10 @@ class PolicyNode(ControlNode):
                 )
             if rig is not None:
                 policy.check_rig(rig)
-        self._end_planning()
+        self._plans.end()
         if isinstance(controller, PredictiveController):
             self._check_model(controller)
-            # late commands are wrong ones; the process that plans inherits it
-            self._first.enter_context(precedence())
-            controller.plan_beside()
-            controller.deferred = True
-            self._predictive = controller
+            self._plans.begin(controller)
             self._spare = frozenset(controller.taps)
         if isinstance(controller, VirtualTaps) and rig is not None:
             controller.check_rig(rig, self._params.policy)
@@ -117,19 +103,13 @@ class PolicyNode(ControlNode):
         if self._rig is not None:
             controller.check_rig(self._rig, self._params.policy)
 
-    def _end_planning(self) -> None:
-        if self._predictive is not None:
-            self._predictive.end()
-            self._predictive = None
-            self._first.close()
-
     def destroy_node(self) -> None:
         """Ends planning, then the node."""
-        self._end_planning()
+        self._plans.end()
         super().destroy_node()
 
     def _rest(self) -> None:
-        self._stepped_ns: int | None = None
+        self._plans.rest()
         self._blind_ns: int | None = None
         if self._controller is not None:
             self._controller.reset()
@@ -137,30 +117,14 @@ class PolicyNode(ControlNode):
     def _step(self, stamp_ns: int, pressures_pa: Mapping[str, float]) -> float:
         assert self._controller is not None
         targets = self._targets_at(stamp_ns, self._preview_s)
-        if isinstance(self._controller, PredictiveController):
-            return self._step_predictive(self._controller, stamp_ns, pressures_pa, targets)
-        return self._controller.step(pressures_pa, targets)
-
-    def _step_predictive(
-        self,
-        controller: PredictiveController,
-        stamp_ns: int,
-        pressures_pa: Mapping[str, float],
-        targets: Sequence[float],
-    ) -> float:
-        period_ns = round(controller.period_s * 1e9)
-        before = self._stepped_ns
-        if before is not None and 0 <= before - stamp_ns <= LATEST_NS:
-            # nothing new, or of before what has been foreseen already
-            stamp_ns, pressures_pa = before + period_ns, {}
-        self._stepped_ns = stamp_ns
-        since_s = None if before is None else (stamp_ns - before) * 1e-9
-        late_s = 1e-9 * (int(self.get_clock().now().nanoseconds) - stamp_ns)
-        return controller.step(pressures_pa, targets, since_s, min(max(late_s, 0.0), MOST_LATE_S))
+        if not isinstance(self._controller, PredictiveController):
+            return self._controller.step(pressures_pa, targets)
+        now_ns = int(self.get_clock().now().nanoseconds)
+        new, since_s, late_s = self._plans.timed(stamp_ns, now_ns)
+        return self._controller.step(pressures_pa if new else {}, targets, since_s, late_s)
 
     def _afterwards(self) -> None:
-        if self._predictive is not None:
-            self._predictive.follow()
+        self._plans.follow()
 
     def _target_lost(self, now_ns: int) -> tuple[str, str] | None:
         """Also where the controlled tap has been lost for too long."""
@@ -173,19 +137,7 @@ class PolicyNode(ControlNode):
         return super()._target_lost(now_ns)
 
     def _figures(self) -> Mapping[str, object]:
-        told = dict(super()._figures())
-        controller = self._controller
-        if isinstance(controller, PredictiveController):
-            took = np.array(controller.took_s or [np.nan])
-            told["plan, 99 of 100 (ms)"] = 1e3 * float(np.quantile(took, 0.99))
-            told[PLANS], told[PLANS_LATE] = controller.asked, controller.missed
-            observer = controller.observer
-            told["model"] = "; ".join(observer.watch.wrong) or "holds"
-            for name in controller.taps:
-                matter = self._lost[name][0] if name in self._lost else observer.trust.matter(name)
-                if matter:
-                    told[f"tap {name}"] = matter
-        return told
+        return {**super()._figures(), **self._plans.figures(self._lost)}
 
 
 def main(args: list[str] | None = None) -> None:

@@ -19,6 +19,7 @@ from trajectory_msgs.msg import JointTrajectory
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
 from pneu_graph.nodes.parameters import parameter
+from pneu_policy.control.predictive_joint import PredictiveJoint
 from pneu_policy.control.robot_controllers import RobotController, load_robot_controller
 from pneu_policy.nodes.controlling import (
     NO_TARGET,
@@ -26,6 +27,7 @@ from pneu_policy.nodes.controlling import (
     ControllingNode,
     ControllingParameters,
 )
+from pneu_policy.nodes.plans import Plans
 from pneu_policy.nodes.running import run_controller
 
 Floats = NDArray[np.float64]
@@ -39,7 +41,7 @@ class RobotParameters(ControllingParameters):
 
     controller: str = parameter(
         "",
-        "File of the controller: a policy (.npz), or a tuned one (.yaml).",
+        "File of the controller: a policy (.npz), a tuned or a predictive one (.yaml).",
         read_only=True,
     )
 
@@ -78,6 +80,7 @@ class RobotNode(ControllingNode):
             InputError: It shall start at once, and the file holds no controller of the rig.
         """
         self._controller: RobotController | None = None
+        self._plans = Plans()
         super().__init__("robot", **options)
 
     def _make(self) -> None:
@@ -85,11 +88,20 @@ class RobotNode(ControllingNode):
             if not getattr(self._params, name):
                 raise InputError(f"parameter {name}: found nothing, it must be the path of a file")
         assert self._rig is not None
+        self._plans.end()
         one = self._controller = load_robot_controller(self._params.controller, self._rig)
+        if isinstance(one, PredictiveJoint):
+            self._plans.begin(one.inner)
         self._taps, self._encoders, self._valves = one.taps, one.encoders, one.commands
         self._period_s = one.period_s
 
+    def destroy_node(self) -> None:
+        """Ends planning, then the node."""
+        self._plans.end()
+        super().destroy_node()
+
     def _rest(self) -> None:
+        self._plans.rest()
         if self._controller is not None:
             self._controller.reset()
 
@@ -152,7 +164,13 @@ class RobotNode(ControllingNode):
         wanted = np.stack([np.interp(at, target.at_s, values) for values in target.values])
         positions = {name: self._readings[name].value for name in self._encoders}
         taps_pa = {name: self._readings[name].value for name in self._taps}
-        volts = one.step(positions, taps_pa, wanted)
+        if isinstance(one, PredictiveJoint):
+            now_ns = int(self.get_clock().now().nanoseconds)
+            new, since_s, late_s = self._plans.timed(newest_ns, now_ns)
+            told = (positions, taps_pa) if new else ({}, {})
+            volts = one.step(*told, wanted, since_s, late_s)
+        else:
+            volts = one.step(positions, taps_pa, wanted)
         off = wanted[:, 0] - np.array([positions[name] for name in one.tracked])
         self._error_square += float(np.sum(off**2))
         self._error_count += 1.0
@@ -161,7 +179,10 @@ class RobotNode(ControllingNode):
     def _figures(self) -> Mapping[str, object]:
         rms = math.sqrt(self._error_square / self._error_count) if self._error_count else math.nan
         self._error_square = self._error_count = 0.0
-        return {"rms error (rad or m)": rms}
+        return {"rms error (rad or m)": rms, **self._plans.figures(self._lost)}
+
+    def _afterwards(self) -> None:
+        self._plans.follow()
 
 
 def main(args: list[str] | None = None) -> None:

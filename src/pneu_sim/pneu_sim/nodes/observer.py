@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The observer node: the gas of a rig from its commands and readings, and taps that are not there.
+"""The observer node: gas and joints of a rig from its commands and readings, and taps not there.
 
-It follows commands and taps as they are recorded too, whoever publishes them, and tells what every
-tap of the rig file shows or would show, with its variance, and the state of every line. A
-controller or a recorder that is remapped from ``taps/<tap>/pressure`` to
-``virtual/<tap>/pressure`` does not know the difference. Parameters and topics: see
-``ros_ws/README.md``.
+It follows commands, taps and encoders as they are recorded too, whoever publishes them, and tells
+what every tap of the rig file shows or would show, with its variance, the state of every line, and
+of a rig that moves places and speeds of its joints. A controller or a recorder that is remapped
+from ``taps/<tap>/pressure`` to ``virtual/<tap>/pressure`` does not know the difference. Parameters
+and topics: see ``ros_ws/README.md``.
 """
 
 import math
@@ -16,7 +16,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from pneu_msgs.msg import LineState, ValveCommand
 from rclpy.node import Node
-from sensor_msgs.msg import FluidPressure
+from sensor_msgs.msg import FluidPressure, JointState
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
@@ -37,7 +37,8 @@ class ObserverParameters(Parameters):
     rig: str = parameter("", "Path of the calibrated rig file.", read_only=True)
     used: str = parameter(
         "",
-        "Taps whose readings are taken, with commas between; empty takes all of the rig.",
+        "Taps and encoders whose readings are taken, with commas between; empty takes all of the"
+        " rig.",
         read_only=True,
     )
     rate_hz: float = parameter(
@@ -92,11 +93,12 @@ class ObserverNode(Node):
         if not params.rig:
             raise InputError("parameter rig: found nothing, it must be the path of a rig file")
         rig = self._rig = load_rig(params.rig)
-        used = [name.strip() for name in params.used.split(",") if name.strip()] or list(rig.taps)
+        sensors = [*rig.taps, *rig.encoders]
+        used = [name.strip() for name in params.used.split(",") if name.strip()] or sensors
         for name in used:
-            if name not in rig.taps:
+            if name not in sensors:
                 raise InputError(
-                    f"parameter used: found {name!r}, rig {rig.name!r} has {', '.join(rig.taps)}"
+                    f"parameter used: found {name!r}, rig {rig.name!r} has {', '.join(sensors)}"
                 )
         settings = ObserverSettings(
             members=params.members,
@@ -121,12 +123,19 @@ class ObserverNode(Node):
             name: self.create_publisher(LineState, f"observed/{name}/state", common.READINGS_QOS)
             for name in rig.pipes
         }
+        self._joints = (
+            self.create_publisher(JointState, "observed/joint_states", common.READINGS_QOS)
+            if self._observer.plant.joint_names
+            else None
+        )
         self._diagnostics = common.Diagnostics(self, self._report)
         self.create_timer(1.0 / params.rate_hz, self._tick)
         self.about = f"rig {rig.name!r} by {', '.join(used)}"
 
     def _subscribe(self, used: list[str]) -> None:
-        for topic in topics.only(topics.tap_topics(self._rig), set(used)):
+        heard = topics.only(topics.tap_topics(self._rig), set(used) & set(self._rig.taps))
+        heard += topics.only(topics.encoder_topics(self._rig), set(used) & set(self._rig.encoders))
+        for topic in heard:
             self.create_subscription(
                 topics.message_class(topic.type),
                 topic.name,
@@ -197,6 +206,15 @@ class ObserverNode(Node):
             message = FluidPressure(fluid_pressure=told.mean[name], variance=told.std[name] ** 2)
             message.header.stamp, message.header.frame_id = stamp, name
             publisher.publish(message)
+        if self._joints is not None:
+            place, speed = self._observer.plant.joints().mean(axis=-1).T
+            joints = JointState(
+                name=list(self._observer.plant.joint_names),
+                position=place.tolist(),
+                velocity=speed.tolist(),
+            )
+            joints.header.stamp, joints.header.frame_id = stamp, self._rig.name
+            self._joints.publish(joints)
         rate = self._params.line_state_rate_hz
         if rate <= 0.0 or 0 <= now_ns - self._line_ns < 1e9 / rate:
             return
@@ -231,16 +249,17 @@ class ObserverNode(Node):
             if unknown.time_s >= observer.settings.slow_s:
                 figures[f"{unknown.name} ({unknown.unit})"] = float(value)
         lines = [common.status(level, f"{name}: model", text, figures, rig)]
-        for tap in observer.used:
-            matter = observer.trust.matter(tap)
+        for sensor in observer.used:
+            what, unit = ("tap", "Pa") if sensor in self._rig.taps else ("encoder", "rad or m")
+            matter = observer.trust.matter(sensor)
             level = DiagnosticStatus.WARN if matter else DiagnosticStatus.OK
-            seen = self._last.get(tap)
+            seen = self._last.get(sensor)
             figures = {} if seen is None else {
-                "innovation (Pa)": seen.difference,
-                "expected (Pa)": seen.std,
+                f"innovation ({unit})": seen.difference,
+                f"expected ({unit})": seen.std,
             }  # fmt: skip
             text = f"not believed: {matter}" if matter else "agrees"
-            lines.append(common.status(level, f"{name}: tap {tap}", text, figures, rig))
+            lines.append(common.status(level, f"{name}: {what} {sensor}", text, figures, rig))
         return lines
 
 

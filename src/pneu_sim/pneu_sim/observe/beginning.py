@@ -3,7 +3,7 @@
 
 Pressures lie on straight lines between the taps of a line, beyond them and where it has none at the
 nearest reading. Members differ from that by smooth fields of pressure, temperature and speed: waves
-may be on their way.
+may be on their way. Joints stand where encoders say, at speeds that are not known.
 """
 
 import math
@@ -38,11 +38,12 @@ def begin(
 
     Args:
         plant: The members, reset: what no reading tells of is as that left it.
-        readings: First readings of taps, Pa.
+        readings: First readings of sensors, Pa, rad or m.
         settings: How little is known.
         rng: Source of the draws.
     """
     rig, plan = plant.rigs[0], plant.plan
+    _place(plant, readings, settings, rng)
     known = {name: value for name, value in readings.items() if name in plan.taps}
     if not known:
         return
@@ -82,6 +83,25 @@ def begin(
             p = np.maximum(level + settings.start_std_pa * draw[0], LEAST_PA)
             t = rig.ambient.temperature_k + settings.start_std_k * draw[1]
             plant.set_chamber(chamber, p, t)
+
+
+def _place(
+    plant: Plant,
+    readings: Mapping[str, float],
+    settings: ObserverSettings,
+    rng: np.random.Generator,
+) -> None:
+    """Puts joints where encoders say."""
+    joints = dict(zip(plant.plan.encoders, plant.encoder_of.tolist(), strict=True))
+    told = {name: at for name, at in joints.items() if at >= 0 and name in readings}
+    if not told:
+        return
+    names = plant.solver.joint_names
+    speed = settings.start_speed * centred(rng, (len(told), plant.lanes))
+    plant.place(
+        {names[at]: readings[name] for name, at in told.items()},
+        {names[at]: speed[k] for k, at in enumerate(told.values())},
+    )
 
 
 def _field(at: Floats, lanes: int, rng: np.random.Generator) -> Floats:

@@ -95,9 +95,9 @@ class Observer:
             raise InputError(
                 f"rig {rig.name!r}: model: found {rig.model}, an observer needs the full one"
             )
-        if rig.moves:
+        if rig.mechanism is not None:
             raise InputError(
-                f"rig {rig.name!r}: it moves; an observer follows gas in lines and chambers alone"
+                f"rig {rig.name!r}: mechanism: an observer follows bodies, no other mechanism"
             )
         self.plant = Plant([rig] * s.members, s.dx_m, fewest_cells=s.fewest_cells)
         self._vector = StateVector(self.plant, s.reach_m)
@@ -108,10 +108,11 @@ class Observer:
             if name not in self.sensors:
                 raise InputError(f"sensor {name!r}: rig {rig.name!r} has {', '.join(self.sensors)}")
         known = [rig.taps[name] for name in taps]
+        told = [rig.encoders[name] for name in encoders]
         self.drifts = Drifts(self.plant, s, self.used)
         self._variance = np.array(
             [(t.noise_pa or s.noise_pa) ** 2 + t.quantum_pa**2 / 12.0 for t in known]
-            + [s.noise_position**2] * len(encoders)
+            + [(e.noise or s.noise_position) ** 2 + e.quantum**2 / 12.0 for e in told]
         )
         noise = np.sqrt(self._variance)
         self.trust = Trust(
@@ -126,7 +127,7 @@ class Observer:
         """Begins anew, by the first readings; see `pneu_sim.observe.beginning`.
 
         Args:
-            readings: By sensor, Pa; may be empty.
+            readings: By sensor, Pa, rad or m; may be empty.
             volts: By command what the valves were told last, V; others are closed.
         """
         s, told = self.settings, volts or {}
@@ -238,8 +239,17 @@ class Observer:
         )
 
     def mean_state(self) -> State:
-        """The mean of the members, as the state of one rig."""
+        """The mean of the members, as the state of one rig.
+
+        Where pistons stand in cells, whose number is a member's own, it is that of the member which
+        is nearest to the mean.
+        """
         state = self.plant.state()
+        if self._vector.in_cells:
+            off = self._vector.gather()
+            off -= off.mean(axis=1, keepdims=True)
+            off /= np.maximum(off.std(axis=1, keepdims=True), 1e-300)
+            return state.of(np.array([int(np.argmin((off**2).sum(axis=0)))]))
         told, *spools = state.spools
 
         def mean(parts: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:

@@ -49,6 +49,7 @@ class ObserverSettings(Settings):
         start_std_pa: How little the pressures of a beginning are known between the readings, Pa;
             speeds likewise, by what a wave of that height has.
         start_std_k: Likewise temperatures, K.
+        start_speed: Likewise speeds of joints, rad/s or m/s.
         gate: Innovations beyond this many standard deviations count less.
         hard_gate: Beyond this many a single sensor is not believed at once.
         patience_s: So long a sensor is beyond the gate before it is left out, s.
@@ -84,6 +85,7 @@ class ObserverSettings(Settings):
     timing_s: Annotated[float, Field(ge=0.0)] = 1e-4
     start_std_pa: Annotated[float, Field(gt=0.0)] = 1e4
     start_std_k: Annotated[float, Field(gt=0.0)] = 3.0
+    start_speed: Annotated[float, Field(gt=0.0)] = 0.3
     gate: Annotated[float, Field(gt=1.0)] = 6.0
     hard_gate: Annotated[float, Field(gt=1.0)] = 30.0
     patience_s: Annotated[float, Field(gt=0.0)] = 0.05

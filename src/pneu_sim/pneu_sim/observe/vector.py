@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The state of an ensemble as one table of numbers, that an analysis may move.
 
-Numbers are those of the solver and of the sensors: mass, momentum and energy per volume in every
-cell with what its walls remember, mass and energy of chambers.
+Numbers are those of the solver: mass, momentum and energy per volume in every cell with what its
+walls remember, mass and energy of chambers, places and speeds of joints. Taps move gas, by how near
+it is; encoders move joints, and gas only in that it keeps its pressure as they move.
 """
 
 import math
@@ -26,7 +27,7 @@ ROOM = 1e-3
 
 @dataclass(frozen=True)
 class Block:
-    """A part of the numbers that is one array of the solver or of the sensors.
+    """A part of the numbers that is one array of the solver.
 
     Attributes:
         array: The array itself, the member as its last index.
@@ -42,6 +43,7 @@ class StateVector:
 
     Attributes:
         nearness: (n_taps + n_encoders, numbers) share of the gain of each sensor.
+        in_cells: Whether a piston stands in cells, as many as its place needs.
     """
 
     def __init__(self, plant: Plant, reach_m: float) -> None:
@@ -56,7 +58,7 @@ class StateVector:
         """
         if not isinstance(plant.solver, FullSolver):
             raise InputError(f"rig {plant.rigs[0].name!r}: its model keeps no gas along lines")
-        self._plant = plant
+        self._plant, self._solver = plant, plant.solver
         self._tile = plant.solver.tiles[0][0]
         tile, plan = self._tile, plant.plan
         far_slots, far_chambers = distances(plant.rigs[0], plan)
@@ -67,6 +69,8 @@ class StateVector:
             (tile.state, np.repeat(near_slots[:, None], L.STATE_ROWS, axis=1)),
             (tile.chamber_state, np.repeat(near_chambers[:, :, None], 2, axis=2)),
         ]
+        kinds = plan.cylinder[:, [0, L.COLUMNS_PER_SIDE]]
+        self.in_cells = bool((kinds == L.GAS_CELLS).any())
         self._blocks: list[Block] = []
         near: list[Floats] = []
         first = 0
@@ -75,20 +79,26 @@ class StateVector:
             self._blocks.append(Block(array, slice(first, first + size)))
             near.append(share.reshape(taps, size))
             first += size
-        self.count = first
         whole = np.concatenate(near, axis=1)
-        # an encoder tells of gas only through what drifts
-        self.nearness = np.concatenate([whole, np.zeros((encoders, first))])
+        joints = plant.solver.joints()[..., 0].size
+        self._joints = slice(first, first + joints)
+        self.count = first + joints
+        self.nearness = np.zeros((taps + encoders, self.count))
+        self.nearness[:taps, :first] = whole
+        self.nearness[taps:, self._joints] = 1.0
 
     def gather(self) -> Floats:
         """Returns (numbers, members) a copy of the numbers."""
         out = np.empty((self.count, self._plant.lanes))
         for block in self._blocks:
             out[block.rows] = block.array.reshape(-1, self._plant.lanes)
+        out[self._joints] = self._plant.solver.joints().reshape(-1, self._plant.lanes)
         return out
 
     def scatter(self, members: Floats) -> None:
         """Has the members be as the numbers say; densities and energies stay positive.
+
+        Gas beside a piston keeps its pressure as that moves.
 
         Args:
             members: (numbers, members).
@@ -109,3 +119,14 @@ class StateVector:
         bad = (self._tile.chamber_state < ROOM * chambers).any(axis=1, keepdims=True)
         self._tile.chamber_state[:] = np.where(bad, chambers, self._tile.chamber_state)
         tiles.settle(self._tile)
+        self._place(members[self._joints])
+
+    def _place(self, numbers: Floats) -> None:
+        """Moves joints; a member whose piston would stand beyond its stroke stays where it is."""
+        before = self._solver.joints()
+        if before.size == 0:
+            return
+        after = numbers.reshape(before.shape)
+        beyond = ~tiles.reachable(self._tile, after[:, 0])
+        after = np.where(beyond, before, after)
+        self._solver.shift(after[:, 0], after[:, 1])
