@@ -232,20 +232,33 @@ def of_live() -> list[str]:
         " and standard deviation of the valid runs; in brackets how many of all are valid, where"
         " some are not: the bus, the lab or plans were late in each of three tries.",
         "",
+    ]
+
+    def of(tube: str, kind: str, name: str) -> str:
+        key = (tube, kind, name)
+        own = [r for r in told["runs"] if (r["tube"], r["kind"], r["controller"]) == key]
+        valid = [r["figures"] for r in own if r["figures"] is not None]
+        return cell(valid) + (f" ({len(valid)} of {len(own)})" if len(valid) < len(own) else "")
+
+    return [*lines, *table(names, of), ""]
+
+
+def table(names: Sequence[str], told: Callable[[str, str, str], str]) -> list[str]:
+    """A table with a row for each tube and kind of target.
+
+    Args:
+        names: Controllers, its columns.
+        told: What is in a cell, by tube, kind and controller.
+    """
+    return [
         f"| | {' | '.join(names)} |",
         f"|---|{'---|' * len(names)}",
+        *(
+            f"| {tube}, {kind} | {' | '.join(told(tube, kind, name) for name in names)} |"
+            for tube in TUBES
+            for kind in TASKS.kinds
+        ),
     ]
-    for tube in TUBES:
-        for kind in TASKS.kinds:
-            cells = []
-            for name in names:
-                key = (tube, kind, name)
-                own = [r for r in told["runs"] if (r["tube"], r["kind"], r["controller"]) == key]
-                valid = [r["figures"] for r in own if r["figures"] is not None]
-                of = f" ({len(valid)} of {len(own)})" if len(valid) < len(own) else ""
-                cells.append(cell(valid) + of)
-            lines.append(f"| {tube}, {kind} | {' | '.join(cells)} |")
-    return [*lines, ""]
 
 
 def of_faults(rows: Sequence[str]) -> list[str]:
@@ -311,22 +324,16 @@ def page(
         "",
         "Greatest error of all runs, atm, and RMS of the command's change, V/s:",
         "",
-        f"| | {' | '.join(names)} |",
-        f"|---|{'---|' * len(names)}",
     ]
-    for tube in TUBES:
-        for kind in TASKS.kinds:
-            cells = []
-            for name in names:
-                runs = found.get((tube, kind, name))
-                if not runs:
-                    cells.append("-")
-                    continue
-                worst = max(f["worst_atm"] for f in runs)
-                rate = np.mean([f["effort_rate_v_s"] for f in runs])
-                cells.append(f"{worst:.2f}, {rate:.0f}")
-            lines.append(f"| {tube}, {kind} | {' | '.join(cells)} |")
-    return [*lines, ""]
+
+    def worst(tube: str, kind: str, name: str) -> str:
+        runs = found.get((tube, kind, name))
+        if not runs:
+            return "-"
+        rate = np.mean([f["effort_rate_v_s"] for f in runs])
+        return f"{max(f['worst_atm'] for f in runs):.2f}, {rate:.0f}"
+
+    return [*lines, *table(names, worst), ""]
 
 
 if __name__ == "__main__":

@@ -162,19 +162,17 @@ class FullSolver(Solver):
         """
         for tile, of in self.tiles:  # refused for one, no other has moved
             tiles.check_place(tile, position[:, of])
-        for tile, of in self.tiles:
-            tiles.rearrange(tile, position[:, of], velocity[:, of])
-        self._lean()
+        self.shift(position, velocity)
 
     def shift(self, position: Floats, velocity: Floats) -> None:
-        """Moves joints a little, as `place` does; pistons may be pressed into their stops.
+        """Moves joints as `place` does; pistons may be pressed into their stops, as steps do it.
 
         Args:
             position: (n_joints, lanes).
             velocity: (n_joints, lanes).
         """
         for tile, of in self.tiles:
-            tiles.rearrange(tile, position[:, of], velocity[:, of], pressed=True)
+            tiles.rearrange(tile, position[:, of], velocity[:, of])
         self._lean()
 
     def _lean(self) -> None:

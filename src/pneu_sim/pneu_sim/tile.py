@@ -424,23 +424,20 @@ def force_at_rest(tile: Tile) -> Floats:
     return tile.cylinder_state[:, L.SY_FORCE].copy()
 
 
-def rearrange(tile: Tile, position: Floats, velocity: Floats, pressed: bool = False) -> None:
+def rearrange(tile: Tile, position: Floats, velocity: Floats) -> None:
     """Moves bodies and their pistons elsewhere; gas keeps its pressure and temperature.
 
-    Gas in cells comes to rest where its piston moved, all of it as beside its way in.
+    Whether pistons are within their strokes is not looked at (`check_place`); steps press them into
+    their stops. Gas in cells comes to rest where its piston moved, all of it as beside its way in.
 
     Args:
         tile: The batch.
         position: (n_joints, lanes) rad or m.
         velocity: (n_joints, lanes) per second.
-        pressed: Whether pistons may be pressed into their stops, as steps press them.
-
-    Raises:
-        InputError: A piston would stand beyond its stroke; nothing has moved then.
     """
     before = tile.chamber[:, L.C_VOLUME].copy()
     stood = tile.cylinder_state[:, L.SY_EXTENSION].copy()
-    place_joints(tile, position, velocity, pressed)
+    place_joints(tile, position, velocity, pressed=True)
     tile.chamber_state *= (tile.chamber[:, L.C_VOLUME] / before)[:, None]
     for row, moved in zip(
         tile.plan.cylinder, tile.cylinder_state[:, L.SY_EXTENSION] != stood, strict=True

@@ -297,3 +297,5 @@ def test_bad_input_is_told_in_a_sentence(lab):
     plate = load_rig(LAB.parent / "rig_a_thin_plate.yaml")
     with pytest.raises(InputError, match="an observer needs the full one"):
         Observer(plate, COARSE)
+    with pytest.raises(InputError, match="mechanism: an observer follows bodies"):
+        Observer(load_rig(LAB.parent / "arm4.yaml"), COARSE)

@@ -49,8 +49,7 @@ class PredictiveSettings(Settings):
         smooth_pa_per_v: What a volt of change from one voltage to the next counts as, Pa.
         method: How plans are improved.
         rounds: Improvements per plan at most; fewer where time is up.
-        plans: Plans side by side of ``mppi`` and ``adaptive``; a GPU takes thousands in the time
-            of one.
+        plans: Plans side by side of ``mppi`` and ``adaptive``.
         spread_v: Standard deviation with which those are drawn at first, V.
         temperature: Their costs are weighed by the exponential of their difference from the least
             over this times their standard deviation.
