@@ -33,8 +33,10 @@ def train_runs(runs: Sequence[Run], workers: Workers) -> None:
     failed = []
     with progress(f"training {len(runs)} policies") as tell:
         for done, outcome in enumerate(train_all(runs, workers), 1):
-            tell("policies", done / len(runs), str(outcome.run.folder))
+            told = str(outcome.run.folder)
             if outcome.fault:
-                failed.append(f"{outcome.run.folder}: {outcome.fault}")
+                told += f": {outcome.fault}"
+                failed.append(told)
+            tell("policies", done / len(runs), told)
     if failed:
         raise InputError("; ".join(failed))

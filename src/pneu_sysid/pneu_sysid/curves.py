@@ -177,7 +177,7 @@ def curve_ties(
             rows.append(row)
             sides.append(side)
             groups.append(group)
-    matrix = np.array(rows).reshape(-1, len(parameters))
+    matrix = np.array(rows).reshape(len(rows), len(parameters))
     return Ties(matrix, np.array(sides), np.array(groups, dtype=np.int64))
 
 

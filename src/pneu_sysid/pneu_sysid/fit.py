@@ -28,6 +28,7 @@ from pneu_sysid.shortfall import ENOUGH, Shortfall, effects_that_help, shortfall
 from pneu_sysid.spool_position import fit_spools
 from pneu_sysid.spool_starts import try_limits, try_spools
 from pneu_sysid.stages import (
+    WORKS,
     Step,
     Work,
     at_noise,
@@ -198,7 +199,6 @@ def fit_rig(
             done = at_noise(last.estimate, last.problem, job.used(last.problem))
             if (done or last.fresh) and not step.limits:
                 continue
-            last = replace(last, stale=True)
         tried, every = _tried(job, now, step, every, last)
         if step.again and step.limits and tried is now:
             continue  # there is none, and nothing else to be done in this step
@@ -230,9 +230,20 @@ def parameters_of(rig: Rig) -> list[FitParameter]:
     Args:
         rig: The rig.
     """
-    given = rig.fit.parameters
-    drawn = with_own_curves(rig) if kind_of(rig).along_lines and not given else rig
-    return _list_of(drawn, given, [])[0]
+    return _list_of(as_fitted(rig), rig.fit.parameters, [])[0]
+
+
+def as_fitted(rig: Rig) -> Rig:
+    """A rig as `fit_rig` begins with it: ports with opening curves of their own.
+
+    Points are those of recordings that open all ports wide.
+
+    Args:
+        rig: The rig.
+    """
+    if rig.fit.parameters or not kind_of(rig).along_lines:
+        return rig
+    return with_own_curves(rig)
 
 
 Key = tuple[str, str | None]
@@ -280,7 +291,6 @@ class _Taken:
         problem: Its problem.
         estimate: Its estimate.
         fresh: Whether it began with a Jacobian of its own.
-        stale: Whether its Jacobian is not to be used again.
         bends: How much opening curves bend by it; None where it cannot tell, as valves may be off.
     """
 
@@ -290,7 +300,6 @@ class _Taken:
     problem: Problem
     estimate: Estimate
     fresh: bool
-    stale: bool = False
     bends: Bends | None = None
 
 
@@ -363,8 +372,7 @@ def _taken(
     told = job.work.begin(step)
     problem = problem_of(rig, job.recordings, step, job.workers)
     slope = None
-    alike = before is not None and before.step.dx_m == step.dx_m and not before.stale
-    if before is not None and alike and before.step.pull_s == step.pull_s:
+    if before is not None and before.estimate.gained > WORKS and _alike(before.step, step):
         slope = _slope(before, fitted, problem, job.used(problem))
     now, estimate, bends = take(
         rig,
@@ -388,6 +396,11 @@ def _taken(
         fresh=slope is None,
         bends=None if step.part else bends,
     )
+
+
+def _alike(one: Step, other: Step) -> bool:
+    """Whether a Jacobian of one step serves another."""
+    return (one.dx_m, one.pull_s) == (other.dx_m, other.pull_s)
 
 
 def _at_known_scale(job: _Job, last: _Taken) -> _Taken:

@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bounded Gauss-Newton with a batched Jacobian: every column and every trial step is one batch."""
+"""Bounded Gauss-Newton with a batched Jacobian: every column and every trial step is one batch.
+
+Where many variables only matter in combination the way down is a narrow bent valley, out of which a
+straight step leads. So steps are bent as the residual itself does along them (geodesic
+acceleration: Transtrum and Sethna 2012, arXiv:1201.5885).
+"""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,11 +18,21 @@ Floats = NDArray[np.float64]
 Residuals = Callable[[Sequence[Floats]], Floats]
 """Maps K parameter vectors to (K, n_clusters, m) residuals in one batched call."""
 
+FEW = 8
+"""So many variables need no finely graded damping; where none of their steps gains, shorter ones
+are tried: a position along a pipe has kinks, past which a slope tells nothing."""
 DAMPINGS = (1e-6, 1e-3, 1e-1, 1e1)
 LAST_DAMPINGS = (1e2, 1e3, 1e4)
-FEW = 8
-"""Where none of the steps of so few variables gains, shorter ones are tried: a position along a
-pipe has kinks, past which a slope tells nothing."""
+FINER_DAMPINGS = (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 1e1)
+"""Of more variables; all of them are tried at first, then ..."""
+BELOW, BESIDE = 2, 4
+"""... so many about the last best, beginning so far below it."""
+AS_FORECAST = 0.9
+"""A step that gains so much of what the best linear forecast promises need not be bent."""
+PROBE = 0.1
+"""The residual is looked at after this part of a step, to see how it bends."""
+MOST_BENT = 0.75
+"""Twice the bend is at most this part of the step; a longer bend is not to be trusted."""
 SECANT_WORTH = 0.05
 """A step that takes away so much of the cost is followed by one with the same Jacobian."""
 MOST_FORECAST = 2.0
@@ -63,6 +78,7 @@ class Estimate:
         cost: Half the sum of squares at the end, prior included.
         history: Cost after each iteration, the start first.
         gained: Share of the data's cost at the start that is gone at the end.
+        ahead: By how much the cost is to fall yet, by the last linear forecast.
         residual: (n_clusters, m) at the estimate.
         jacobian: (n_clusters, m, P) at the last linearisation.
         gain: (P, P) what the estimate becomes by per unit of a score ``J^T r``.
@@ -80,6 +96,7 @@ class Estimate:
     cost: float
     history: list[float]
     gained: float
+    ahead: float
     residual: Floats
     jacobian: Floats
     gain: Floats
@@ -198,7 +215,17 @@ def minimise(
         apart = np.concatenate([(at - centre) * prior, scale * (tie_a @ at - tie_b)])
         return _cost(r, robust) + 0.5 * float(np.sum(apart**2))
 
-    scale = 1.0
+    def linearised(w: Floats) -> _Linear:
+        flat = (j * w[..., None]).reshape(-1, x.size)
+        # residual is measured - model, so the model's sensitivities are -j
+        a = np.vstack([flat * span, np.diag(prior * span), scale * tie_a * span])
+        return _Linear.of(
+            a,
+            np.concatenate([(r * w).ravel(), prior * (x - centre), scale * (tie_a @ x - tie_b)]),
+            r.size,
+        )
+
+    scale, best_damping = 1.0, None
     history: list[float] = []
     if slope is None:
         r, j = jacobian(residuals, x, variables)
@@ -216,25 +243,26 @@ def minimise(
             scale, rescaled = _noise_of_scores(j * w[..., None], ahead), True
             prior = precision * scale
         cost = total(r, x)
-        flat = (j * w[..., None]).reshape(-1, x.size)
-        rhs = (r * w).ravel()
-        # residual is measured - model, so the model's sensitivities are -j
-        a = np.vstack([flat * span, np.diag(prior * span), scale * tie_a * span])
-        b = np.concatenate([rhs, prior * (x - centre), scale * (tie_a @ x - tie_b)])
-        q, upper_r = np.linalg.qr(a)
-        c = q.T @ b
-        norms = np.linalg.norm(upper_r, axis=0)
-        # One or two variables need no finely graded damping.
-        for dampings in (DAMPINGS if x.size > 2 else DAMPINGS[::2], LAST_DAMPINGS):
-            low, high = (lower - x) / span, (upper - x) / span
-            size = np.maximum(norms, 1e-6 * norms.max())
-            steps = damped_steps(upper_r, -c, low, high, dampings, size)
+        linear = linearised(w)
+        low, high = (lower - x) / span, (upper - x) / span
+        for dampings in _dampings(x.size, best_damping):
+            steps = linear.steps(low, high, dampings)
             trials = [np.clip(x + step * span, lower, upper) for step in steps]
             found = residuals(trials)
             costs = [total(found[k], trials[k]) for k in range(len(trials))]
+            forecast = max(linear.gain(step) for step in steps)
+            if x.size > FEW and cost - np.nanmin(costs) < AS_FORECAST * forecast:
+                bends = _bends(residuals, x, trials, r, j)
+                bent = [
+                    np.clip(y + linear.bent(step, bend * w, damping) * span, lower, upper)
+                    for y, step, bend, damping in zip(trials, steps, bends, dampings, strict=True)
+                ]
+                trials, found = [*trials, *bent], np.concatenate([found, residuals(bent)])
+                costs += [total(found[k], trials[k]) for k in range(len(steps), len(trials))]
             best = int(np.nanargmin(costs))
             gain = (cost - costs[best]) / max(cost, 1e-300)
-            if gain > 0.0 or x.size > FEW:
+            if gain > 0.0:
+                best_damping = dampings[best % len(steps)]
                 break
         if gain > 0.0:
             j = _secant(j, found[best] - r, (trials[best] - x) / span, span)
@@ -252,7 +280,111 @@ def minimise(
         r, j = jacobian(residuals, x, variables, r)
         fresh, left, reused = True, left - 1, 0
     gained = 1.0 - _cost(r, robust) / max(begun, 1e-300)
-    return _summary(x, r, j, variables, precision, scale, history, gained, robust, tie_a)
+    last = linearised(_weights(r, robust))
+    yet = last.gain(last.steps((lower - x) / span, (upper - x) / span, DAMPINGS[:1])[0])
+    return _summary(x, r, j, variables, precision, scale, history, gained, yet, robust, tie_a)
+
+
+def _bends(
+    residuals: Residuals, x: Floats, trials: Sequence[Floats], r: Floats, j: Floats
+) -> list[Floats]:
+    """(n_clusters, m) second derivatives of the residual along trial steps, one for each.
+
+    Args:
+        residuals: Batched residual function.
+        x: (P,) point.
+        trials: (P,) ends of the steps.
+        r: (n_clusters, m) residual at the point.
+        j: (n_clusters, m, P) Jacobian there.
+    """
+    probed = residuals([x + PROBE * (y - x) for y in trials])
+    return [
+        2.0 / PROBE * ((p - r) / PROBE - j @ (y - x)) for p, y in zip(probed, trials, strict=True)
+    ]
+
+
+def _dampings(size: int, last: float | None) -> Iterator[tuple[float, ...]]:
+    """Dampings to be tried, one lot after the other until one gains.
+
+    Args:
+        size: Number of variables.
+        last: The best one of the step before; None at first.
+    """
+    if size <= FEW:
+        # one or two variables need no finely graded damping
+        yield DAMPINGS if size > 2 else DAMPINGS[::2]
+        yield LAST_DAMPINGS
+        return
+    if last is not None:
+        begin = FINER_DAMPINGS.index(last) - BELOW
+        begin = min(max(begin, 0), len(FINER_DAMPINGS) - BESIDE)
+        yield FINER_DAMPINGS[begin : begin + BESIDE]
+    yield FINER_DAMPINGS
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """A linear least-squares problem, reduced to as many rows as variables.
+
+    Attributes:
+        left: (n, P) orthonormal columns that the rows of residuals were reduced by.
+        upper: (P, P) triangle.
+        right: (P,) right side.
+        size: (P,) size of each variable's column.
+    """
+
+    left: Floats
+    upper: Floats
+    right: Floats
+    size: Floats
+
+    @classmethod
+    def of(cls, a: Floats, b: Floats, rows: int) -> "_Linear":
+        """Reduces ``|a x + b|^2``.
+
+        Args:
+            a: (n, P).
+            b: (n,).
+            rows: So many of the first rows are residuals; the others are linear anyway.
+        """
+        q, upper = np.linalg.qr(a)
+        norms = np.linalg.norm(upper, axis=0)
+        return cls(q[:rows], upper, q.T @ b, np.maximum(norms, 1e-6 * norms.max()))
+
+    def steps(self, low: Floats, high: Floats, dampings: Sequence[float]) -> list[Floats]:
+        """(P,) steps within bounds, one for each damping.
+
+        Args:
+            low: (P,) least steps.
+            high: (P,) greatest steps.
+            dampings: Levenberg-Marquardt terms, relative to the squares of sizes.
+        """
+        return damped_steps(self.upper, -self.right, low, high, dampings, self.size)
+
+    def gain(self, step: Floats) -> float:
+        """By how much half the sum of squares is to fall along a step.
+
+        Args:
+            step: (P,).
+        """
+        after = self.upper @ step + self.right
+        return 0.5 * float(self.right @ self.right - after @ after)
+
+    def bent(self, step: Floats, bend: Floats, damping: float) -> Floats:
+        """(P,) what is to be added to a step, as residuals bend along it.
+
+        Args:
+            step: (P,).
+            bend: (n_clusters, m) second derivative of the residual along the step.
+            damping: Of the step.
+        """
+        free = np.full(step.size, np.inf)
+        out = damped_steps(
+            self.upper, -0.5 * (self.left.T @ bend.ravel()), -free, free, [damping], self.size
+        )[0]
+        most = 0.5 * MOST_BENT * float(np.linalg.norm(step * self.size))
+        length = float(np.linalg.norm(out * self.size))
+        return out if length <= most else out * (most / length)
 
 
 def damped_steps(
@@ -334,6 +466,7 @@ def _summary(
     weight: float,
     history: list[float],
     gained: float,
+    ahead: float,
     robust: bool,
     tie_a: Floats,
 ) -> Estimate:
@@ -379,6 +512,7 @@ def _summary(
         cost=history[-1],
         history=history,
         gained=gained,
+        ahead=ahead,
         residual=r,
         jacobian=j,
         gain=white,

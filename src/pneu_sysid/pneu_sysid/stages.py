@@ -29,7 +29,12 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SETTLED = 0.03
-"""A step that gained no more of the cost need not be taken again."""
+"""A step that gained no more of the cost need not be taken again, if ..."""
+NEAR = 0.4
+"""... by its own forecast the parameters are, root mean square, so many standard errors from where
+the next one would leave them: little of the cost may be much of a parameter that is seldom seen."""
+WORKS = 0.25
+"""A Jacobian serves the next step too as long as it gains so much."""
 AT_NOISE = 1.15
 """Times the noise, of all taps, at which an estimation that gains little is done."""
 UNSTABLE = 1e4
@@ -123,7 +128,7 @@ def steps_of(rig: Rig, approach: bool, iterations: int) -> list[Step]:
     out.append(Step(late, coarse, None, 1, corrected=True, limits=True, again=True))
     out += [
         Step(f"all, {time} time", coarse, None, 1, corrected=True, again=True)
-        for time in ("second", "third", "fourth", "fifth", "sixth", "seventh")
+        for time in ("second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth")
     ]
     return out
 
@@ -270,7 +275,9 @@ def settled(estimate: Estimate) -> bool:
     Args:
         estimate: The estimation.
     """
-    return estimate.gained < SETTLED
+    # half the square of the distance in standard errors, of data that count for less than samples
+    near = 0.5 * estimate.values.size * (NEAR * estimate.weight) ** 2
+    return estimate.gained < SETTLED and estimate.ahead < near
 
 
 def at_noise(estimate: Estimate, problem: Problem, used: Mask) -> bool:

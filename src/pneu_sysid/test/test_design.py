@@ -16,7 +16,7 @@ from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import AttachedEffect, Calibration
 from pneu_sysid.design.choose import choose
 from pneu_sysid.design.command import foreseen_words, joints_of
-from pneu_sysid.design.design import Asked, design
+from pneu_sysid.design.design import REST_S, Asked, design
 from pneu_sysid.design.foreseen import foresee, lasting_share
 from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.design.information import Columns, Information, _scatter
@@ -98,7 +98,7 @@ def made_up(rng: np.random.Generator, pieces: int, m: int = 200) -> tuple[np.nda
     grams = np.einsum("smi,smj->sij", columns, columns)
     grams = np.stack([grams, grams], axis=1)  # what is left is noise
     layout = Columns(change=[0, 2], own=[[1], [3, 4]], parameters=[5, 6])
-    return columns, Information(layout, grams, [], np.ones(2))
+    return columns, Information(layout, grams, [], np.ones(2), np.eye(2))
 
 
 def test_distance_is_what_a_fit_leaves():
@@ -156,7 +156,7 @@ def test_what_lasts_makes_fits_and_leads_scatter():
     np.testing.assert_allclose(np.cov(np.array(made).T), scatter, rtol=0.1)
     flat = columns.reshape(-1, 2)
     assert scatter[0, 0] > 1.5 * (flat.T @ flat)[0, 0]
-    told = Information(Columns([], [], [0, 1]), np.zeros((1, 2, 2, 2)), [], np.ones(2))
+    told = Information(Columns([], [], [0, 1]), np.zeros((1, 2, 2, 2)), [], np.ones(2), np.eye(2))
     wide = told.covariance(np.stack([flat.T @ flat, scatter]))
     a = np.linalg.inv(flat.T @ flat + np.eye(2))
     np.testing.assert_allclose(wide, a @ (scatter + np.eye(2)) @ a)
@@ -238,6 +238,10 @@ def test_what_no_experiment_can_tell_is_said_before():
     plan = design(FITTED, Asked(2.0, limits_of(FITTED), pair, [], rate_hz=100.0))
     (told,) = plan.expected.separations
     assert not told.told_apart
+    # valves are shut at first, so that nothing has to be guessed of the beginning
+    volts = plan.volts(STEP_S)["voltage"]
+    assert np.all(volts[: round(REST_S / STEP_S)] == 5.0)
+    assert volts.size * STEP_S == pytest.approx(2.0, abs=0.02)
     assert plan.expected.words[0].startswith(
         "No experiment within these limits can tell valve_delay@valve from clock_offset@end"
     )

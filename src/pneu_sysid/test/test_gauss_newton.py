@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from pneu_sysid import gauss_newton
 from pneu_sysid.gauss_newton import Variable, jacobian, minimise
 
 Floats = NDArray[np.float64]
@@ -164,6 +165,45 @@ def test_secants_reach_the_same_with_fewer_jacobians() -> None:
         np.testing.assert_allclose(found.values, [2.0, -1.0], rtol=1e-4)
         counts[secants] = sum(asked)
     assert counts[3] < counts[0]
+
+
+def valley(points: Sequence[Floats]) -> Floats:
+    """Five decays whose sizes and rates only matter in combination; without noise."""
+    t = np.linspace(0.0, 3.0, CLUSTERS * SAMPLES)
+    truth = [*np.linspace(1.0, 2.0, 5), *np.log(np.geomspace(0.3, 6.0, 5))]
+
+    def decays(x: Floats) -> Floats:
+        return x[:5] @ np.exp(-np.exp(x[5:, None]) * t)
+
+    y = decays(np.array(truth))
+    return 1e4 * np.stack([(y - decays(np.asarray(x))).reshape(CLUSTERS, SAMPLES) for x in points])
+
+
+def test_bent_steps_lead_down_a_valley_that_straight_ones_leave(monkeypatch) -> None:
+    """Geodesic acceleration, against the same steps without it."""
+    rng = np.random.default_rng(12)
+    centre = np.array([*np.linspace(1.0, 2.0, 5), *np.log(np.geomspace(0.3, 6.0, 5))])
+    start = centre + 0.3 * rng.normal(size=10)
+    variables = [Variable(f"x{k}", x, x - 4.0, x + 4.0, 1e-6) for k, x in enumerate(start)]
+    bent = minimise(valley, variables, iterations=6)
+    monkeypatch.setattr(gauss_newton, "MOST_BENT", 0.0)
+    straight = minimise(valley, variables, iterations=6)
+    assert bent.cost < 0.1 * straight.cost
+
+
+def test_what_is_yet_to_be_gained_is_told() -> None:
+    truth = np.array([1.0, 2.0, 0.5])
+    a, y = problem(10, truth)
+    at_bound = Variable("z", 0.0, -9.0, 0.2, 1e-3)
+    variables = [*(Variable(name, 0.0, -9.0, 9.0, 1e-3) for name in "xy"), at_bound]
+    found = minimise(linear(a, y), variables, iterations=5)
+    # the bound holds it up, and what lies beyond is not to be gained
+    assert found.at_bound.tolist() == [False, False, True]
+    assert found.ahead < 1e-6 * found.history[0]
+    # a valley after one step: no less than the next step then gains
+    start = [Variable("x1", 1.0, 0.1, 9.0, 1e-6), Variable("x2", -0.2, -5.0, 5.0, 1e-6)]
+    once, twice = (minimise(curved, start, iterations=n, tolerance=0.0) for n in (1, 2))
+    assert once.ahead > 0.2 * (once.cost - twice.cost) > 0.0
 
 
 def test_a_jacobian_that_is_known_is_not_computed() -> None:

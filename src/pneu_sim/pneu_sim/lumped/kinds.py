@@ -106,9 +106,9 @@ class ThinPlate(Lumped):
             plan: Their grid plan.
             gas: The gas.
         """
-        if not rigs[0].moves:
+        if not (rigs[0].moves or rigs[0].cylinders):
             return super().solver(rigs, plan, gas)
-        return moving_solver(rigs, gas)
+        return moving_solver(rigs, gas)  # pistons that move no body may be driven
 
 
 class DelayLine(Lumped):

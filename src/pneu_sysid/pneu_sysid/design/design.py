@@ -9,6 +9,7 @@ Fedorov 1975, Biometrika 62(1), 57), the nearest two counting.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import FitParameter, Rig
+from pneu_sysid.curves import Mirrors, mirrors_of
 from pneu_sysid.design.choose import Worth, choose
 from pneu_sysid.design.foreseen import Foreseen, foresee, lasting_share, with_known_noise
 from pneu_sysid.design.hypotheses import Hypothesis
@@ -23,25 +25,34 @@ from pneu_sysid.design.information import Information, information_of
 from pneu_sysid.design.limits import Limits
 from pneu_sysid.design.plan import Bounds, Plan, thinned
 from pneu_sysid.design.promise import expected_of, pairs_of, separable, separation_of
-from pneu_sysid.design.waves import KINDS, STEP_S, Kind, draw_piece, joined
+from pneu_sysid.design.waves import KINDS, STEP_S, Kind, draw_piece, joined, shut
+from pneu_sysid.fit import as_fitted
 from pneu_sysid.problem import make_problem
 from pneu_sysid.results import pneu_version
 from pneu_sysid.thresholds import Thresholds
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
+Tells = Callable[..., Information]
+"""What pieces tell: of what is foreseen, of when they begin and end, and who is told of it."""
 
-POOL = 60
+POOL = 120
 """Pieces that are drawn to choose from."""
 PIECES = 8
 """Of a plan, unless they would be shorter or longer than ..."""
 PIECE_S = (0.8, 2.5)
 """... so many seconds: some horizons, few enough for a choice."""
+REST_S = 0.1
+"""Valves are shut so long before the first piece: a rig that is moved from the first reading on is
+in a state that every model has to guess, and what they guess is no difference of theirs."""
 LONGER_CELLS = 2.0
 """Changes of the prediction are taken on cells so many times as long."""
-TRIES = 4
-"""Ways of playing that are tried whole: the best pieces in some orders, without those that leave
-the limits, and the best that follow one another as they were drawn."""
+AS_LONG = 2.0
+"""Plans that are run as a whole take together so many times as long as all pieces: the best pieces
+by what each tells where it was drawn, ..."""
+WINDOWS = 5
+"""... the best that follow one another there, so many, and from then on the best plan so far with
+some pieces exchanged for others that follow one another there."""
 AMPLE = 4.0
 """A lead of so many times what is needed is worth no more if it grows."""
 
@@ -76,13 +87,15 @@ class _Pool:
     """Pieces to choose from.
 
     Attributes:
-        pieces: Per command volts every ``STEP_S``.
+        rest: What comes before all: per command volts every ``STEP_S``.
+        pieces: Likewise.
         piece_s: How long each lasts, s.
         count: How many a plan has.
         seen: What happens where they are played one after the other.
         allowed: Those that keep to the limits there.
     """
 
+    rest: dict[str, Floats]
     pieces: list[dict[str, Floats]]
     piece_s: float
     count: int
@@ -91,7 +104,7 @@ class _Pool:
 
     def edges_s(self, count: int) -> Floats:
         """(count + 1,) where so many pieces begin and end, s."""
-        return np.arange(count + 1, dtype=np.float64) * self.piece_s
+        return REST_S + np.arange(count + 1, dtype=np.float64) * self.piece_s
 
 
 @dataclass(frozen=True)
@@ -99,12 +112,14 @@ class _Played:
     """A choice of pieces, played whole.
 
     Attributes:
+        chosen: The pieces.
         volts: Per command volts every ``STEP_S``.
         seen: What happens.
         promised: What it tells, as one piece.
         value: What that is worth.
     """
 
+    chosen: list[int]
     volts: dict[str, Floats]
     seen: Foreseen
     promised: Information
@@ -125,14 +140,16 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
     tell = progress or (lambda stage, done: None)
     if not asked.hypotheses and not asked.parameters:
         raise InputError(f"rig {rig.name!r}: found no parameters to learn, and no candidates")
-    model, lasting = with_known_noise(rig), lasting_share(rig)
+    # candidates are told apart with the rig that was diagnosed, numbers learnt with one for a fit
+    model = with_known_noise(rig if asked.hypotheses else as_fitted(rig))
+    tells = partial(_information, model, asked, lasting_share(rig), mirrors_of(rig))
     rng = np.random.default_rng([asked.seed, 23])
     pool = _drawn(model, asked, rng, tell)
     known = None
     if asked.kind is None:
         edges = pool.edges_s(POOL)
-        known = _information(model, pool.seen, asked, edges, lasting, "what each piece tells", tell)
-    best = _played(model, asked, pool, known, lasting, rng, tell)
+        known = tells(pool.seen, edges, lambda f: tell("what each piece tells", f))
+    best = _played(model, asked, pool, known, tells, rng, tell)
     gram = best.promised.grams.sum(axis=0)
     labels = [one.label for one in asked.hypotheses]
     separations, most = [], []
@@ -140,7 +157,7 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
         lead = best.promised.lead(gram, a, b)
         most.append(max(lead, 0.0 if known is None else _alone(known, pool, a, b)))
         separations.append(separation_of(labels[a], labels[b], lead, most[-1]))
-    seconds = pool.count * pool.piece_s
+    seconds = float(pool.edges_s(pool.count)[-1])
     learnt = [] if asked.hypotheses else asked.parameters
     return Plan(
         pneu_version=pneu_version(),
@@ -156,16 +173,17 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
 
 def _drawn(model: Rig, asked: Asked, rng: np.random.Generator, tell: Progress) -> _Pool:
     """Pieces that keep to the limits, and more."""
-    piece_s = float(np.clip(asked.seconds / PIECES, *PIECE_S))
-    count = max(round(asked.seconds / piece_s), 1)
-    piece_s = round(asked.seconds / count / STEP_S) * STEP_S
+    seconds = asked.seconds - REST_S
+    count = max(round(seconds / np.clip(seconds / PIECES, *PIECE_S)), 1)
+    piece_s = round(seconds / count / STEP_S) * STEP_S
     limits, kinds = asked.limits, [asked.kind] if asked.kind else list(KINDS)
     pieces = [draw_piece(model, limits, piece_s, kinds[k % len(kinds)], rng) for k in range(POOL)]
     stage = "running what may be played"
+    rest = shut(model, limits, REST_S)
     seen = foresee(
-        model, joined(pieces, limits), asked.rate_hz, asked.workers, lambda f: tell(stage, f)
+        model, joined([rest, *pieces], limits), asked.rate_hz, asked.workers, lambda f: tell(stage, f)
     )
-    edges = np.arange(POOL + 1) * piece_s
+    edges = REST_S + np.arange(POOL + 1) * piece_s
     spent = [count * seen.taken_kg(*edges[k : k + 2]) for k in range(POOL)]
     allowed = [
         k
@@ -174,7 +192,7 @@ def _drawn(model: Rig, asked: Asked, rng: np.random.Generator, tell: Progress) -
     ]
     if not allowed:
         raise InputError(_nothing_left(seen, limits, min(spent)))
-    return _Pool(pieces, piece_s, count, seen, allowed)
+    return _Pool(rest, pieces, piece_s, count, seen, allowed)
 
 
 def _played(
@@ -182,38 +200,45 @@ def _played(
     asked: Asked,
     pool: _Pool,
     known: Information | None,
-    lasting: Mapping[str, float],
+    tells: Tells,
     rng: np.random.Generator,
     tell: Progress,
 ) -> _Played:
-    """The best of several ways of playing; any that keeps to the limits where nothing is chosen.
+    """The best of several plans; any that keeps to the limits where nothing is chosen.
 
-    What a piece tells depends on what was before it, and begun elsewhere it goes elsewhere.
+    What a piece tells depends on what was before it, and begun elsewhere it goes elsewhere: so what
+    pieces tell where they were drawn only says where to begin, and plans are judged as a whole.
     """
     worth = _worth(known, asked, pool)
-    allowed, count = list(pool.allowed), pool.count
+    count = pool.count
     edges = pool.edges_s(count)
+    begin: list[list[int]] = []
+    if known is not None:
+        begin = _windows(known, pool.allowed, count, worth)
+        begin.append(choose(known.grams, count, pool.allowed, worth))
     best: _Played | None = None
-    for turn in range(TRIES):
-        if known is None:
-            chosen = [int(k) for k in rng.choice(allowed, count)]
-        elif turn == TRIES - 1 and (window := _window(known, allowed, count, worth)):
-            chosen = window
+    tried: set[tuple[int, ...]] = set()
+    tries = round(AS_LONG * POOL / count)
+    for turn in range(tries):
+        if turn < len(begin):
+            chosen = begin[turn]
+        elif best is None:
+            chosen = [int(k) for k in rng.choice(pool.allowed, count)]
         else:
-            chosen = choose(known.grams, count, allowed, worth)
-            chosen = [chosen[k] for k in rng.permutation(count)]
-        volts = joined([pool.pieces[k] for k in chosen], asked.limits)
-        seen = foresee(model, volts, asked.rate_hz, asked.workers)
-        bad = {chosen[k] for k in range(count) if not seen.keeps(asked.limits, *edges[k : k + 2])}
-        if bad or seen.air_kg[-1] > asked.limits.air_kg:
-            allowed = [k for k in allowed if k not in bad] or allowed
+            chosen = _exchanged(best.chosen, pool.allowed, rng)
+        if tuple(chosen) in tried:
             continue
-        promised = _information(
-            model, seen, asked, edges[[0, -1]], lasting, "what the plan tells", tell
-        )
+        tried.add(tuple(chosen))
+        tell("trying plans", turn / tries)
+        volts = joined([pool.rest, *(pool.pieces[k] for k in chosen)], asked.limits)
+        seen = foresee(model, volts, asked.rate_hz, asked.workers)
+        inside = all(seen.keeps(asked.limits, *edges[k : k + 2]) for k in range(count))
+        if not inside or seen.air_kg[-1] > asked.limits.air_kg:
+            continue
+        promised = tells(seen, np.array([0.0, edges[-1]]))
         value = worth(promised.grams.sum(axis=0))
         if best is None or value > best.value:
-            best = _Played(volts, seen, promised, value)
+            best = _Played(chosen, volts, seen, promised, value)
         if known is None:
             break
     if best is None:
@@ -221,21 +246,52 @@ def _played(
     return best
 
 
+def _windows(
+    known: Information, allowed: Sequence[int], count: int, worth: Worth
+) -> list[list[int]]:
+    """The best pieces that follow one another in the pool, no piece twice."""
+    runs = [
+        list(range(k, k + count))
+        for k in range(len(known.grams) - count + 1)
+        if set(range(k, k + count)) <= set(allowed)
+    ]
+    runs.sort(key=lambda run: worth(known.grams[run].sum(axis=0)), reverse=True)
+    out: list[list[int]] = []
+    for run in runs:
+        if len(out) < WINDOWS and all(set(run).isdisjoint(other) for other in out):
+            out.append(run)
+    return out
+
+
+def _exchanged(
+    chosen: Sequence[int], allowed: Sequence[int], rng: np.random.Generator
+) -> list[int]:
+    """Pieces, some of which are exchanged for others that follow one another in the pool."""
+    out = list(chosen)
+    length = int(rng.integers(1, max(len(out) // 2, 1) + 1))
+    at = int(rng.integers(0, len(out) - length + 1))
+    begin = int(rng.choice(allowed))
+    inside = set(allowed)
+    new = [k for k in range(begin, begin + length) if k in inside]
+    out[at : at + len(new)] = new
+    return out
+
+
 def _information(
     model: Rig,
-    seen: Foreseen,
     asked: Asked,
-    edges: Floats,
     lasting: Mapping[str, float],
-    stage: str,
-    tell: Progress,
+    mirrors: Mirrors,
+    seen: Foreseen,
+    edges: Floats,
+    progress: Callable[[float], None] | None = None,
 ) -> Information:
     problem = make_problem(model, seen.recording, workers=asked.workers)
     if kind_of(model).along_lines:
         problem = problem.coarsened(model, LONGER_CELLS)
     return information_of(
         problem, model, asked.hypotheses, asked.parameters, edges, lasting,
-        lambda f: tell(stage, f),
+        mirrors, progress,
     )  # fmt: skip
 
 
@@ -255,16 +311,6 @@ def _worth(known: Information | None, asked: Asked, pool: _Pool) -> Worth:
         return min(leads) + 1e-2 * float(np.mean(leads))
 
     return nearest
-
-
-def _window(known: Information, allowed: Sequence[int], count: int, worth: Worth) -> list[int]:
-    """The best pieces that follow one another in the pool; empty where limits leave none."""
-    runs = [
-        list(range(k, k + count))
-        for k in range(len(known.grams) - count + 1)
-        if set(range(k, k + count)) <= set(allowed)
-    ]
-    return max(runs, key=lambda run: worth(known.grams[run].sum(axis=0)), default=[])
 
 
 def _alone(known: Information, pool: _Pool, a: int, b: int) -> float:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pneu_sim.rig import with_parameters
 from pneu_sim.rig.schema import FitParameter, Rig
+from pneu_sysid.curves import Mirrors, curve_ties
 from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.evidence import blocks_of
 from pneu_sysid.gauss_newton import Variable
@@ -58,12 +59,15 @@ class Information:
             reading, more where it lasts.
         variables: The parameters.
         known_std: (P,) what was known of each before, in its own variable.
+        prior: (P, P) information that was there before, per these: of each, and of opening curves,
+            which bend only so much.
     """
 
     columns: Columns
     grams: Floats = field(repr=False)
     variables: list[Variable] = field(repr=False)
     known_std: Floats = field(repr=False)
+    prior: Floats = field(repr=False)
 
     def covariance(self, gram: Floats) -> Floats:
         """(P, P) covariance of the parameters after a fit, per standard deviation known before.
@@ -76,8 +80,8 @@ class Information:
         """
         at, doubt = self.columns.parameters, self.columns.doubtful
         inner, scatter = gram
-        inverse = np.linalg.inv(inner[np.ix_(at, at)] + np.eye(len(at)))
-        by_chance = inverse @ (scatter[np.ix_(at, at)] + np.eye(len(at))) @ inverse
+        inverse = np.linalg.inv(inner[np.ix_(at, at)] + self.prior)
+        by_chance = inverse @ (scatter[np.ix_(at, at)] + self.prior) @ inverse
         off = inverse @ inner[np.ix_(at, doubt)]
         return np.asarray(by_chance + off @ off.T)
 
@@ -107,8 +111,8 @@ class Information:
         if free:
             inner = gram[np.ix_(free, free)].copy()
             # base parameters were known to a deviation; of a candidate's numbers nothing was
-            known = np.arange(len(self.columns.own[other]), len(free))
-            inner[known, known] += 1.0
+            known = slice(len(self.columns.own[other]), None)
+            inner[known, known] += self.prior
             inner[np.diag_indices(len(free))] += RIDGE * max(float(np.trace(gram)), 1e-12)
             out[free] = -np.linalg.solve(inner, gram[free] @ out)
         return out
@@ -143,6 +147,7 @@ def information_of(
     parameters: Sequence[FitParameter],
     edges_s: Floats,
     lasting: Mapping[str, float],
+    mirrors: Mirrors | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Information:
     """What each piece of a recording that is foreseen tells.
@@ -155,6 +160,7 @@ def information_of(
         edges_s: (n_pieces + 1,) where pieces begin and end, s.
         lasting: Per sensor the share of the square of what is taken for noise that lasts, see
             `foreseen.lasting_share`.
+        mirrors: Opening curves that are about the mirrors of others.
         progress: Called with the fraction done.
     """
     listed = one_each(list(parameters), [r.name for r in problem.recordings])
@@ -211,7 +217,9 @@ def information_of(
     piece = np.clip(np.searchsorted(edges_s, middle, "right") - 1, 0, edges_s.size - 2)
     totals = np.zeros((edges_s.size - 1, *per_stretch.shape[1:]))
     np.add.at(totals, piece, per_stretch)
-    return Information(Columns(change, own, numbers, doubtful), totals, variables, known)
+    ties = curve_ties(rig, listed, mirrors).matrix * known
+    prior = np.eye(known.size) + ties.T @ ties
+    return Information(Columns(change, own, numbers, doubtful), totals, variables, known, prior)
 
 
 def _scatter(columns: Floats, share: Floats, blocks: Ints) -> Floats:

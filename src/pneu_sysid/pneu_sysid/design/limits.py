@@ -14,8 +14,9 @@ from pneu_sim.rig.schema import Rig
 
 SLEW_V_S = 2000.0
 """As a bridge has it: from end to end of a spool in a few milliseconds."""
-ABOVE_SUPPLY = 1.02
-"""Waves go a little above the highest reservoir; where no pressure is given nothing more may."""
+ABOVE_SUPPLY = 1.1
+"""Waves go above the highest reservoir, by 6 % where a closed line is filled with the valve wide
+open; where no pressure is given nothing more than this may."""
 LEAST_SPAN_V = 0.05
 """Commands that may move by less excite nothing."""
 

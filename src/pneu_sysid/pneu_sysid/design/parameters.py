@@ -5,16 +5,17 @@ from pathlib import Path
 
 from pneu_common.errors import InputError
 from pneu_sim.rig.schema import FitParameter, Rig
+from pneu_sysid.fit import as_fitted
 from pneu_sysid.parameters import estimated_parameters
 
 
 def parameters_to_learn(rig: Rig) -> list[FitParameter]:
-    """What ``pneu fit`` would estimate.
+    """What ``pneu fit`` would estimate, of the rig as a fit begins with it (`fit.as_fitted`).
 
     Args:
         rig: The rig.
     """
-    listed, held = estimated_parameters(rig, rig.fit.parameters)
+    listed, held = estimated_parameters(as_fitted(rig), rig.fit.parameters)
     return [p for p in listed if p.path not in held]
 
 

@@ -39,6 +39,27 @@ def nulls_of(rig: Rig) -> dict[str, float]:
     return {valve.command: valve.spool.null_v for valve in rig.valves.values()}
 
 
+def shut(rig: Rig, limits: Limits, seconds: float) -> dict[str, Floats]:
+    """Commands that shut all valves, or as nearly as they may.
+
+    Args:
+        rig: The rig.
+        limits: What is kept to.
+        seconds: How long, s.
+
+    Returns:
+        Per command its (T,) volts, every ``STEP_S``.
+    """
+    nulls = nulls_of(rig)
+    return {
+        name: np.full(
+            round(seconds / STEP_S),
+            np.clip(nulls.get(name, 0.5 * (limits.low_v[name] + high)), limits.low_v[name], high),
+        )
+        for name, high in limits.high_v.items()
+    }
+
+
 def draw_piece(
     rig: Rig, limits: Limits, seconds: float, kind: Kind, rng: np.random.Generator
 ) -> dict[str, Floats]:
