@@ -50,6 +50,8 @@ LONGER_CELLS = 2.0
 AS_LONG = 2.0
 """Plans that are run as a whole take together so many times as long as all pieces: the best pieces
 by what each tells where it was drawn, ..."""
+MOST_TRIES = 40
+"""... (no more than so many plans in all) ..."""
 WINDOWS = 5
 """... the best that follow one another there, so many, and from then on the best plan so far with
 some pieces exchanged for others that follow one another there."""
@@ -148,7 +150,7 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
     known = None
     if asked.kind is None:
         edges = pool.edges_s(POOL)
-        known = tells(pool.seen, edges, lambda f: tell("what each piece tells", f))
+        known = tells(pool.seen, edges, partial(tell, "what each piece tells"))
     best = _played(model, asked, pool, known, tells, rng, tell)
     gram = best.promised.grams.sum(axis=0)
     labels = [one.label for one in asked.hypotheses]
@@ -178,11 +180,10 @@ def _drawn(model: Rig, asked: Asked, rng: np.random.Generator, tell: Progress) -
     piece_s = round(seconds / count / STEP_S) * STEP_S
     limits, kinds = asked.limits, [asked.kind] if asked.kind else list(KINDS)
     pieces = [draw_piece(model, limits, piece_s, kinds[k % len(kinds)], rng) for k in range(POOL)]
-    stage = "running what may be played"
     rest = shut(model, limits, REST_S)
-    seen = foresee(
-        model, joined([rest, *pieces], limits), asked.rate_hz, asked.workers, lambda f: tell(stage, f)
-    )
+    volts = joined([rest, *pieces], limits)
+    ran = partial(tell, "running what may be played")
+    seen = foresee(model, volts, asked.rate_hz, asked.workers, ran)
     edges = REST_S + np.arange(POOL + 1) * piece_s
     spent = [count * seen.taken_kg(*edges[k : k + 2]) for k in range(POOL)]
     allowed = [
@@ -206,8 +207,8 @@ def _played(
 ) -> _Played:
     """The best of several plans; any that keeps to the limits where nothing is chosen.
 
-    What a piece tells depends on what was before it, and begun elsewhere it goes elsewhere: so what
-    pieces tell where they were drawn only says where to begin, and plans are judged as a whole.
+    What a piece tells depends on what was before it, and begun elsewhere it goes elsewhere. So
+    what pieces tell where they were drawn only says where to begin, and plans are judged whole.
     """
     worth = _worth(known, asked, pool)
     count = pool.count
@@ -218,7 +219,7 @@ def _played(
         begin.append(choose(known.grams, count, pool.allowed, worth))
     best: _Played | None = None
     tried: set[tuple[int, ...]] = set()
-    tries = round(AS_LONG * POOL / count)
+    tries = min(round(AS_LONG * POOL / count), MOST_TRIES)
     for turn in range(tries):
         if turn < len(begin):
             chosen = begin[turn]
