@@ -23,6 +23,7 @@ from pneu_sysid.design.command import excite
 
 if TYPE_CHECKING:
     from pneu_sim.rig.schema import FitParameter, Rig
+    from pneu_sysid.design.plan import Plan
     from pneu_sysid.diagnose import Diagnosis
     from pneu_sysid.fit import FitOutcome
     from pneu_sysid.records import Recording
@@ -183,6 +184,14 @@ def fit(
     show_list: Annotated[
         bool, typer.Option("--list", help="Show what would be fitted, and end.")
     ] = False,
+    plan: Annotated[
+        Path | None,
+        typer.Option(
+            help="Plan of `pneu excite` that the recording was made by: standard errors that it"
+            " promised are set beside those that were found.",
+            show_default=False,
+        ),
+    ] = None,
     effects: EffectsPath = None,
     json_path: JsonPath = None,
     report: HtmlPath = None,
@@ -191,6 +200,7 @@ def fit(
 ) -> None:
     """Fit a rig's base parameters to recordings."""
     from pneu_sim.rig import save_rig
+    from pneu_sysid.design.plan_file import check_plan, load_plan
     from pneu_sysid.fit import fit_rig, parameters_of
     from pneu_sysid.gross import refuse_gross_errors
     from pneu_sysid.shortfall import ENOUGH
@@ -201,11 +211,16 @@ def fit(
     if _is_scene(rig, effects):
         from pneu_sysid.contacts.commands import fit as fit_scene
 
+        if plan is not None:
+            raise InputError(f"{rig}: is a scene; --plan is of rigs")
         return fit_scene(bag, rig, output, json_path, report, workers, console)
     start = _load(rig, effects)
     if show_list:
         console.print(_parameter_list(start, parameters_of(start)))
         return
+    played = None if plan is None else load_plan(plan)
+    if played is not None:
+        check_plan(played, start, plan or "plan")
     recordings = _read(bag, start, console)
     begun = time.monotonic()
     with progress("fitting") as tell:
@@ -225,7 +240,8 @@ def fit(
             progress=tell,
         )
     save_rig(outcome.rig, output)
-    result = fit_result(str(rig), str(output), recordings, outcome, time.monotonic() - begun)
+    took_s = time.monotonic() - begun
+    result = fit_result(str(rig), str(output), recordings, outcome, took_s, played)
     console.print(_fitted_table(f"{start.name} fitted to {_titled(recordings)}", result))
     columns = {"noise": result.noise_of, "fitted": result.rmse_of}
     if result.held_out_rmse_of:
@@ -259,6 +275,7 @@ def _parameter_list(rig: "Rig", parameters: "list[FitParameter]") -> NamedTable:
 
 def _fitted_table(title: str, result: "FitResult") -> NamedTable:
     """Fitted parameters that the recordings show; the points of curves are in JSON and report."""
+    promised = any(p.expected_error is not None for p in result.parameters)
     table = NamedTable(
         title,
         [
@@ -266,6 +283,7 @@ def _fitted_table(title: str, result: "FitResult") -> NamedTable:
             Column("start", "number", drop=1),
             Column("value", "number"),
             Column("std. error", "number"),
+            *([Column("expected", "number")] if promised else []),
             Column("unit"),
             Column("", "words"),
         ],
@@ -281,9 +299,13 @@ def _fitted_table(title: str, result: "FitResult") -> NamedTable:
         note = "held" if p.held else "at bound" if p.at_bound else ""
         error = "-" if p.std_error is None else f"{p.std_error:.2g}"
         name = p.path if p.recording is None else f"{p.path} in {p.recording}"
-        table.add_row(name, f"{p.start:.5g}", f"{p.value:.5g}", error, p.unit or "-", note)
+        cells = [f"{p.start:.5g}", f"{p.value:.5g}", error]
+        if promised:
+            cells.append("-" if p.expected_error is None else f"{p.expected_error:.2g}")
+        table.add_row(name, *cells, p.unit or "-", note)
     for curve, count in points.items():
-        table.add_row(f"{curve}: {count} points", "", "in the file", "", "", "")
+        blank = [""] * (4 if promised else 3)
+        table.add_row(f"{curve}: {count} points", "", "in the file", *blank)
     return table
 
 
@@ -293,6 +315,7 @@ def fit_result(
     recordings: "Sequence[Recording]",
     outcome: "FitOutcome",
     seconds: float | None = None,
+    plan: "Plan | None" = None,
 ) -> "FitResult":
     """The JSON result of a fit.
 
@@ -302,7 +325,9 @@ def fit_result(
         recordings: The recordings.
         outcome: The outcome.
         seconds: How long it took, s.
+        plan: The plan that was played.
     """
+    from pneu_sysid.design.judge import promised_errors
     from pneu_sysid.parameter_units import unit_of_parameter
     from pneu_sysid.results import (
         Correlation,
@@ -315,6 +340,7 @@ def fit_result(
     from pneu_sysid.uncertainty import pairs_above
 
     known = outcome.known
+    promised = {} if plan is None else promised_errors(plan, [p.path for p in outcome.parameters])
     parameters = [
         FittedParameter(
             path=p.path,
@@ -322,6 +348,7 @@ def fit_result(
             value=outcome.values[k],
             start=outcome.start[k],
             std_error=p.std_error,
+            expected_error=promised.get(p.path),
             unit=unit_of_parameter(outcome.rig, p.path),
             at_bound=bool(known.at_bound[k]),
             identified=bool(known.seen[k]),

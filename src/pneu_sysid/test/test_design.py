@@ -20,7 +20,9 @@ from pneu_sysid.design.design import REST_S, Asked, design
 from pneu_sysid.design.foreseen import foresee, lasting_share
 from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.design.information import Columns, Information, _scatter
+from pneu_sysid.design.judge import promised_errors
 from pneu_sysid.design.limits import limits_of, volts_of
+from pneu_sysid.design.plan import Bounds, Expected, Plan
 from pneu_sysid.design.plan_file import check_plan, load_plan
 from pneu_sysid.design.waves import KINDS, STEP_S, draw_piece, joined
 from pneu_sysid.results import write_json
@@ -259,6 +261,24 @@ def test_two_that_nothing_parts_do_not_keep_the_others_from_being_parted():
     for pair in (("valve_delay", "leak"), ("clock_offset", "leak")):
         assert told[pair].told_apart and not told[pair].inseparable
     assert len(plan.expected.words) == 1
+
+
+def test_promises_are_of_the_same_points_of_curves():
+    expected = Expected(
+        highest_pa={}, lowest_pa={}, fastest_pa_s={}, air_kg=None,
+        std_errors={"v.delay_s": 1e-4, "v.bad": None, "a.fraction.0": 0.1, "a.fraction.1": 0.2,
+                    "b.fraction.0": 0.3},
+    )  # fmt: skip
+    limits = Bounds(low_v={}, high_v={}, slew_v_s=1.0, highest_pa=1.0, lowest_pa=0.0, joints={},
+                    air_kg=1.0)  # fmt: skip
+    plan = Plan(
+        pneu_version="0", rig="r", kind="parameters", seconds=1.0, seed=0, commands={},
+        limits=limits, expected=expected,
+    )  # fmt: skip
+    fitted = ["v.delay_s", "v.bad", "v.new", "a.fraction.0", "a.fraction.1"]
+    fitted += ["b.fraction.0", "b.fraction.1"]  # the fit gave this curve a point more
+    found = promised_errors(plan, fitted)
+    assert found == {"v.delay_s": 1e-4, "a.fraction.0": 0.1, "a.fraction.1": 0.2}
 
 
 def test_limits_that_nothing_keeps_to_are_told_with_what_would_be():

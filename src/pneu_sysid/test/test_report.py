@@ -420,6 +420,36 @@ def test_sections_without_a_result_are_left_out(tmp_path, given, sections):
     assert Page(write_report(tmp_path / "r.html", **results)).sections() == sections
 
 
+def experiment(**more) -> dict:
+    pair = {"one": "leak@tube:1.50", "other": "spool_leakage@valve.exhaust", "needed": 3.0}
+    return {
+        "plan": "out/experiment_1.json",
+        "kind": "separate",
+        "seconds": 10.0,
+        "told_apart": [pair | {"expected": 5.82, "found": 4.31} | more],
+        "words": ["10 s cannot tell <b>leak</b> from chamber_leak."],
+    }
+
+
+def test_experiments_stand_with_what_they_were_to_tell_and_what_they_told(tmp_path):
+    first = experiment() | {"kind": "steps", "told_apart": [], "words": []}
+    learned = learn_result() | {"experiments": [first, experiment(), experiment(found=None)]}
+    page = Page(write_report(tmp_path / "r.html", learn=learned))
+    assert "experiments" in page.sections()
+    for text in ("experiment_1.json", "separate, 10", "5.82", "4.31", "cannot tell <b>leak</b>"):
+        assert text in page.text, text
+    drawn = [a["aria-label"] for t, a in page.elements if t == "svg" and "needed" in str(a)]
+    assert drawn == [f"expected 5.82, found {found}, needed 3.00" for found in ("4.31", "–")]
+
+
+def test_errors_that_a_plan_promised_stand_beside_those_that_were_found(tmp_path):
+    fit = fit_result()
+    assert "error expected" not in Page(write_report(tmp_path / "a.html", fit=fit)).text
+    fit["parameters"][0]["expected_error"] = 0.0123
+    page = Page(write_report(tmp_path / "b.html", fit=fit))
+    assert "error expected" in page.text and "0.0123" in page.text
+
+
 def test_the_page_loads_nothing_and_lets_only_its_own_script_run(tmp_path):
     path = write_report(tmp_path / "r.html", **everything())
     page = Page(path)

@@ -47,6 +47,7 @@ def render(contents: Contents) -> Markup:
 def _parameters(parameters: list[Result]) -> Markup | None:
     if not parameters:
         return None
+    promised = any(parameter.get("expected_error") is not None for parameter in parameters)
     rows = []
     for parameter in parameters:
         relative = ratio(parameter.get("std_error"), abs(parameter.get("value") or 0.0))
@@ -73,6 +74,9 @@ def _parameters(parameters: list[Result]) -> Markup | None:
                     ),
                 ),
                 tag("td", q.percent(relative), class_="num"),
+                tag("td", q.number(parameter.get("expected_error")), class_="num")
+                if promised
+                else None,
                 tag("td", q.number(parameter.get("start")), class_="num"),
                 tag("td", _range(parameter)),
                 tag("td", marks),
@@ -83,6 +87,7 @@ def _parameters(parameters: list[Result]) -> Markup | None:
         "Parameter",
         "Value ± standard error",
         tag("th", "relative", scope="col", class_="num"),
+        *([tag("th", "error expected", scope="col", class_="num")] if promised else []),
         tag("th", "start", scope="col", class_="num"),
         "between its bounds",
         "",
