@@ -22,7 +22,7 @@ from pneu_sim.observe.settings import Drift, ObserverSettings
 from pneu_sim.plant import Plant
 from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.followed import Followed, evenly, follow
+from pneu_sysid.observed.follow import Followed, evenly, follow
 from pneu_sysid.records.read import read_recording
 from pneu_sysid.records.recording import Recording
 from studies.digest import digest_of

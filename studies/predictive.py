@@ -28,7 +28,7 @@ from pneu_policy.judge.metrics import ATM_PA
 from pneu_policy.judge.tasks import Conditions
 from pneu_policy.task.plants import ControlPlant
 from pneu_sim.rig.load import load_rig
-from pneu_sysid.followed import Spoil
+from pneu_sysid.observed.follow import Spoil
 from studies.digest import digest_of
 from studies.pressure import POLICIES, TASKS, TUBES, policies, revealed
 from studies.tap_faults import FAULTS, Fault

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from pneu_sysid.followed import Spoil
+from pneu_sysid.observed.follow import Spoil
 
 OFF_PA = 20e3
 LATE_S = 0.02
@@ -26,7 +26,7 @@ class Fault:
     end_s: float = math.inf
 
     def __call__(self, time_s: float, read: dict[str, float]) -> dict[str, float]:
-        """See `pneu_sysid.followed.Spoil`.
+        """See `pneu_sysid.observed.follow.Spoil`.
 
         Args:
             time_s: Time, s.

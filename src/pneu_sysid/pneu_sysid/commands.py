@@ -20,6 +20,7 @@ from pneu_common.progress import progress
 from pneu_common.tables import Column, NamedTable
 from pneu_sysid.contacts.table_commands import contacts
 from pneu_sysid.design.command import excite
+from pneu_sysid.observed.command import observe
 
 if TYPE_CHECKING:
     from pneu_sim.rig.schema import FitParameter, Rig
@@ -76,6 +77,7 @@ def register(app: typer.Typer) -> None:
     app.command("friction")(friction)
     app.command("contacts")(contacts)
     app.command("excite")(excite)
+    app.command("observe")(observe)
 
 
 def _console() -> Console:

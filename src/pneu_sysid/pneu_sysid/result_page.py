@@ -10,11 +10,12 @@ from pneu_sysid.results import RESULTS
 _PAGE = """\
 # JSON results
 
-`--json FILE` of `pneu compare`, `fit`, `diagnose`, `learn` and `friction` writes one object as
-below, and so does `pneu excite -o FILE`; where a scene stands for a rig, one of those whose names
-begin with `pneu.scene`. All quantities are SI, pressures absolute pascals, times from the start
-of the recording; the unit is in a key's name (`rmse_pa`). Encoders stand apart from taps: their
-keys have no unit in their names (`rmse`), and `encoders` says of each whether it is rad or m.
+`--json FILE` of `pneu compare`, `fit`, `diagnose`, `learn`, `friction` and `observe` writes one
+object as below, and so does `pneu excite -o FILE`; where a scene stands for a rig, one of those
+whose names begin with `pneu.scene`. All quantities are SI, pressures absolute pascals, times from
+the start of the recording; the unit is in a key's name (`rmse_pa`). Encoders stand apart from
+taps: their keys have no unit in their names (`rmse`), and `encoders` says of each whether it is
+rad or m. Where one list holds both, a number is in its sensor's unit.
 There is never NaN or infinity: where a number does not exist, `null` stands. `schema` names the
 command and the version; the version rises when a key changes its meaning or goes away, not when
 one is added.

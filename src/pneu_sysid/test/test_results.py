@@ -92,10 +92,10 @@ def test_an_unwritable_place_is_named(tmp_path: Path) -> None:
 
 def test_schemas_are_named_after_their_command() -> None:
     names = [kind.model_fields["schema_"].default for kind in RESULTS]
-    commands = ("compare", "fit", "diagnose", "learn", "friction")
-    assert names[:5] == [f"pneu.{command}/1" for command in commands]
-    assert names[5:9] == [f"pneu.scene_{command}/1" for command in commands[:4]]
-    assert names[9:] == ["pneu.plan/1"]  # of `pneu excite`
+    commands = ("compare", "fit", "diagnose", "learn", "friction", "observe")
+    assert names[:6] == [f"pneu.{command}/1" for command in commands]
+    assert names[6:10] == [f"pneu.scene_{command}/1" for command in commands[:4]]
+    assert names[10:] == ["pneu.plan/1"]  # of `pneu excite`
 
 
 def test_regimes_are_sorted_as_numbers() -> None:

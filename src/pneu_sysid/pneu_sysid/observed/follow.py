@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An observer led along a recording: what it says of every tap, and of the model."""
+"""An observer led along a recording: what it says of every sensor, and of the model."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -25,11 +25,11 @@ class Followed:
 
     Attributes:
         time_s: (n,) times, s.
-        read: By tap (n,) what was recorded, Pa; NaN where nothing was.
-        mean: By tap (n,) what the observer says, Pa.
-        std: By tap (n,) its standard deviation, Pa.
+        read: By sensor (n,) what was recorded, Pa, rad or m; NaN where nothing was.
+        mean: By sensor (n,) what the observer says.
+        std: By sensor (n,) its standard deviation.
         wrong: (n,) what it says is wrong with the model, in words.
-        matter: (n,) by tap what is the matter with those it does not believe.
+        matter: (n,) by sensor what is the matter with those it does not believe.
     """
 
     time_s: Floats
@@ -40,10 +40,10 @@ class Followed:
     matter: list[dict[str, str]]
 
     def error(self, tap: str, begin_s: float = 0.0, end_s: float = math.inf) -> Floats:
-        """Recorded less said, Pa, of a while, where anything was recorded.
+        """Recorded less said, Pa, rad or m, of a while, where anything was recorded.
 
         Args:
-            tap: The tap.
+            tap: The sensor.
             begin_s: From when on, s.
             end_s: Until when, s.
         """
@@ -75,7 +75,7 @@ def evenly(recording: Recording, period_s: float) -> tuple[Floats, Floats, dict[
         period_s: Between the times, s.
 
     Returns:
-        (n,) times, s, (commands, n - 1) volts, and by tap (n,) readings, Pa, NaN where none is.
+        (n,) times, s, (commands, n - 1) volts, and by sensor (n,) readings, NaN where none is.
     """
     count = int((recording.end_s - max(recording.start_s, 0.0)) / period_s + 1e-6) + 1
     time: Floats = np.arange(count, dtype=np.float64) * period_s
@@ -86,7 +86,7 @@ def evenly(recording: Recording, period_s: float) -> tuple[Floats, Floats, dict[
         area = np.concatenate([[0.0], np.cumsum(steps)])
         volts.append(np.diff(area[at] + signal.values[at] * (time - signal.time_s[at])) / period_s)
     read = {}
-    for name, signal in recording.pressures.items():
+    for name, signal in {**recording.pressures, **recording.encoders}.items():
         values = np.full(count, np.nan)
         at = np.rint(signal.time_s / period_s).astype(int)
         there = (at >= 0) & (at < count)
@@ -110,7 +110,7 @@ def follow(
     Args:
         rig: The rig, calibrated.
         recording: The recording.
-        used: Taps whose readings are taken.
+        used: Taps and encoders whose readings are taken.
         settings: How it is followed.
         period_s: Time between steps, s.
         spoil: What is done to the readings before.
@@ -118,11 +118,13 @@ def follow(
         progress: Called with the fraction done.
 
     Raises:
-        InputError: The recording has none of these taps, or the rig cannot be followed.
+        InputError: The recording has none of these sensors, or the rig cannot be followed.
     """
     time, volts, read = evenly(recording, period_s)
     if not set(used) & read.keys():
-        raise InputError(f"{recording.name}: taps: found {', '.join(read)}, none of {list(used)}")
+        raise InputError(
+            f"{recording.name}: sensors: found {', '.join(read)}, none of {', '.join(used)}"
+        )
     observer = Observer(rig, settings, used)
     commands = list(recording.commands)
     order = [commands.index(name) for name in observer.plant.plan.commands]
