@@ -24,6 +24,7 @@ from pneu_sysid.design.judge import promised_errors
 from pneu_sysid.design.limits import limits_of, volts_of
 from pneu_sysid.design.plan import Bounds, Expected, Plan
 from pneu_sysid.design.plan_file import check_plan, load_plan
+from pneu_sysid.design.tracking import track
 from pneu_sysid.design.waves import KINDS, STEP_S, draw_piece, joined
 from pneu_sysid.results import write_json
 
@@ -88,6 +89,27 @@ def test_waves_keep_to_volts_and_slew_and_repeat(kind):
             assert series.size == round(2.0 / STEP_S)
             assert limits.low_v[name] <= series.min() <= series.max() <= limits.high_v[name]
             assert np.abs(np.diff(series)).max() <= 100.0 * STEP_S * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("file", ["lab", "rig_j"])
+def test_tracking_has_pressures_follow_targets_within_limits(file):
+    rig = load_rig(ROOT / "rigs" / f"{file}.yaml")
+    limits = limits_of(rig, low_v=1.0, high_v=9.0, slew_v_s=500.0)
+    found = track(rig, limits, 1.0, 4, np.random.default_rng(3))
+    assert found.targets.keys() == set(rig.commands)
+    for name, target in found.targets.items():
+        off = (found.shown[name] - target)[40:]
+        assert np.sqrt(np.mean(off**2)) < 0.4 * target.std()
+        for piece in found.pieces:
+            assert 1.0 <= piece[name].min() < 4.9 and 5.1 < piece[name].max() <= 9.0
+            assert np.abs(np.diff(piece[name])).max() <= 500.0 * STEP_S * (1.0 + 1e-9)
+
+
+def test_a_tracking_plan_is_one_piece_of_the_asked_length():
+    plan = design(FITTED, Asked(2.0, limits_of(FITTED), [], FITTED.fit.parameters, "tracking"))
+    assert plan.kind == "tracking"
+    assert plan.volts(STEP_S)["voltage"].size * STEP_S == pytest.approx(2.0)
+    assert plan.expected.highest_pa["end"] > 3e5
 
 
 # ---- what pieces tell -------------------------------------------------------------------------

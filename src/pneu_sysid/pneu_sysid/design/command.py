@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pneu_sysid.design.plan import Plan
     from pneu_sysid.results import Experiment
 
-KINDS = "designed, steps, multisine, sweep, decay, reversal"
+KINDS = "designed, steps, multisine, sweep, decay, reversal, tracking"
 
 
 def excite(
@@ -81,7 +81,7 @@ def excite(
     from pneu_sysid.design.hypotheses import hypotheses_of, read_diagnosis
     from pneu_sysid.design.limits import limits_of
     from pneu_sysid.design.parameters import open_parameters, parameters_to_learn
-    from pneu_sysid.design.waves import KINDS as WAVES
+    from pneu_sysid.design.waves import CHOICES as WAVES
     from pneu_sysid.results import write_json
 
     if kind != "designed" and kind not in WAVES:

@@ -25,7 +25,8 @@ from pneu_sysid.design.information import Information, information_of
 from pneu_sysid.design.limits import Limits
 from pneu_sysid.design.plan import Bounds, Plan, thinned
 from pneu_sysid.design.promise import expected_of, pairs_of, separable, separation_of
-from pneu_sysid.design.waves import KINDS, STEP_S, Kind, draw_piece, joined, shut
+from pneu_sysid.design.tracking import track
+from pneu_sysid.design.waves import KINDS, STEP_S, Choice, draw_piece, joined, shut
 from pneu_sysid.fit import as_fitted
 from pneu_sysid.problem import make_problem
 from pneu_sysid.results import pneu_version
@@ -38,6 +39,8 @@ Tells = Callable[..., Information]
 
 POOL = 120
 """Pieces that are drawn to choose from."""
+TRACKED = 8
+"""Plans that are drawn where pressures are to follow targets."""
 PIECES = 8
 """Of a plan, unless they would be shorter or longer than ..."""
 PIECE_S = (0.8, 2.5)
@@ -78,7 +81,7 @@ class Asked:
     limits: Limits
     hypotheses: Sequence[Hypothesis]
     parameters: Sequence[FitParameter]
-    kind: Kind | None = None
+    kind: Choice | None = None
     rate_hz: float = 500.0
     seed: int = 0
     workers: int | None = None
@@ -177,18 +180,26 @@ def _drawn(model: Rig, asked: Asked, rng: np.random.Generator, tell: Progress) -
     """Pieces that keep to the limits, and more."""
     seconds = asked.seconds - REST_S
     count = max(round(seconds / np.clip(seconds / PIECES, *PIECE_S)), 1)
+    limits = asked.limits
+    if asked.kind == "tracking":  # what corrects without end is no piece of something else
+        count = 1
     piece_s = round(seconds / count / STEP_S) * STEP_S
-    limits, kinds = asked.limits, [asked.kind] if asked.kind else list(KINDS)
-    pieces = [draw_piece(model, limits, piece_s, kinds[k % len(kinds)], rng) for k in range(POOL)]
+    if asked.kind == "tracking":
+        pieces = track(model, limits, piece_s, TRACKED, rng).pieces
+    else:
+        kinds = [asked.kind] if asked.kind else list(KINDS)
+        pieces = [
+            draw_piece(model, limits, piece_s, kinds[k % len(kinds)], rng) for k in range(POOL)
+        ]
     rest = shut(model, limits, REST_S)
     volts = joined([rest, *pieces], limits)
     ran = partial(tell, "running what may be played")
     seen = foresee(model, volts, asked.rate_hz, asked.workers, ran)
-    edges = REST_S + np.arange(POOL + 1) * piece_s
-    spent = [count * seen.taken_kg(*edges[k : k + 2]) for k in range(POOL)]
+    edges = REST_S + np.arange(len(pieces) + 1) * piece_s
+    spent = [count * seen.taken_kg(*edges[k : k + 2]) for k in range(len(pieces))]
     allowed = [
         k
-        for k in range(POOL)
+        for k in range(len(pieces))
         if seen.keeps(limits, *edges[k : k + 2]) and spent[k] <= limits.air_kg
     ]
     if not allowed:

@@ -162,7 +162,7 @@ def foresee(
 
 def _taken(rig: Rig, plan: Plan, out: Prediction) -> Floats:
     """(ticks,) air that has passed the ports next to supplies: those above the room's pressure."""
-    supplied = _nodes_of_supplies(rig)
+    supplied = nodes_of_supplies(rig)
     total = np.zeros(out.tick_s.size)
     for q, name in enumerate(plan.port_names):
         valve, _, port = name.partition(".")
@@ -176,8 +176,12 @@ def _taken(rig: Rig, plan: Plan, out: Prediction) -> Floats:
     return np.asarray(np.cumsum(total) * step)
 
 
-def _nodes_of_supplies(rig: Rig) -> set[str]:
-    """Supplies, and all nodes that lines without a valve between join to them."""
+def nodes_of_supplies(rig: Rig) -> set[str]:
+    """Supplies, and all nodes that lines without a valve between join to them.
+
+    Args:
+        rig: The rig.
+    """
     above = 1.02 * rig.ambient.pressure_pa
     nodes = {name for name, r in rig.reservoirs.items() if r.pressure_pa > above}
     for _ in range(len(rig.pipes) + len(rig.orifices)):

@@ -18,6 +18,9 @@ from pneu_sysid.design.limits import Limits, slewed
 Floats = NDArray[np.float64]
 Kind = Literal["steps", "multisine", "sweep", "decay", "reversal"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
+Choice = Literal["steps", "multisine", "sweep", "decay", "reversal", "tracking"]
+CHOICES: tuple[Choice, ...] = get_args(Choice)
+"""What may be asked for: a kind of piece, or what a controller sends (`tracking.track`)."""
 
 STEP_S = 5e-3
 """Commands change on a grid of this interval; a spool takes several."""
