@@ -116,7 +116,10 @@ class Observer:
         )
         noise = np.sqrt(self._variance)
         self.trust = Trust(
-            self.used, {name: float(noise[self.sensors.index(name)]) for name in self.used}, s
+            self.used,
+            {name: float(noise[self.sensors.index(name)]) for name in self.used},
+            s,
+            encoders,
         )
         self.watch = Watch(s)
         self.begin({})

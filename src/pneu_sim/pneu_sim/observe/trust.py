@@ -6,11 +6,14 @@ it is just within the gate, or not at all where all others are within. One that 
 the others agree with the model is out: its sensor is wrong, and the rest goes on without it until
 it agrees again. Where most readings are beyond at once it is the model that is wrong, and all are
 taken in full.
+
+Taps are judged by taps, and encoders by encoders: what gas does says little of a link that carries
+what no rig file tells, and an encoder that nobody else can speak for is taken in full.
 """
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -60,7 +63,11 @@ class Trust:
     """
 
     def __init__(
-        self, sensors: Sequence[str], noise: Mapping[str, float], settings: ObserverSettings
+        self,
+        sensors: Sequence[str],
+        noise: Mapping[str, float],
+        settings: ObserverSettings,
+        encoders: Collection[str] = (),
     ) -> None:
         """Believes all.
 
@@ -68,8 +75,10 @@ class Trust:
             sensors: Those whose readings are taken.
             noise: Of each, one sigma.
             settings: Gates.
+            encoders: Those that are no taps.
         """
         self._s, self._noise = settings, dict(noise)
+        self._encoders = set(encoders)
         self.standing = {name: Standing() for name in sensors}
 
     def reset(self) -> None:
@@ -93,8 +102,22 @@ class Trust:
             foreseen: Likewise, before any is taken.
             total: Variance of the difference, likewise.
         """
-        s = self._s
         z = {n: (readings[n] - foreseen[n]) / math.sqrt(total[n]) for n in readings}
+        for name, value in z.items():
+            at = self.standing[name]
+            if abs(value) > self._s.gate or at.out:
+                at.seen.append((time_s, readings[name], foreseen[name]))
+        out: dict[str, float] = {}
+        for encoders in (False, True):
+            own = {n: value for n, value in z.items() if (n in self._encoders) is encoders}
+            out |= self._judged(own, time_s, interval_s)
+        if len(self._encoders & z.keys()) <= 2:
+            out |= dict.fromkeys(self._encoders & z.keys(), 1.0)
+        return out
+
+    def _judged(self, z: Mapping[str, float], time_s: float, interval_s: float) -> dict[str, float]:
+        """The same of sensors of one kind, by their innovations in standard deviations."""
+        s = self._s
         far = {n for n, value in z.items() if abs(value) > s.gate}
         keep = math.exp(-interval_s / s.patience_s)
         believed = [n for n in z if not self.standing[n].out]
@@ -106,8 +129,6 @@ class Trust:
             at.rms = math.sqrt(keep * at.rms**2 + (1.0 - keep) * min(value * value, 1e4))
             at.beyond = at.beyond + 1 if name in far else 0
             at.within = at.within + 1 if at.out and name not in far else 0
-            if name in far or at.out:
-                at.seen.append((time_s, readings[name], foreseen[name]))
             others = [self.standing[n].rms for n in believed if n != name]
             # one that is wrong draws the others along, if less
             agree = bool(others) and max(others) <= max(s.agreeing, FARTHER * at.rms)
