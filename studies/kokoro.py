@@ -407,6 +407,7 @@ def _wrong(rows: list[dict[str, Any]]) -> list[str]:
         "|---|---|---|---|",
     ]
     first: dict[str, dict[str, str]] = {}
+    ahead: list[str] = []
     for model, told in words.items():
         each = {
             name: {kind: rms(rows, name, kind, plant=model) for kind in TASKS.kinds}
@@ -418,6 +419,11 @@ def _wrong(rows: list[dict[str, Any]]) -> list[str]:
         ]
         means = {n: {k: float(np.mean(v)) for k, v in of.items()} for n, of in each.items()}
         first[model] = _least(means)
+        ahead += [
+            f"{told}, {kind}"
+            for kind in TASKS.kinds
+            if means["uncorrelated"][kind] < means["position"][kind]
+        ]
     best = "; ".join(
         f"{words[model]}: {', '.join(f'{kind} {title[name]}' for kind, name in of.items())}"
         for model, of in first.items()
@@ -431,7 +437,13 @@ def _wrong(rows: list[dict[str, Any]]) -> list[str]:
         if never
         else "The order depends on the model and on the target."
     )
-    return [*lines, "", f"Least error, by what was trained on: {best}. {verdict}"]
+    behind = (
+        f"The position policy falls behind the uncorrelated hybrid, as in the thesis, with:"
+        f" {'; '.join(ahead)}."
+        if ahead
+        else "Nowhere does the position policy fall behind the uncorrelated hybrid."
+    )
+    return [*lines, "", f"Least error, by what was trained on: {best}. {verdict} {behind}"]
 
 
 def draw(rows: list[dict[str, Any]], path: Path) -> None:
