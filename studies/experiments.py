@@ -368,7 +368,7 @@ def page(path: Path) -> None:
         "|---|---|---|---|---|---|---|---|",
     ]  # fmt: skip
     for file in CALIBRATED:
-        mean: list[list[float]] = []
+        every: list[list[list[float]]] = []
         for seed in range(SHEETS):
             one = kept.get(_calibration_key(file, seed))
             if one is None:
@@ -381,9 +381,9 @@ def page(path: Path) -> None:
                 f"| {file} | {seed} | {f['parameters']} | {told}"
                 f" | {middle:.2f} ({low:.2f} to {high:.2f}) | {f['design_s']:.0f} |"
             )
-            mean.append([f[way][0] for way in WAYS])
-        if mean:
-            told = " | ".join(f"{m:.2f}" for m in np.mean(mean, axis=0))
+            every.append([f[way] for way in WAYS])
+        if every:
+            told = " | ".join(f"{whole:.2f} ({middle:.3f})" for whole, middle in np.mean(every, 0))
             lines.append(f"| {file} | mean | | {told} | | |")
     write_whole(path, "\n".join(lines) + "\n")
 

@@ -305,6 +305,7 @@ def page(
         " ([control.md](control.md)).",
         "",
         *(f"- `{name}`: {words}" for name, words in told.items() if name in names),
+        *(f"- `{name}`: {words}; not run" for name, words in told.items() if name not in names),
         "",
         f"RMSE in atm, mean and standard deviation of {len(TASKS.seeds)} runs of"
         f" {TASKS.duration_s:g} s, the first {TASKS.skip_s:g} s not judged. The limit is that of"
