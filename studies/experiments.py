@@ -36,6 +36,7 @@ from pneu_sysid.design.parameters import parameters_to_learn
 from pneu_sysid.design.waves import STEP_S, draw_piece, joined
 from pneu_sysid.diagnose import Diagnosis, diagnose, result_of_diagnosis
 from pneu_sysid.fit import fit_rig
+from pneu_sysid.observed.noise import with_noise
 from pneu_sysid.parameters import estimated_parameters, rig_at, variables_of
 from pneu_sysid.records import Recording, even_recording
 from studies.digest import sources_digest
@@ -241,15 +242,6 @@ NOISE_PA = 250.0
 WAYS = (f"random {LONG_S:g} s", f"random {SHORT_S:g} s", f"designed {SHORT_S:g} s")
 
 
-def with_noise(rig: Rig) -> Rig:
-    """A rig all of whose taps have noise."""
-    taps = {
-        name: tap if tap.noise_pa else tap.model_copy(update={"noise_pa": NOISE_PA})
-        for name, tap in rig.taps.items()
-    }
-    return rig.model_copy(update={"taps": taps})
-
-
 def datasheet(rig: Rig, seed: int) -> Rig:
     """A rig as its datasheet might have it: every number off by about what is not known of it."""
     bare = rig.model_copy(
@@ -285,7 +277,8 @@ def with_curves_of(rig: Rig, other: Rig) -> Rig:
 
 def calibration_figures(file: str, seed: int, console: Console) -> dict[str, Any]:
     """One datasheet: a fit to ten random seconds, to five, and to five that were designed."""
-    true = with_noise(load_rig(ROOT / file))
+    true = load_rig(ROOT / file)
+    true = with_noise(true, dict.fromkeys(true.taps, NOISE_PA))
     sheet = datasheet(true, seed)
     limits = limits_of(sheet)
     plant = plant_of(true)

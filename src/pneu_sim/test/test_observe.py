@@ -291,14 +291,16 @@ def test_one_that_is_wrong_does_not_overrule_two_that_agree():
 
 def test_an_encoder_is_not_overruled_by_taps():
     """A link that carries what no file tells moves otherwise than foreseen; its gas does not."""
-    trust = Trust(("a", "b", "q"), {"a": 250.0, "b": 250.0, "q": 1e-3}, ObserverSettings(), ("q",))
-    foreseen = {"a": 3e5, "b": 3e5, "q": 0.0}
-    total = {"a": 300.0**2, "b": 300.0**2, "q": 1e-6}
+    noise = {"a": 250.0, "b": 250.0, "q": 1e-3, "r": 1e-3}
+    trust = Trust(tuple(noise), noise, ObserverSettings(), ("q", "r"))
+    foreseen = {"a": 3e5, "b": 3e5, "q": 0.0, "r": 0.0}
+    total = {"a": 300.0**2, "b": 300.0**2, "q": 1e-6, "r": 1e-6}
     for n in range(100):
-        read = {"a": 3e5 + 100.0, "b": 3e5 - 100.0, "q": 0.05}  # by fifty standard deviations
+        # one by fifty standard deviations, the other not at all
+        read = {"a": 3e5 + 100.0, "b": 3e5 - 100.0, "q": 0.05, "r": 0.0}
         weights = trust.weigh(1.0 + 0.004 * n, 0.004, read, foreseen, total)
-        assert weights == {"a": 1.0, "b": 1.0, "q": 1.0}
-    assert not trust.standing["q"].out
+        assert weights == dict.fromkeys(noise, 1.0)
+    assert not trust.standing["q"].out and not trust.matter("q")
 
 
 def test_bad_input_is_told_in_a_sentence(lab):

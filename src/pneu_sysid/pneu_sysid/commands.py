@@ -760,8 +760,9 @@ def friction(
 ) -> None:
     """Name the friction of a cylinder's seals, from force, position and pressure of drag tests."""
     from pneu_sim.rig import save_rig
+    from pneu_sysid.pictures import check_figure
     from pneu_sysid.results import write_json
-    from pneu_sysid.seals.figures import check_figure, draw_friction
+    from pneu_sysid.seals.figures import draw_friction
     from pneu_sysid.seals.identify import identify, with_friction
     from pneu_sysid.seals.reading import DragTest, read_drag
     from pneu_sysid.seals.words import result_of_friction, tables_of

@@ -802,7 +802,7 @@ class ObserveResult(Head):
     """Rig file."""
     begin_s: Number
     """Errors count from here on."""
-    sensors_of: list[ObservedSensor]
+    observed: list[ObservedSensor]
     """Every sensor of the rig."""
     said: list[Said]
     """What was said to be wrong, in the order of time."""

@@ -34,7 +34,7 @@ def test_a_tap_that_lags_is_named_and_one_never_shown_is_reproduced(tmp_path):
     done = run(str(LAG), "--rig", str(RIG), "--dx", "0.1", *used, *files)
     assert done.exit_code == 0, done.output
     result = read_json(out)
-    of = {s.name: s for s in result.sensors_of}
+    of = {s.name: s for s in result.observed}
     assert not of["middle"].used and of["middle"].times_noise < 3.0
     named = [s for s in result.said if s.kind == "sensor"]
     assert {s.subject for s in named} == {"end"} and named[0].start_s < 2.0

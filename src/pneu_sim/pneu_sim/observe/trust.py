@@ -34,6 +34,8 @@ WINDOW = np.full(SMOOTH, 1.0 / SMOOTH)
 """Readings are smoothed over so many before they are differentiated."""
 FEWEST = 20
 """Readings from which on something is named."""
+FEWEST_ENCODERS = 3
+"""Of fewer nobody can tell which is wrong, and what they move may be: all are taken in full."""
 
 
 @dataclass
@@ -78,7 +80,7 @@ class Trust:
             encoders: Those that are no taps.
         """
         self._s, self._noise = settings, dict(noise)
-        self._encoders = set(encoders)
+        self._encoders = set(encoders) & set(sensors)
         self.standing = {name: Standing() for name in sensors}
 
     def reset(self) -> None:
@@ -107,13 +109,12 @@ class Trust:
             at = self.standing[name]
             if abs(value) > self._s.gate or at.out:
                 at.seen.append((time_s, readings[name], foreseen[name]))
-        out: dict[str, float] = {}
-        for encoders in (False, True):
-            own = {n: value for n, value in z.items() if (n in self._encoders) is encoders}
-            out |= self._judged(own, time_s, interval_s)
-        if len(self._encoders & z.keys()) <= 2:
-            out |= dict.fromkeys(self._encoders & z.keys(), 1.0)
-        return out
+        taps = {n: value for n, value in z.items() if n not in self._encoders}
+        encoders = {n: value for n, value in z.items() if n in self._encoders}
+        told = self._judged(taps, time_s, interval_s)
+        if len(self._encoders) < FEWEST_ENCODERS:
+            return told | dict.fromkeys(encoders, 1.0)
+        return told | self._judged(encoders, time_s, interval_s)
 
     def _judged(self, z: Mapping[str, float], time_s: float, interval_s: float) -> dict[str, float]:
         """The same of sensors of one kind, by their innovations in standard deviations."""

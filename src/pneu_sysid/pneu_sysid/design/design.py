@@ -178,15 +178,13 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
 
 def _drawn(model: Rig, asked: Asked, rng: np.random.Generator, tell: Progress) -> _Pool:
     """Pieces that keep to the limits, and more."""
-    seconds = asked.seconds - REST_S
-    count = max(round(seconds / np.clip(seconds / PIECES, *PIECE_S)), 1)
-    limits = asked.limits
+    limits, seconds = asked.limits, asked.seconds - REST_S
     if asked.kind == "tracking":  # what corrects without end is no piece of something else
-        count = 1
-    piece_s = round(seconds / count / STEP_S) * STEP_S
-    if asked.kind == "tracking":
+        count, piece_s = 1, round(seconds / STEP_S) * STEP_S
         pieces = track(model, limits, piece_s, TRACKED, rng).pieces
     else:
+        count = max(round(seconds / np.clip(seconds / PIECES, *PIECE_S)), 1)
+        piece_s = round(seconds / count / STEP_S) * STEP_S
         kinds = [asked.kind] if asked.kind else list(KINDS)
         pieces = [
             draw_piece(model, limits, piece_s, kinds[k % len(kinds)], rng) for k in range(POOL)

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from pneu_sim.plant import Plant
 from pneu_sim.rig.build import build
+from pneu_sim.rig.network import joined
 from pneu_sim.rig.plan import plan_grid
-from pneu_sim.rig.schema import CLOSED, Rig, Valve
+from pneu_sim.rig.schema import Rig, Valve
 from pneu_sysid.design.foreseen import nodes_of_supplies
 from pneu_sysid.design.limits import Limits, slewed
 from pneu_sysid.design.waves import STEP_S, nulls_of
@@ -85,8 +86,10 @@ def followers_of(rig: Rig) -> list[Follower]:
 
 def _tap_behind(rig: Rig, valve: Valve) -> str | None:
     """The tap nearest to what a valve fills and empties; None where there is none."""
+    group = joined(rig)
+    ends = {group[name] for name in rig.reservoirs}
     nodes = {n for p in valve.ports.values() for n in (p.from_node, p.to_node)}
-    nodes -= set(rig.reservoirs) | nodes_of_supplies(rig) | _nodes_of_rooms(rig)
+    nodes = {n for n in nodes if group.get(n, n) not in ends}
     found: list[tuple[float, str]] = []
     for name, tap in rig.taps.items():
         if tap.pipe is None:
@@ -99,16 +102,6 @@ def _tap_behind(rig: Rig, valve: Valve) -> str | None:
         if pipe.to_node in nodes:
             found.append((pipe.length_m - tap.position_m, name))
     return min(found)[1] if found else None
-
-
-def _nodes_of_rooms(rig: Rig) -> set[str]:
-    """What lines without a valve between join to a reservoir."""
-    nodes = set(rig.reservoirs)
-    for _ in range(len(rig.pipes)):
-        for pipe in rig.pipes.values():
-            if {pipe.from_node, pipe.to_node} & nodes:
-                nodes |= {pipe.from_node, pipe.to_node} - {CLOSED}
-    return nodes
 
 
 def track(
@@ -139,10 +132,10 @@ def track(
             before = targets[list(targets)[-1]]
             own = np.where(rng.uniform(size=count) < 0.5, low + high - before, own)
         targets[command] = own
-    plant = Plant([rig] * count)
+    plant, nulls = Plant([rig] * count), nulls_of(rig)
     taps = list(plant.plan.taps)
     at = {name: taps.index(f.tap) for name, f in followers.items()}
-    volts = np.tile(_shut(plant.plan.commands, nulls_of(rig), limits)[:, None], (1, count))
+    volts = np.tile(_shut(plant.plan.commands, nulls, limits)[:, None], (1, count))
     series = np.empty((samples, *volts.shape))
     shown = {name: np.empty((samples, count)) for name in targets}
     for n in range(samples):
@@ -153,9 +146,7 @@ def track(
             read = np.nan_to_num(readings[at[command]], nan=room)
             shown[command][n] = read
             off = followers[command].sign * (targets[command][n] - read) / reach
-            null, least, most = (
-                nulls_of(rig)[command], limits.low_v[command], limits.high_v[command]
-            )  # fmt: skip
+            null, least, most = nulls[command], limits.low_v[command], limits.high_v[command]
             wide = np.where(off > 0.0, most - null, null - least)
             asked = np.clip(null + np.clip(GAIN * off, -1.0, 1.0) * wide, least, most)
             change = limits.slew_v_s * STEP_S

@@ -16,8 +16,6 @@ from pneu_common.progress import progress
 from pneu_common.tables import Column, NamedTable
 
 if TYPE_CHECKING:
-    from pneu_sim.observe.settings import ObserverSettings
-    from pneu_sim.rig.schema import Rig
     from pneu_sysid.observed.follow import Followed
     from pneu_sysid.results import ObserveResult, Said
 
@@ -63,13 +61,15 @@ def observe(
 ) -> None:
     """Follow the state of a rig along a recording: taps that are missing, lost or wrong."""
     from pneu_sim.effects import load_effect_file
+    from pneu_sim.observe.settings import ObserverSettings
     from pneu_sim.rig import load_rig
     from pneu_sysid.observed.figures import draw_observed
     from pneu_sysid.observed.follow import follow
+    from pneu_sysid.observed.noise import noise_of, with_noise
     from pneu_sysid.observed.summary import summary_of
+    from pneu_sysid.pictures import check_figure
     from pneu_sysid.problem import record_for
     from pneu_sysid.results import write_json
-    from pneu_sysid.seals.figures import check_figure
 
     for path in (output, figure, json_path):
         check_output(path, force)
@@ -90,7 +90,8 @@ def observe(
     findings = [str(finding) for finding in recording.report]
     for finding in findings:
         console.print(finding, style="yellow")
-    settings, noise = settings_of(loaded, members, dx, seed)
+    settings = ObserverSettings(members=members, dx_m=dx, seed=seed)
+    noise = noise_of(loaded, settings)
     with progress("observing") as tell:
         found = follow(
             with_noise(loaded, noise), recording, taken, settings, 1.0 / rate,
@@ -110,45 +111,6 @@ def observe(
     if json_path is not None:
         write_json(json_path, result)
         console.print(f"wrote {json_path}")
-
-
-def settings_of(
-    rig: "Rig", members: int, dx_m: float | None, seed: int
-) -> "tuple[ObserverSettings, dict[str, float]]":
-    """How a rig is followed, and the noise of its sensors: as its file or its calibration has it.
-
-    Args:
-        rig: The rig.
-        members: Rigs side by side.
-        dx_m: Cell length, m.
-        seed: Of the draws.
-    """
-    from pneu_sim.observe.settings import ObserverSettings
-
-    settings = ObserverSettings(members=members, dx_m=dx_m, seed=seed)
-    found = {} if rig.calibration is None else rig.calibration.noise
-    noise = {}
-    for name, tap in rig.taps.items():
-        own = float(np.hypot(tap.noise_pa, tap.quantum_pa / np.sqrt(12.0)))
-        noise[name] = own if tap.noise_pa else found.get(name) or settings.noise_pa
-    for name, encoder in rig.encoders.items():
-        own = float(np.hypot(encoder.noise, encoder.quantum / np.sqrt(12.0)))
-        noise[name] = own or found.get(name) or settings.noise_position
-    return settings, noise
-
-
-def with_noise(rig: "Rig", noise: dict[str, float]) -> "Rig":
-    """A rig whose taps have the noise that is known of them.
-
-    Args:
-        rig: The rig.
-        noise: By sensor; of encoders it stays as it is.
-    """
-    taps = {
-        name: tap if tap.noise_pa else tap.model_copy(update={"noise_pa": noise[name]})
-        for name, tap in rig.taps.items()
-    }
-    return rig.model_copy(update={"taps": taps})
 
 
 def tables(result: "ObserveResult") -> list[NamedTable]:
@@ -171,7 +133,7 @@ def tables(result: "ObserveResult") -> list[NamedTable]:
             Column("its own std.", "number"),
         ],
     )
-    for s in result.sensors_of:
+    for s in result.observed:
         unit = unit_of(s.name, result.encoders)
         errors.add_row(
             s.name,

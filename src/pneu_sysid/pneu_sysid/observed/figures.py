@@ -33,13 +33,13 @@ def draw_observed(found: Followed, result: ObserveResult, path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    count = len(result.sensors_of)
+    count = len(result.observed)
     figure, axes = pyplot.subplots(
         count, 2, figsize=(13.0, 1.9 * count + 0.8), layout="constrained", squeeze=False,
         sharex=True,
     )  # fmt: skip
     try:
-        for row, sensor in zip(axes, result.sensors_of, strict=True):
+        for row, sensor in zip(axes, result.observed, strict=True):
             unit = unit_of(sensor.name, result.encoders)
             scale = unit.drawn_scale
             mean, std = scale * found.mean[sensor.name], scale * found.std[sensor.name]

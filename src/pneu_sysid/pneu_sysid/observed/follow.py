@@ -39,30 +39,30 @@ class Followed:
     wrong: list[list[str]]
     matter: list[dict[str, str]]
 
-    def error(self, tap: str, begin_s: float = 0.0, end_s: float = math.inf) -> Floats:
+    def error(self, sensor: str, begin_s: float = 0.0, end_s: float = math.inf) -> Floats:
         """Recorded less said, Pa, rad or m, of a while, where anything was recorded.
 
         Args:
-            tap: The sensor.
+            sensor: The sensor.
             begin_s: From when on, s.
             end_s: Until when, s.
         """
-        off = self.read[tap] - self.mean[tap]
+        off = self.read[sensor] - self.mean[sensor]
         return off[(self.time_s >= begin_s) & (self.time_s < end_s) & np.isfinite(off)]
 
     def covered(
-        self, tap: str, noise_pa: float, sigmas: float, begin_s: float, end_s: float
+        self, sensor: str, noise: float, sigmas: float, begin_s: float, end_s: float
     ) -> float:
         """Share of the readings of a while within an interval about what was said.
 
         Args:
-            tap: The tap.
-            noise_pa: Of the sensor, one sigma, Pa.
+            sensor: The sensor.
+            noise: Of the sensor, one sigma, Pa, rad or m.
             sigmas: Half width of the interval, in standard deviations of a reading.
             begin_s: From when on, s.
             end_s: Until when, s.
         """
-        z = (self.read[tap] - self.mean[tap]) / np.sqrt(self.std[tap] ** 2 + noise_pa**2)
+        z = (self.read[sensor] - self.mean[sensor]) / np.sqrt(self.std[sensor] ** 2 + noise**2)
         z = z[(self.time_s >= begin_s) & (self.time_s < end_s) & np.isfinite(z)]
         return float(np.mean(np.abs(z) < sigmas))
 

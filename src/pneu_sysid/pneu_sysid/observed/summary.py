@@ -82,7 +82,7 @@ def summary_of(
         findings=list(findings),
         rig=rig_file,
         begin_s=begin_s,
-        sensors_of=sensors,
+        observed=sensors,
         said=said_of(found),
     )
 

@@ -1,36 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """A picture of a cylinder's friction: over pressure, along the stroke, and what is left."""
 
-import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pneu_common.errors import InputError
 from pneu_common.files import whole
 from pneu_sysid.seals.estimate import predicted
 from pneu_sysid.seals.identify import Identified, friction_at
-
-SUFFIXES = (".png", ".svg", ".pdf")
-
-
-def check_figure(path: Path | None) -> None:
-    """Refuses a picture that cannot be drawn, before the work.
-
-    Args:
-        path: The picture; None asks for none.
-
-    Raises:
-        InputError: There is no matplotlib, or it is no kind of picture.
-    """
-    if path is None:
-        return
-    if path.suffix not in SUFFIXES:
-        raise InputError(f"{path}: found {path.suffix!r}, allowed are {', '.join(SUFFIXES)}")
-    if importlib.util.find_spec("matplotlib") is None:
-        raise InputError(f"{path}: a figure needs matplotlib, `pip install matplotlib`")
 
 
 def draw_friction(seals: Sequence[tuple[str, Identified]], path: Path) -> None:
