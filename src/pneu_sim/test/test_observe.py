@@ -128,6 +128,57 @@ def test_a_tap_that_is_never_shown_is_known_and_its_intervals_hold(lab):
     assert observer.watch.wrong == []
 
 
+def test_later_readings_tell_of_what_was(lab):
+    """The tap at the valve is known better once its waves have come to the one at the end."""
+    volts = commands(400)
+    hidden = [AttachedEffect(effect="flow_gain", place="valve", parameters={"error": 0.03})]
+    true, read = recorded(lab, volts, hidden)
+    back = 5
+    observer = Observer(lab, COARSE, ("end",), steps_back=back)
+    plain = Observer(lab, COARSE, ("end",))
+    at = observer.sensors.index("valve_out")
+    then, later = np.full(len(read), np.nan), np.full(len(read), np.nan)
+    for n, row in enumerate(read):
+        now = dict(zip(observer.sensors, row.tolist(), strict=True))
+        for one in (observer, plain):
+            one.advance(volts[None, n : n + 1], PERIOD_S)
+            one.assimilate(now)
+        told, alone = observer.estimate(), plain.estimate()  # looking back changes nothing of now
+        assert told.mean == pytest.approx(alone.mean, rel=1e-9)
+        then[n] = observer.estimate().mean["valve_out"]
+        oldest = observer.past.states[0]
+        if n >= back:
+            assert oldest.time_s == pytest.approx(observer.plant.time_s - back * PERIOD_S)
+            later[n - back] = observer.estimate_of(oldest.shown).mean["valve_out"]
+    late = slice(100, len(read) - back)
+    before, after = (math.sqrt(float(np.mean((x - true[:, at])[late] ** 2))) for x in (then, later))
+    assert after < 0.8 * before
+
+
+def test_a_state_of_before_is_one_that_runs_on(lab):
+    """From what is known later of a state, a run comes nearer to what then happened."""
+    volts = commands(200)
+    true, read = recorded(lab, volts)
+    back = 5
+    observer = Observer(lab, COARSE, ("end",), steps_back=back)
+    one = Plant([lab], COARSE.dx_m, fewest_cells=COARSE.fewest_cells)
+    known = []
+    off = {"then": [], "later": []}
+    for n, row in enumerate(read):
+        observer.advance(volts[None, n : n + 1], PERIOD_S)
+        observer.assimilate(dict(zip(observer.sensors, row.tolist(), strict=True)))
+        known.append(observer.mean_state())
+        if n < 100 or n % 5:
+            continue
+        states = {"then": known[n - back], "later": observer.earlier_state(known[n - back])}
+        for when, state in states.items():
+            one.set_state(state)
+            _, seen = one.advance(volts[None, None, n - back + 1 : n + 1], PERIOD_S)
+            off[when].append(seen[-1, : true.shape[1], 0] - true[n])
+    then, later = (float(np.mean(np.square(off[when]))) for when in ("then", "later"))
+    assert later < 0.9 * then
+
+
 def test_it_is_the_same_for_the_same_seed(lab):
     volts = commands(20)
     _, read = recorded(lab, volts)

@@ -802,6 +802,8 @@ class ObserveResult(Head):
     """Rig file."""
     begin_s: Number
     """Errors count from here on."""
+    smooth_s: Number = 0.0
+    """So much later readings count too."""
     observed: list[ObservedSensor]
     """Every sensor of the rig."""
     said: list[Said]

@@ -31,11 +31,12 @@ def test_a_tap_that_lags_is_named_and_one_never_shown_is_reproduced(tmp_path):
     out, table, picture = (tmp_path / name for name in ("o.json", "o.csv", "o.png"))
     used = [word for tap in ("supply", *SEEN, "exhaust") for word in ("--used", tap)]
     files = ["--json", str(out), "-o", str(table), "--figure", str(picture)]
-    done = run(str(LAG), "--rig", str(RIG), "--dx", "0.1", *used, *files)
+    done = run(str(LAG), "--rig", str(RIG), "--dx", "0.1", "--smooth", "0.02", *used, *files)
     assert done.exit_code == 0, done.output
     result = read_json(out)
     of = {s.name: s for s in result.observed}
     assert not of["middle"].used and of["middle"].times_noise < 3.0
+    assert result.smooth_s == 0.02 and "0.02 s later" in done.output
     named = [s for s in result.said if s.kind == "sensor"]
     assert {s.subject for s in named} == {"end"} and named[0].start_s < 2.0
     assert "late by" in done.output

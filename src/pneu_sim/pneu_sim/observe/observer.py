@@ -3,7 +3,8 @@
 
 Members are whole rigs of the batched plant, that differ in what is not well known (`drifts`). Each
 step lets them run under the commands and then moves them by what the sensors read (`update`), gas
-near a sensor more than gas far away (`nearness`). Sensors that disagree with all else are left out
+near a sensor more than gas far away (`nearness`). What was some steps ago may be moved along with
+them (`past`): a smoother, for who can wait. Sensors that disagree with all else are left out
 (`trust`), and what stays improbable says that the model is wrong (`watch`).
 """
 
@@ -19,6 +20,7 @@ from pneu_common.errors import InputError
 from pneu_sim.models import kind_of
 from pneu_sim.observe.beginning import begin
 from pneu_sim.observe.drifts import Drifts
+from pneu_sim.observe.past import Earlier, Past
 from pneu_sim.observe.settings import ObserverSettings
 from pneu_sim.observe.trust import Trust
 from pneu_sim.observe.update import move
@@ -71,6 +73,7 @@ class Observer:
         trust: Which of them are believed.
         watch: Whether the model holds.
         lost: Whether all members became unstable, and what followed began anew, from rest.
+        past: What was, by what was read since.
     """
 
     def __init__(
@@ -78,6 +81,7 @@ class Observer:
         rig: Rig,
         settings: ObserverSettings | None = None,
         used: Sequence[str] | None = None,
+        steps_back: int = 0,
     ) -> None:
         """Builds the members, at rest in the room with valves closed.
 
@@ -85,6 +89,7 @@ class Observer:
             rig: The rig, calibrated.
             settings: How it is followed.
             used: Taps and encoders whose readings are taken; None is all.
+            steps_back: So many steps ago what was is moved too; 0 makes no smoother.
 
         Raises:
             InputError: A name is no sensor, or the rig cannot be followed.
@@ -122,6 +127,7 @@ class Observer:
             encoders,
         )
         self.watch = Watch(s)
+        self.past = Past(steps_back)
         self.begin({})
 
     def begin(
@@ -142,6 +148,7 @@ class Observer:
             if command in told:
                 self.plant.spools.memory[:, v, :2] = told[command]
         self.drifts.begin(self._rng)
+        self.past.forget()
         self.trust.reset()
         self.watch.reset()
         self.lost = False
@@ -180,6 +187,7 @@ class Observer:
         which[~fine] = there[np.arange(int((~fine).sum())) % there.size]
         self.plant.set_state(state.of(which))
         self.drifts.values = self.drifts.values[:, which]
+        self.past.take(which)
         self.drifts.apply()
 
     def assimilate(self, readings: Mapping[str, float]) -> dict[str, Innovation]:
@@ -209,15 +217,18 @@ class Observer:
         total = {name: float(shown[n].var(ddof=1) + variance[n]) for name, n in at.items()}
         weights = self.trust.weigh(self.plant.time_s, since_s, read, foreseen, total)
         numbers, unknowns = self._vector.count, len(self.drifts.unknowns)
-        members = np.concatenate([self._vector.gather(), self.drifts.values, shown])
+        now = np.concatenate([self._vector.gather(), self.drifts.values, shown])
+        before = self.past.tables()
+        members = np.concatenate([now, *before])
         near = np.ones(len(members))
-        first = numbers + unknowns
+        first, last = numbers + unknowns, len(now)
         drifts = slice(numbers, first)
+        of_before = near[last:].reshape(len(before), numbers + len(shown))
         out: dict[str, Innovation] = {}
         for name, n in at.items():
             weight = weights[name]
             if math.isfinite(weight):
-                near[:numbers] = self._vector.nearness[n]
+                near[:numbers] = of_before[:, :numbers] = self._vector.nearness[n]
                 # as if the noise had been so large that it is within the gate
                 noisy = float(variance[n]) + (weight - 1.0) * total[name]
                 move(members, members[first + n].copy(), read[name], noisy, near, drifts)
@@ -226,7 +237,10 @@ class Observer:
         self._vector.scatter(members[:numbers])
         self.drifts.values = members[numbers:first]
         self.drifts.apply()
-        self._shown = members[first:]
+        self._shown = members[first:last]
+        self.past.put(list(members[last:].reshape(*of_before.shape, shown.shape[1])), numbers)
+        gas = self._vector.gather() if self.past.steps else members[:numbers]
+        self.past.keep(Earlier(self.plant.time_s, gas, self._shown.copy()))
         self._before = self._shown.mean(axis=1)
         believed = {name: i.difference / i.std for name, i in out.items() if i.taken}
         self.watch.see(since_s, believed, self.drifts.unknowns, self.drifts.drifted())
@@ -234,12 +248,41 @@ class Observer:
 
     def estimate(self) -> Estimate:
         """What all sensors show, or would show, now."""
-        shown = self._shown
+        return self.estimate_of(self._shown)
+
+    def estimate_of(self, shown: Floats) -> Estimate:
+        """What sensors show by members, now or some steps ago (`past`).
+
+        Args:
+            shown: (sensors, members).
+        """
         mean, std = shown.mean(axis=1), shown.std(axis=1, ddof=1)
         return Estimate(
             dict(zip(self.sensors, mean.tolist(), strict=True)),
             dict(zip(self.sensors, std.tolist(), strict=True)),
         )
+
+    def earlier_state(self, then: State) -> State:
+        """The state of one rig as it was so many steps ago, by all that was read since.
+
+        Args:
+            then: What `mean_state` said then: spools and sensors stay as it has them.
+
+        Raises:
+            InputError: Nothing is remembered, or pistons stand in cells, whose number may differ.
+        """
+        if not self.past.states:
+            raise InputError("steps_back: found 0, an observer that looks back needs at least 1")
+        if self._vector.in_cells:
+            raise InputError(
+                f"rig {self.rig.name!r}: pistons stand in cells, what was is told of taps alone"
+            )
+        s = self.settings
+        one = Plant([self.rig], s.dx_m, fewest_cells=s.fewest_cells)
+        one.set_state(then)
+        mean = self.past.states[0].numbers.mean(axis=1, keepdims=True)
+        StateVector(one, s.reach_m).scatter(mean)
+        return one.state()
 
     def mean_state(self) -> State:
         """The mean of the members, as the state of one rig.

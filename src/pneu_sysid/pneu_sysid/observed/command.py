@@ -52,6 +52,15 @@ def observe(
         typer.Option(help="Cell length, m; the rig's own by default.", show_default=False),
     ] = None,
     rate: Annotated[float, typer.Option(help="Steps per second.", min=20.0, max=5000.0)] = 500.0,
+    smooth: Annotated[
+        float,
+        typer.Option(
+            help="What is read up to so much later counts too, s: 0.02 tells more of a tap that"
+            " nobody reads than 0, which is all that is known while it runs.",
+            min=0.0,
+            max=1.0,
+        ),
+    ] = 0.0,
     seed: Annotated[int, typer.Option(help="Of what is drawn.", min=0)] = 0,
     effects: Annotated[
         Path | None,
@@ -90,14 +99,16 @@ def observe(
     findings = [str(finding) for finding in recording.report]
     for finding in findings:
         console.print(finding, style="yellow")
+    steps_back = round(smooth * rate)
     settings = ObserverSettings(members=members, dx_m=dx, seed=seed)
     noise = noise_of(loaded, settings)
     with progress("observing") as tell:
         found = follow(
             with_noise(loaded, noise), recording, taken, settings, 1.0 / rate,
-            progress=lambda f: tell(recording.name, f),
+            steps_back=steps_back, progress=lambda f: tell(recording.name, f),
         )  # fmt: skip
-    result = summary_of(loaded, str(rig), recording.name, found, taken, noise, findings)
+    smooth_s = steps_back / rate
+    result = summary_of(loaded, str(rig), recording.name, found, taken, noise, findings, smooth_s)
     for table in tables(result):
         console.print(table)
     if not result.said:
@@ -122,7 +133,8 @@ def tables(result: "ObserveResult") -> list[NamedTable]:
     from pneu_sysid.sensor_units import unit_of
 
     errors = NamedTable(
-        f"{result.recording}: what the observer says, from {result.begin_s:g} s on",
+        f"{result.recording}: what the observer says, from {result.begin_s:g} s on"
+        + (f", {result.smooth_s:g} s later" if result.smooth_s else ""),
         [
             Column("sensor"),
             Column("readings"),

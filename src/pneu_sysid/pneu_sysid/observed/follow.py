@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
-from pneu_sim.observe.observer import Observer
+from pneu_sim.observe.observer import Estimate, Observer
 from pneu_sim.observe.settings import ObserverSettings
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.records.recording import Recording
@@ -103,6 +103,7 @@ def follow(
     period_s: float = 0.002,
     spoil: Spoil | None = None,
     only_first: bool = False,
+    steps_back: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Followed:
     """Leads an observer along a recording.
@@ -115,6 +116,7 @@ def follow(
         period_s: Time between steps, s.
         spoil: What is done to the readings before.
         only_first: Whether only the first readings are taken: a simulation from there.
+        steps_back: So many steps later readings still count (`pneu_sim.observe.past`).
         progress: Called with the fraction done.
 
     Raises:
@@ -125,13 +127,18 @@ def follow(
         raise InputError(
             f"{recording.name}: sensors: found {', '.join(read)}, none of {', '.join(used)}"
         )
-    observer = Observer(rig, settings, used)
+    observer = Observer(rig, settings, used, steps_back)
     commands = list(recording.commands)
     order = [commands.index(name) for name in observer.plant.plan.commands]
     mean = {name: np.empty(time.size) for name in observer.sensors}
     std = {name: np.empty(time.size) for name in observer.sensors}
     wrong: list[list[str]] = []
     matter: list[dict[str, str]] = []
+
+    def keep(n: int, told: Estimate) -> None:
+        for name in observer.sensors:
+            mean[name][n], std[name][n] = told.mean[name], told.std[name]
+
     for n in range(time.size):
         now = {name: float(values[n]) for name, values in read.items()}
         if spoil is not None:
@@ -142,13 +149,15 @@ def follow(
             observer.advance(volts[order, n - 1 : n], period_s)
         if n == 0 or not only_first:
             observer.assimilate(now)
-        told = observer.estimate()
-        for name in observer.sensors:
-            mean[name][n], std[name][n] = told.mean[name], told.std[name]
+        keep(n, observer.estimate())
+        if len(observer.past.states) > steps_back > 0:
+            keep(n - steps_back, observer.estimate_of(observer.past.states[0].shown))
         wrong.append(list(observer.watch.wrong))
         matter.append({t: m for t in observer.used if (m := observer.trust.matter(t))})
         if progress is not None and n % 250 == 0:
             progress(n / time.size)
+    for back, one in enumerate(reversed(observer.past.states)):
+        keep(time.size - 1 - back, observer.estimate_of(one.shown))
     return Followed(time, read, mean, std, wrong, matter)
 
 

@@ -38,6 +38,7 @@ def summary_of(
     used: Sequence[str],
     noise: Mapping[str, float],
     findings: Sequence[str] = (),
+    smooth_s: float = 0.0,
 ) -> ObserveResult:
     """The result of `pneu observe`.
 
@@ -49,6 +50,7 @@ def summary_of(
         used: Sensors whose readings it took.
         noise: By sensor, Pa, rad or m.
         findings: What was wrong with the recording.
+        smooth_s: So much later readings counted too, s.
     """
     begin_s = begin_of(found)
     sensors = []
@@ -82,6 +84,7 @@ def summary_of(
         findings=list(findings),
         rig=rig_file,
         begin_s=begin_s,
+        smooth_s=smooth_s,
         observed=sensors,
         said=said_of(found),
     )
