@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from pneu_common.errors import InputError
 from pneu_sim.models import kind_of
@@ -24,7 +25,7 @@ from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.design.information import Information, information_of
 from pneu_sysid.design.limits import Limits
 from pneu_sysid.design.plan import Bounds, Plan, thinned
-from pneu_sysid.design.promise import expected_of, pairs_of, separable, separation_of
+from pneu_sysid.design.promise import expected_of, pairs_of, separation_of
 from pneu_sysid.design.tracking import track
 from pneu_sysid.design.waves import KINDS, STEP_S, Choice, draw_piece, joined, shut
 from pneu_sysid.fit import as_fitted
@@ -58,8 +59,12 @@ MOST_TRIES = 40
 WINDOWS = 5
 """... the best that follow one another there, so many, and from then on the best plan so far with
 some pieces exchanged for others that follow one another there."""
-AMPLE = 4.0
-"""A lead of so many times what is needed is worth no more if it grows."""
+SCATTER = 0.5
+"""By so much of what is needed the lead that is found is other than promised: by one standard
+error, as it is counted in those, and by what the model got wrong of it."""
+FARTHER = 1e-3
+"""What a lead of as much as is needed counts beside a pair that is told apart: of plans that tell
+the same pairs apart for sure, or none, the one with wider leads is better."""
 
 
 @dataclass(frozen=True)
@@ -219,7 +224,7 @@ def _played(
     What a piece tells depends on what was before it, and begun elsewhere it goes elsewhere. So
     what pieces tell where they were drawn only says where to begin, and plans are judged whole.
     """
-    worth = _worth(known, asked, pool)
+    worth = _worth(known, asked)
     count = pool.count
     edges = pool.edges_s(count)
     begin: list[list[int]] = []
@@ -305,22 +310,24 @@ def _information(
     )  # fmt: skip
 
 
-def _worth(known: Information | None, asked: Asked, pool: _Pool) -> Worth:
+def _worth(known: Information | None, asked: Asked) -> Worth:
     """What a sum of pieces is worth; nothing where none are chosen."""
     if known is None:
         return lambda gram: 0.0
     if not asked.hypotheses:
         return known.log_determinant
-    pairs = pairs_of(asked.hypotheses)
-    # two that nothing parts must not keep the others from being parted
-    parted = [(a, b) for a, b in pairs if separable(_alone(known, pool, a, b))] or pairs
-    ample = AMPLE * Thresholds().tied
+    pairs, needed = pairs_of(asked.hypotheses), Thresholds().tied
 
-    def nearest(gram: Floats) -> float:
-        leads = [min(known.lead(gram, a, b), ample) for a, b in parted]
-        return min(leads) + 1e-2 * float(np.mean(leads))
+    def told_apart(gram: Floats) -> float:
+        """How many pairs are to be expected to be told apart, as a share.
 
-    return nearest
+        Two that little parts so do not keep the others from being parted, as they would if the
+        nearest were all that counts.
+        """
+        leads = np.array([known.lead(gram, a, b) for a, b in pairs]) / needed
+        return float(np.mean(ndtr((leads - 1.0) / SCATTER) + FARTHER * np.sqrt(leads)))
+
+    return told_apart
 
 
 def _alone(known: Information, pool: _Pool, a: int, b: int) -> float:
