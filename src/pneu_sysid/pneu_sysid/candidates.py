@@ -101,11 +101,9 @@ def sensitivities(
             tried.append((site, (low, high), at))
     rigs = [rig] + [s.attached(rig, s.effect.strength.absent + h) for s, _, h in tried]
     y = problem.simulate(rigs, progress, strict=False).readings
-    missing = ~np.isfinite(problem.target())
     out = []
     for k, (site, (low, high), h) in enumerate(tried):
-        change = (y[k + 1] - y[0]) / (problem.noise_pa * h)
-        change[missing] = 0.0
+        change = problem.weighed((y[k + 1] - y[0]) / h)
         if np.isfinite(change).all():  # else the rig with it cannot be simulated at all
             out.append(Sensitivity(site, low, high, change.reshape(problem.stretches, -1)))
     return out

@@ -33,6 +33,7 @@ from pneu_sim.simulate import (
     predict,
 )
 from pneu_sim.topics import encoder_channel
+from pneu_sysid.cells import HALF, WHOLE, has_cells, without_doubt
 from pneu_sysid.courses import course_of, edges_of, first_part, index_of
 from pneu_sysid.records import Recording, begins_of, noise_floor, read_recording
 from pneu_sysid.start import (
@@ -98,6 +99,8 @@ class Problem:
         dx_m: Cell length; None is the rig's own.
         workers: Threads of a batch; None is one per core.
         grid_pa: (n_stretches, horizon, n_taps) what a finer grid adds to every prediction, Pa.
+        doubt_pa: (n_stretches, horizon, n_taps) one deviation of what the rig's own cells may get
+            wrong, in the units of the sensors; None where nothing is known of that.
         fewest_cells: Cells that the shortest pipe has at least.
         aside: (n_stretches,) which stretches are kept aside; None is every third.
     """
@@ -114,6 +117,7 @@ class Problem:
     dx_m: float | None = None
     workers: int | None = None
     grid_pa: Floats | None = None
+    doubt_pa: Floats | None = None
     fewest_cells: int = 2
     aside: NDArray[np.bool_] | None = None
     _courses: list[Course] = field(default_factory=list, repr=False)
@@ -224,12 +228,41 @@ class Problem:
         return self.simulate(rigs, progress=progress).readings
 
     def residual(self, readings: Floats) -> Floats:
-        """Measured minus predicted, in units of each tap's noise; 0 where nothing was measured.
+        """Measured minus predicted, weighed (`weighed`); 0 where nothing was measured.
 
         Args:
             readings: (..., n_stretches, horizon, n_taps) predictions.
         """
-        return np.where(np.isfinite(self.measured), (self.measured - readings) / self.noise_pa, 0.0)
+        return self.weighed(self.measured - readings)
+
+    def weighed(self, error: Floats) -> Floats:
+        """Errors in units of each sensor's noise, without what cells are found to get wrong.
+
+        Args:
+            error: (..., n_stretches, horizon, n_taps); what was not measured counts for nothing.
+        """
+        missing = ~np.isfinite(self.measured)
+        r = np.where(missing, 0.0, error / self.noise_pa)
+        if self.doubt_pa is None:
+            return r
+        return without_doubt(r, np.where(missing, 0.0, self.doubt_pa / self.noise_pa))
+
+    def doubt_cells(self, rig: Rig, readings: Floats | None = None) -> None:
+        """Finds what the cells of a rig may get wrong: a part of what halving them changes.
+
+        Args:
+            rig: The rig.
+            readings: (n_stretches, horizon, n_taps) what it predicts on its own cells, where that
+                is known.
+        """
+        if not has_cells(rig):
+            return
+        self._prepare(rig)
+        own = self.with_grid(rig.grid.dx_m)
+        with ThreadPoolExecutor(1) as pool:  # beside the run on the rig's own
+            halved = pool.submit(self.with_grid(HALF * rig.grid.dx_m).predict, [rig])
+            known = own.predict([rig])[0] if readings is None else readings
+            self.doubt_pa = WHOLE * (halved.result()[0] - known)
 
     def with_grid(self, dx_m: float) -> "Problem":
         """The same problem on another grid; recordings begin there as they were found to here.

@@ -245,16 +245,15 @@ def residual_function(
         rig_of: Rig at a parameter vector.
         told: Given the size of a batch, what is called with the fraction of it that is done.
     """
-    target = problem.target()[chosen]
 
     def residuals(points: Sequence[Floats]) -> Floats:
         tell = None if told is None else told(len(points))
         rigs = [rig_of(x) for x in points]
-        y = problem.simulate(rigs, progress=tell, strict=False).readings[:, chosen]
-        r = np.where(np.isfinite(target), (target - y) / problem.noise_pa, 0.0)
+        y = problem.simulate(rigs, progress=tell, strict=False).readings
+        r = problem.residual(y)[:, chosen].reshape(len(points), int(chosen.sum()), -1)
         # a trial that no longer can be simulated is only a bad one
         r[~(np.abs(r) < UNSTABLE)] = UNSTABLE
-        return r.reshape(len(points), target.shape[0], -1)
+        return r
 
     return residuals
 
@@ -295,7 +294,9 @@ def at_noise(estimate: Estimate, problem: Problem, used: Mask) -> bool:
 def problem_of(rig: Rig, recordings: list[Recording], step: Step, workers: int | None) -> Problem:
     """The problem that a step solves.
 
-    Recordings begin as they are found to with the rig as it is.
+    Recordings begin as they are found to with the rig as it is. What its cells may get wrong is
+    known to it once that decides: far from the rig it is not what is wrong, a little ahead it is
+    not seen.
 
     Args:
         rig: The rig.
@@ -310,8 +311,11 @@ def problem_of(rig: Rig, recordings: list[Recording], step: Step, workers: int |
     problem = make_problem(rig, recordings, pull_s=step.pull_s, dx_m=dx_m, workers=workers)
     if step.corrected:
         problem.prepare(rig)
-        fine = problem.with_grid(rig.grid.dx_m)
-        problem.grid_pa = fine.predict([rig])[0] - problem.predict([rig])[0]
+        own = problem.with_grid(rig.grid.dx_m).predict([rig])[0]
+        problem.grid_pa = own - problem.predict([rig])[0]
+        problem.doubt_cells(rig, own)
+    elif dx_m is None and step.pull_s is None and not step.part:
+        problem.doubt_cells(rig)
     return problem
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of fitted parameters: errors of noise, model, datasheet, grid and what is held."""
+"""What is known of fitted parameters: errors of noise, model, datasheet, cells and what is held."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,9 +16,6 @@ Bools = NDArray[np.bool_]
 CORRELATED = 0.98
 """Estimates that are correlated so much can only be told in combination."""
 CONDITION_LIMIT = 1e6
-GRID_SHARE = 0.5
-"""Part of the difference between the rig's cells and longer ones that its own cells may be off by:
-a third where the scheme is of second order, all of it at shocks."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +49,6 @@ def known_of(
     fitted: list[FitParameter],
     estimate: Estimate,
     held: list[str],
-    grid: Floats | None,
     held_change: Floats | None,
     measured: Mapping[str, float | None],
 ) -> Known:
@@ -63,7 +59,6 @@ def known_of(
         fitted: Those that were estimated.
         estimate: Their estimation.
         held: Paths of those that were held.
-        grid: (n_clusters, m) by how much finer cells change the prediction, in noise deviations.
         held_change: (K, n_clusters, m) change of the residual per deviation of each held parameter.
         measured: Standard errors, by path, of what was fitted without the gas; None where unknown.
     """
@@ -74,9 +69,7 @@ def known_of(
     ]
     variance = estimate.std_errors**2
     j = estimate.jacobian
-    shifts = [] if grid is None else [GRID_SHARE * grid]
-    shifts += [] if held_change is None else list(held_change)
-    for shift in shifts:
+    for shift in [] if held_change is None else held_change:
         moved = estimate.gain @ np.einsum("smp,sm->p", j, shift)
         variance = variance + moved**2
     errors = np.full(count, np.inf)

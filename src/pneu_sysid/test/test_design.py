@@ -156,10 +156,11 @@ def test_what_is_doubtful_lowers_a_lead_and_widens_errors():
     widened = np.stack([wide.T @ wide] * 2)
     assert doubtful.lead(widened, 0, 1) < 0.1 * told.lead(gram, 0, 1)
     before, after = told.covariance(gram), doubtful.covariance(widened)
-    # a fit to the doubtful column alone: least squares with the prior
+    # generalised least squares, an unknown amount of the doubtful column in what is measured
     j = flat[:, 5:]
-    off = np.linalg.solve(j.T @ j + np.eye(2), j.T @ doubt)
-    np.testing.assert_allclose(after, before + np.outer(off, off), rtol=1e-9)
+    weight = np.linalg.inv(np.eye(doubt.size) + np.outer(doubt, doubt))
+    np.testing.assert_allclose(after, np.linalg.inv(j.T @ weight @ j + np.eye(2)), rtol=1e-6)
+    assert after[0, 0] > 1.15 * before[0, 0]
 
 
 def test_what_lasts_makes_fits_and_leads_scatter():

@@ -11,9 +11,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from pneu_sim.rig import with_parameters
 from pneu_sim.rig.schema import FitParameter, Rig
+from pneu_sysid.cells import own_share
 from pneu_sysid.curves import Mirrors, curve_ties
 from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.evidence import blocks_of
@@ -38,8 +40,8 @@ class Columns:
         change: Per hypothesis the column of what it changes at what was found.
         own: Per hypothesis the columns of what its own numbers change about that.
         parameters: Columns of the parameters, each per standard deviation of what was known.
-        doubtful: Columns of what the model may get wrong in a way that is known: what cells of
-            twice the length get wrong, about as much as its own do near fronts.
+        doubtful: Columns of what the model may get wrong in a way that is known, one for each
+            sensor: what longer cells get wrong, about as much as its own do near fronts.
     """
 
     change: list[int]
@@ -61,6 +63,7 @@ class Information:
         known_std: (P,) what was known of each before, in its own variable.
         prior: (P, P) information that was there before, per these: of each, and of opening curves,
             which bend only so much.
+        doubt: One deviation of what is doubtful, of what longer cells get wrong.
     """
 
     columns: Columns
@@ -68,22 +71,24 @@ class Information:
     variables: list[Variable] = field(repr=False)
     known_std: Floats = field(repr=False)
     prior: Floats = field(repr=False)
+    doubt: float = 1.0
 
     def covariance(self, gram: Floats) -> Floats:
         """(P, P) covariance of the parameters after a fit, per standard deviation known before.
 
         A fit takes what is left for noise, and that may last (the covariance of Huber 1967). What
-        is doubtful adds what a fit would make of it.
+        is doubtful is estimated besides (`cells`).
 
         Args:
             gram: (2, C, C) sum over pieces.
         """
-        at, doubt = self.columns.parameters, self.columns.doubtful
-        inner, scatter = gram
-        inverse = np.linalg.inv(inner[np.ix_(at, at)] + self.prior)
-        by_chance = inverse @ (scatter[np.ix_(at, at)] + self.prior) @ inverse
-        off = inverse @ inner[np.ix_(at, doubt)]
-        return np.asarray(by_chance + off @ off.T)
+        at = [*self.columns.parameters, *self.columns.doubtful]
+        inner, scatter = gram[:, at][:, :, at]
+        known = block_diag(self.prior, np.eye(len(self.columns.doubtful)) / self.doubt**2)
+        inverse = np.linalg.inv(inner + known)
+        whole = inverse @ (scatter + known) @ inverse
+        count = len(self.columns.parameters)
+        return np.asarray(whole[:count, :count])
 
     def log_determinant(self, gram: Floats) -> float:
         """Logarithm of how much smaller the volume of what is possible becomes (D-optimality).
@@ -135,7 +140,7 @@ class Information:
             left = self.residual(gram, true, fitted)
             square = max(float(left @ gram[0] @ left), 0.0)
             chance = max(float(left @ gram[1] @ left), square)
-            chance += float(np.sum((gram[0][self.columns.doubtful] @ left) ** 2))
+            chance += float(np.sum(gram[0][self.columns.doubtful] @ left)) ** 2
             leads.append(0.5 * square / np.sqrt(chance) if chance > 0.0 else 0.0)
         return float(min(leads))
 
@@ -194,13 +199,15 @@ def information_of(
         rigs.append(rig_at(rig, listed, y))
         numbers.append(column)
         column += 1
-    doubtful = [] if problem.grid_pa is None else [column]
+    doubtful = [] if problem.grid_pa is None else [column + k for k in range(len(problem.taps))]
     readings = problem.simulate(rigs, progress, strict=False).readings
     missing = ~np.isfinite(problem.target())
     columns = np.empty((problem.stretches, missing[0].size, column + len(doubtful)))
     if problem.grid_pa is not None:
         wrong = np.where(missing, 0.0, problem.grid_pa / problem.noise_pa)
-        columns[:, :, column] = np.nan_to_num(wrong.reshape(problem.stretches, -1))
+        for k, at in enumerate(doubtful):
+            alone = np.where(np.arange(len(problem.taps)) == k, np.nan_to_num(wrong), 0.0)
+            columns[:, :, at] = alone.reshape(problem.stretches, -1)
     for c, (there, here, step) in enumerate(of):
         diff = (readings[there] - readings[here]) / (problem.noise_pa * step)
         diff[missing] = 0.0
@@ -219,7 +226,10 @@ def information_of(
     np.add.at(totals, piece, per_stretch)
     ties = curve_ties(rig, listed, mirrors).matrix * known
     prior = np.eye(known.size) + ties.T @ ties
-    return Information(Columns(change, own, numbers, doubtful), totals, variables, known, prior)
+    layout = Columns(change, own, numbers, doubtful)
+    longer = (problem.dx_m or rig.grid.dx_m) / rig.grid.dx_m
+    doubt = own_share(longer) if doubtful else 1.0
+    return Information(layout, totals, variables, known, prior, doubt)
 
 
 def _scatter(columns: Floats, share: Floats, blocks: Ints) -> Floats:
