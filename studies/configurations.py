@@ -68,7 +68,7 @@ SIZES = {
     "small": Size(
         dict.fromkeys(TASKS, 1) | {"dog": 0},
         dict.fromkeys(TASKS, 1),
-        dict.fromkeys(TASKS, 100) | {"dog": 120},
+        dict.fromkeys(TASKS, 100) | {"dog": 120, "swing_up": 400},
     ),
     "full": Size(
         {"balance": 100, "swing_up": 100, "arm": 20, "dog": 0},

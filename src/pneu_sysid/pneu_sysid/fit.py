@@ -495,7 +495,7 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
     listed = [
         p.model_copy(update={"std_error": s or None}) for p, s in zip(every, finite, strict=True)
     ]
-    rest = {tap: float(np.sqrt(v**2 - cells.get(tap, 0.0) ** 2)) for tap, v in rmse.items()}
+    rest = {t: float(np.sqrt(max(v**2 - cells.get(t, 0.0) ** 2, 0.0))) for t, v in rmse.items()}
     times = _times_noise(problem, rest, last, job)
     effects: list[str] = []
     if kind_of(now).along_lines and max(times.values(), default=0.0) > ENOUGH:
