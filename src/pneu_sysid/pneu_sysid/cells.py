@@ -7,11 +7,10 @@ lasts and noise does not. So it counts as a part of the noise: at every sensor s
 beforehand, of what halving the cells changes.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
-
-from pneu_sim.models import kind_of
-from pneu_sim.rig.schema import Rig
 
 Floats = NDArray[np.float64]
 
@@ -33,15 +32,8 @@ def own_share(longer: float) -> float:
 
 WHOLE = 1.0 + own_share(1.0 / HALF)
 """All of the error over what halving the cells takes away of it."""
-
-
-def has_cells(rig: Rig) -> bool:
-    """Whether a rig's model has cells that may be too long.
-
-    Args:
-        rig: The rig.
-    """
-    return kind_of(rig).along_lines
+MOST = 2.0
+"""Deviations of what cells may get wrong, beyond which it is something else that smears fronts."""
 
 
 def without_doubt(r: Floats, doubt: Floats) -> Floats:
@@ -71,3 +63,32 @@ def amounts_in(r: Floats, doubt: Floats) -> Floats:
     """
     along = np.einsum("...smt,smt->...t", r, doubt)
     return np.asarray(along / (1.0 + np.sum(doubt**2, axis=(0, 1))))
+
+
+def error_of_cells(r: Floats, doubt: Floats) -> Floats:
+    """(n_taps,) sum of squares of what cells are found to get wrong, in noise deviations.
+
+    As much as is found of what they may get wrong, but no more than they can.
+
+    Args:
+        r: (n_stretches, horizon, n_taps) residuals in noise deviations.
+        doubt: (n_stretches, horizon, n_taps) one deviation of what may be in them, likewise.
+    """
+    rest = r - np.clip(amounts_in(r, doubt), -MOST, MOST) * doubt
+    return np.asarray(np.maximum(np.sum(r**2 - rest**2, axis=(0, 1)), 0.0))
+
+
+def words_on_cells(dx_m: float, wrong: Mapping[str, float]) -> list[str]:
+    """What cells get wrong, where that is more than the noise of a sensor.
+
+    Args:
+        dx_m: Length of the cells, m.
+        wrong: By sensor their error over its noise.
+    """
+    named = ", ".join(f"{sensor} {times:.1f}" for sensor, times in wrong.items() if times > 1.0)
+    if not named:
+        return []
+    return [
+        f"cells of {dx_m:g} m get more than the noise wrong at {named} (times), which no number was"
+        " fitted to; a shorter grid.dx_m predicts it better"
+    ]

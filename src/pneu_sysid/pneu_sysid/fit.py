@@ -11,7 +11,7 @@ from pneu_common.errors import InputError
 from pneu_common.progress import Tell
 from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import Calibration, FitParameter, Rig
-from pneu_sysid.cells import amounts_in
+from pneu_sysid.cells import error_of_cells, words_on_cells
 from pneu_sysid.curves import Bends, Mirrors, mirrors_of, with_own_curves
 from pneu_sysid.gauss_newton import Estimate, jacobian
 from pneu_sysid.parameters import (
@@ -65,10 +65,6 @@ STEPS_THERE = 4
 """... in so many steps at most; from a valley of the drawn rigs that was 13 % off three led out."""
 STRANGE = 3.0
 """A recording with so many times the error of the best one is told to be another's."""
-
-
-MOST_OF_CELLS = 2.0
-"""Deviations of what cells may get wrong, beyond which it is something else that smears fronts."""
 
 
 @dataclass(frozen=True)
@@ -495,8 +491,7 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
     listed = [
         p.model_copy(update={"std_error": s or None}) for p, s in zip(every, finite, strict=True)
     ]
-    rest = {t: float(np.sqrt(max(v**2 - cells.get(t, 0.0) ** 2, 0.0))) for t, v in rmse.items()}
-    times = _times_noise(problem, rest, last, job)
+    times = _times_noise(problem, rmse, cells, last, job)
     effects: list[str] = []
     if kind_of(now).along_lines and max(times.values(), default=0.0) > ENOUGH:
         effects = effects_that_help(now, last.problem, job.used(last.problem), last.estimate)
@@ -505,7 +500,7 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
     openings = words_on_openings(now, job.recordings)
     warnings = warnings_of(listed, known) + ([openings] if openings else [])
     noise = {tap: float(n) for tap, n in zip(problem.taps, problem.noise_pa, strict=True)}
-    warnings += _words_on_cells(now, cells, noise)
+    warnings += words_on_cells(now.grid.dx_m, cells)
     (rmse_pa, noise_pa, held_pa), of_encoders = zip(
         *(apart(values, now.encoders) for values in (rmse, noise, held_rmse)), strict=True
     )
@@ -544,47 +539,30 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
 def _cells_wrong(
     problem: Problem, doubt: Floats | None, readings: Floats, chosen: Mask
 ) -> dict[str, float]:
-    """How much of the error per tap and encoder is what cells get wrong, each in its unit.
-
-    As much as is found of what they may get wrong, but no more than they can.
-    """
+    """Error of the rig's cells over the noise per tap and encoder, as far as it is found."""
     if doubt is None:
         return {}
-    r = problem.residual(readings)[chosen]
-    d = np.where(np.isfinite(problem.measured), doubt / problem.noise_pa, 0.0)[chosen]
-    rest = r - np.clip(amounts_in(r, d), -MOST_OF_CELLS, MOST_OF_CELLS) * d
-    count = np.maximum(np.isfinite(problem.measured[chosen]).sum(axis=(0, 1)), 1)
-    gone = np.maximum(np.sum(r**2 - rest**2, axis=(0, 1)) / count, 0.0)
-    wrong = np.sqrt(gone) * problem.noise_pa
+    seen = np.isfinite(problem.measured)
+    d = np.where(seen, doubt / problem.noise_pa, 0.0)[chosen]
+    square = error_of_cells(problem.residual(readings)[chosen], d)
+    wrong = np.sqrt(square / np.maximum(seen[chosen].sum(axis=(0, 1)), 1))
     return {tap: float(w) for tap, w in zip(problem.taps, wrong, strict=True)}
 
 
-def _words_on_cells(rig: Rig, cells: dict[str, float], noise: dict[str, float]) -> list[str]:
-    """What a rig's cells get wrong, where that is as much as the noise of a sensor."""
-    wrong = {tap: v / noise[tap] for tap, v in cells.items() if v > noise[tap]}
-    if not wrong:
-        return []
-    named = ", ".join(f"{tap} {v:.1f}" for tap, v in wrong.items())
-    return [
-        f"cells of {rig.grid.dx_m:g} m get more than the noise wrong at {named} (times), which no"
-        " number was fitted to; a shorter grid.dx_m predicts it better"
-    ]
-
-
 def _times_noise(
-    problem: Problem, rmse: dict[str, float], last: _Taken, job: _Job
+    problem: Problem, rmse: dict[str, float], cells: dict[str, float], last: _Taken, job: _Job
 ) -> dict[str, float]:
     """Times the noise per tap that is to be expected where nothing was fitted.
 
     What each stretch leaves when it is left out of the estimate says it; never less than is left
-    with all of them.
+    with all of them. What cells are found to get wrong is not counted.
     """
     mine = last.problem
     count = np.isfinite(mine.measured[job.used(mine)]).sum(axis=(0, 1))
     left = last.estimate.left_out.reshape(-1, mine.horizon, len(mine.taps))
     expected = np.sqrt(np.sum(left**2, axis=(0, 1)) / np.maximum(count, 1))
     return {
-        tap: max(rmse[tap] / float(noise), float(e))
+        tap: max(np.sqrt(max((rmse[tap] / noise) ** 2 - cells.get(tap, 0.0) ** 2, 0.0)), e)
         for tap, noise, e in zip(problem.taps, problem.noise_pa, expected, strict=True)
         if tap in rmse
     }

@@ -33,7 +33,7 @@ from pneu_sim.simulate import (
     predict,
 )
 from pneu_sim.topics import encoder_channel
-from pneu_sysid.cells import HALF, WHOLE, has_cells, without_doubt
+from pneu_sysid.cells import HALF, WHOLE, without_doubt
 from pneu_sysid.courses import course_of, edges_of, first_part, index_of
 from pneu_sysid.records import Recording, begins_of, noise_floor, read_recording
 from pneu_sysid.start import (
@@ -255,7 +255,7 @@ class Problem:
             readings: (n_stretches, horizon, n_taps) what it predicts on its own cells, where that
                 is known.
         """
-        if not has_cells(rig):
+        if not kind_of(rig).along_lines:
             return
         self._prepare(rig)
         own = self.with_grid(rig.grid.dx_m)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What cells get wrong: how readings are weighed, and whether halving cells foretells it."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +9,7 @@ import pytest
 from pneu_sim.rig import load_rig
 from pneu_sim.run import run_from_rest
 from pneu_sim.signals import Signal
-from pneu_sysid.cells import amounts_in, without_doubt
-from pneu_sysid.fit import _cells_wrong, _words_on_cells, sensor_rmse
+from pneu_sysid.cells import amounts_in, error_of_cells, without_doubt, words_on_cells
 from pneu_sysid.problem import make_problem
 from pneu_sysid.records import Recording
 
@@ -74,20 +72,22 @@ def test_the_amount_is_found_and_something_else_is_not_taken_for_it():
 def test_what_cells_get_wrong_is_told_and_no_more_than_they_can():
     problem = make_problem(LAB, _recorded(0.5 * LAB.grid.dx_m, "hllc"))
     own = problem.predict([LAB])[0]
-    plain = replace(problem)
+    r = problem.residual(own)
     problem.doubt_cells(LAB, own)
-    every = np.ones(problem.stretches, dtype=bool)
-    found = _cells_wrong(plain, problem.doubt_pa, own, every)
-    wrong = sensor_rmse(plain, own, every)
+    doubt = np.nan_to_num(problem.doubt_pa / problem.noise_pa)
+    whole = np.sum(r**2, axis=(0, 1))
+    taps = [problem.taps.index(name) for name in ("valve_out", "middle", "end")]
+    assert error_of_cells(r, doubt)[taps] == pytest.approx(whole[taps], rel=0.04)
     # a lag of the sensor smears fronts too, by far more
-    late = replace(plain, measured=problem.measured + 8.0 * problem.doubt_pa)
-    most = _cells_wrong(late, problem.doubt_pa, own, every)
-    for name in ("valve_out", "middle", "end"):
-        assert found[name] == pytest.approx(wrong[name], rel=0.02)
-        whole = sensor_rmse(late, own, every)[name]
-        assert np.sqrt(whole**2 - most[name] ** 2) > 0.7 * whole
-    words = _words_on_cells(LAB, found, {**found, "end": 0.4 * found["end"]})
-    assert len(words) == 1 and "at end 2.5 (times)" in words[0]
+    late = r + 8.0 * doubt
+    whole = np.sum(late**2, axis=(0, 1))
+    assert (whole - error_of_cells(late, doubt) > 0.5 * whole)[taps].all()
+
+
+def test_cells_are_told_of_where_they_matter():
+    assert words_on_cells(0.05, {"end": 0.9}) == []
+    (words,) = words_on_cells(0.05, {"end": 2.46, "middle": 0.9})
+    assert "cells of 0.05 m" in words and "at end 2.5 (times)" in words
 
 
 def test_a_model_without_cells_has_nothing_to_doubt():

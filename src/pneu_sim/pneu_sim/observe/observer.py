@@ -239,8 +239,9 @@ class Observer:
         self.drifts.apply()
         self._shown = members[first:last]
         self.past.put(list(members[last:].reshape(*of_before.shape, shown.shape[1])), numbers)
-        gas = self._vector.gather() if self.past.steps else members[:numbers]
-        self.past.keep(Earlier(self.plant.time_s, gas, self._shown.copy()))
+        if self.past.steps:
+            kept = Earlier(self.plant.time_s, self._vector.gather(), self._shown.copy())
+            self.past.keep(kept)
         self._before = self._shown.mean(axis=1)
         believed = {name: i.difference / i.std for name, i in out.items() if i.taken}
         self.watch.see(since_s, believed, self.drifts.unknowns, self.drifts.drifted())
@@ -272,7 +273,10 @@ class Observer:
             InputError: Nothing is remembered, or pistons stand in cells, whose number may differ.
         """
         if not self.past.states:
-            raise InputError("steps_back: found 0, an observer that looks back needs at least 1")
+            raise InputError(
+                f"steps_back: found {self.past.steps}, and nothing read so far; what was is told by"
+                " an observer that looks back, once it has read"
+            )
         if self._vector.in_cells:
             raise InputError(
                 f"rig {self.rig.name!r}: pistons stand in cells, what was is told of taps alone"

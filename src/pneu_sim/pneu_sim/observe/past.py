@@ -83,5 +83,4 @@ class Past:
         Args:
             now: The state.
         """
-        if self.steps:
-            self.states.append(now)
+        self.states.append(now)
