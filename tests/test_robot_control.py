@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.live_graph import own_domain, running_graph, wait_for
 from tests.live_rig import LaunchedNodes
-from tests.measured import Watch
+from tests.measured import SAFE_WITHIN_S, MachineStalledError, Watch
 from tests.robots import KOKORO, kokoro_lab
 
 from trajectory_msgs.msg import JointTrajectory  # isort: skip
@@ -63,6 +63,11 @@ class Robot:
     def watch(self):
         return Watch(self.lab, [self.lab.process.pid, *self.nodes.pids().values(), os.getpid()])
 
+    def rested_after(self, time_s):
+        """Whether the valves have had their safe voltage since then."""
+        rests = self.lab.ask("status")["safe"]
+        return any(one["ended_s"] is None or one["ended_s"] > time_s for one in rests)
+
     def resting_since(self):
         rest = self.lab.ask("status")["safe"][-1]
         return None if rest["ended_s"] is not None else rest["begun_s"]
@@ -89,13 +94,20 @@ def test_it_follows_its_targets(robot):
         return robot.targets[-1].points[0].positions[0]
 
     wait_for(lambda: abs(robot.elbow() - wanted()) < 0.05, 20.0)  # it lay at its stop
+    watch, begun_s = robot.watch(), time.monotonic()
     off, told = [], []
     for _ in range(200):
         told.append(wanted())
         off.append(robot.elbow() - told[-1])
         time.sleep(0.02)
     assert np.std(told) > 0.1
-    assert np.sqrt(np.mean(np.square(off))) < 0.7 * np.std(told)
+    if np.sqrt(np.mean(np.square(off))) < 0.7 * np.std(told):
+        return
+    # It falls where the valves were closed meanwhile, as they are when nobody commands in time.
+    assert robot.rested_after(begun_s)
+    stalled_s = watch.stalled_s(begun_s, time.monotonic())
+    assert stalled_s > SAFE_WITHIN_S
+    raise MachineStalledError(f"the valves were closed, the machine stalled for {stalled_s:.2f} s")
 
 
 def test_killed_in_the_middle_of_a_move_both_valves_are_safe_in_time(robot):
