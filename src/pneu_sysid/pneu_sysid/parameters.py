@@ -7,7 +7,7 @@ import numpy as np
 
 from pneu_common.errors import InputError
 from pneu_sim.models import kind_of
-from pneu_sim.rig.parameters import get_parameter, value_of, with_parameters
+from pneu_sim.rig.parameters import get_parameter, told_apart, value_of, with_parameters
 from pneu_sim.rig.schema import CLOSED, FitParameter, Rig
 from pneu_sysid.gauss_newton import Variable
 from pneu_sysid.moving_parameters import moving_parameters
@@ -23,6 +23,7 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
     heat, volumes at valves and closed ends; tap positions; reservoir pressures above the room's.
     A lumped model has its openings against voltage, full opening included, and the spool (thesis
     8.1.3): volumes, polytropic exponent and discharge factor only scale what the openings do.
+    What the ports of a valve, or all pipes, share is one number, unless the file has them differ.
 
     Args:
         rig: The rig.
@@ -30,7 +31,8 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
     out: list[FitParameter] = []
 
     def add(path: str, lower: float, upper: float, std: float, log: bool = False) -> None:
-        out.append(FitParameter(path=path, lower=lower, upper=upper, std=std, log=log))
+        for one in told_apart(rig, path):
+            out.append(FitParameter(path=one, lower=lower, upper=upper, std=std, log=log))
 
     def around(path: str, factor: float, relative_std: float) -> None:
         value = get_parameter(rig, path)
@@ -134,7 +136,8 @@ def calibrated_parameters(rig: Rig) -> list[FitParameter]:
         return out
 
     def add(path: str, lower: float, upper: float, std: float, log: bool = False) -> None:
-        out.append(FitParameter(path=path, lower=lower, upper=upper, std=std, log=log))
+        for one in told_apart(rig, path):
+            out.append(FitParameter(path=one, lower=lower, upper=upper, std=std, log=log))
 
     def around(path: str, factor: float, relative_std: float) -> None:
         value = get_parameter(rig, path)

@@ -17,7 +17,12 @@ from pneu_sim.signals import Signal
 from pneu_sim.valve import positions_along
 from pneu_sysid.curves import EXPONENT_APART, WIDEST, curve_ties, mirrors_of, with_own_curves
 from pneu_sysid.fit import FitOutcome, fit_rig, parameters_of
-from pneu_sysid.parameters import calibrated_parameters, listed_parameters
+from pneu_sysid.parameters import (
+    calibrated_parameters,
+    listed_parameters,
+    rig_at,
+    variables_of,
+)
 from pneu_sysid.problem import make_problem, pull_of
 from pneu_sysid.records import Recording
 from pneu_sysid.stages import steps_of
@@ -63,6 +68,25 @@ def test_ports_get_curves_of_their_own_and_keep_their_openings(interpolation: st
             openings(own, port, at), openings(rig, port, at), atol=0.02, rtol=0.05
         )
     assert rig.valves["valve"].ports["exhaust"].opening.mirror == "supply"
+
+
+@pytest.mark.parametrize("name", ["lab", "rig_a", "kokoro"])
+def test_a_fit_begins_with_the_rig_of_the_file(name: str) -> None:
+    """Also where numbers differ that ports or pipes mostly share: the lab's do."""
+    rig = load_rig(ROOT / "rigs" / f"{name}.yaml")
+    rig.pipes[next(iter(rig.pipes))].wall.laminar = 1.1
+    listed = calibrated_parameters(rig)
+    begun = rig_at(rig, listed, np.array([v.value for v in variables_of(rig, listed)]))
+    for valve, same in zip(rig.valves.values(), begun.valves.values(), strict=True):
+        assert [p.laminar_ratio for p in valve.ports.values()] == pytest.approx(
+            [p.laminar_ratio for p in same.ports.values()], rel=1e-12
+        )
+    assert [p.wall.laminar for p in begun.pipes.values()] == pytest.approx(
+        [p.wall.laminar for p in rig.pipes.values()], rel=1e-12
+    )
+    paths = {p.path for p in listed}
+    assert ("pipes.*.wall.laminar" in paths) == (len(rig.pipes) == 1)
+    assert "pipes.*.wall.unsteady" in paths
 
 
 def test_a_curve_follows_the_one_whose_mirror_the_file_calls_it() -> None:

@@ -50,6 +50,37 @@ def get_parameter(rig: Rig, path: str) -> float:
     return float(node)
 
 
+def told_apart(rig: Rig, path: str) -> list[str]:
+    """The path itself; where ``*`` in it stands for numbers that differ, the path of each.
+
+    Args:
+        rig: The rig.
+        path: Dotted path, see `get_parameter`.
+
+    Raises:
+        InputError: There is no number at that path.
+    """
+    paths = [""]
+    for part in path.split("."):
+        nodes = [_node(rig, one, path) for one in paths]
+        if part == "*":
+            if not all(isinstance(node, dict) and node for node in nodes):
+                return [path]  # whoever reads it is told that there is nothing
+            pairs = zip(paths, nodes, strict=True)
+            paths = [f"{one}.{name}".lstrip(".") for one, node in pairs for name in node]
+        else:
+            paths = [f"{one}.{part}".lstrip(".") for one in paths]
+    values = {get_parameter(rig, one) for one in paths}
+    return [path] if len(values) == 1 else paths
+
+
+def _node(rig: Rig, path: str, whole: str) -> Any:
+    node: Any = rig
+    for part in path.split(".") if path else ():
+        node = _step(node, part, whole)
+    return node
+
+
 def with_parameters(rig: Rig, values: dict[str, float]) -> Rig:
     """Returns a copy of the rig with the numbers at some paths replaced; bounds are not checked.
 
