@@ -37,9 +37,9 @@ from pneu_sysid.together import each_of
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-NEARLY = 1.1
+NEARLY = 1.5
 """A candidate that leaves no more than so many times the squares of the best one may only be behind
-it because of the longer cells that candidates are fitted on."""
+it because of cells: those that candidates are fitted on, and the rig's own."""
 RIVALS = 3
 """So many of those at most are fitted once more."""
 
@@ -268,12 +268,13 @@ def look(
     if more:
         refits += refitted(more, False)
         result = _judge(bench, base, refits, best, readings, taken)
-    # Nor while longer cells may be what sets it apart from another.
+    # Nor while cells may be what sets it apart from another: how they smear a volume in a line is
+    # no small part of what tells it from a longer line.
     near = _nearly_as_good(result)
     if near and coarser and coarser[0] is not bench.problem:
 
         def settle(shared: Problem, found: Refit) -> Refit:
-            return settled(shared, base, found, bench.project)
+            return settled(shared.mended(found.rig), base, found, bench.project)
 
         instead = dict(zip(near, each_of(near, bench.problem, settle), strict=True))
         refits = [instead.get(r, r) for r in refits]
@@ -283,7 +284,7 @@ def look(
 
 def _nearly_as_good(result: Diagnosis) -> list[Refit]:
     """The candidate that is named alone, and those that leave little more than it does."""
-    if result.verdict != "effect":
+    if result.verdict not in ("effect", "ambiguous"):
         return []
     top, *others = result.finalists[: result.believed]
     most = NEARLY * float(np.sum(top.residual**2))

@@ -264,6 +264,24 @@ class Problem:
             known = own.predict([rig])[0] if readings is None else readings
             self.doubt_pa = WHOLE * (halved.result()[0] - known)
 
+    def mended(self, rig: Rig) -> "Problem":
+        """The same problem, what its cells get wrong of a rig made good (`cells`).
+
+        Of rigs near that one it is good to a fraction, unlike what another one's cells get wrong: a
+        volume is smeared over the cell that it is in.
+
+        Args:
+            rig: The rig.
+        """
+        if not kind_of(rig).along_lines:
+            return self
+        self._prepare(rig)
+        dx_m = self.dx_m or rig.grid.dx_m
+        with ThreadPoolExecutor(1) as pool:  # beside the run on cells as they are
+            halved = pool.submit(self.with_grid(HALF * dx_m).predict, [rig])
+            own = self.with_grid(dx_m).predict([rig])[0]
+            return replace(self, grid_pa=WHOLE * (halved.result()[0] - own))
+
     def with_grid(self, dx_m: float) -> "Problem":
         """The same problem on another grid; recordings begin there as they were found to here.
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pneu_sim.rig import load_rig
+from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.run import run_from_rest
 from pneu_sim.signals import Signal
 from pneu_sysid.cells import amounts_in, error_of_cells, without_doubt, words_on_cells
@@ -32,10 +33,10 @@ def test_weighed_squares_are_those_of_the_covariance():
             assert of[0] @ of[1] == pytest.approx(a @ weight @ b, rel=1e-9)
 
 
-def _recorded(dx_m: float, flux: str) -> Recording:
+def _recorded(dx_m: float, flux: str, rig: Rig = LAB) -> Recording:
     """Sharp steps, read at 500 Hz, of a rig with other cells and another flux."""
-    grid = LAB.grid.model_copy(update={"dx_m": dx_m, "flux": flux})
-    plant = LAB.model_copy(update={"grid": grid})
+    grid = rig.grid.model_copy(update={"dx_m": dx_m, "flux": flux})
+    plant = rig.model_copy(update={"grid": grid})
     step_s, every = 2e-4, 10
     at = np.arange(round(0.8 / step_s)) * step_s
     volts = np.where(at < 0.2, 5.0, np.where(np.floor(at / 0.11) % 2 == 0, 2.0, 8.5))
@@ -95,3 +96,22 @@ def test_a_model_without_cells_has_nothing_to_doubt():
     problem = make_problem(rig, _recorded(LAB.grid.dx_m, "hllc"))
     problem.doubt_cells(rig)
     assert problem.doubt_pa is None
+
+
+def test_what_cells_get_wrong_of_a_rig_is_made_good():
+    """Cells a quarter as long and another flux: of a rig, and of another near it."""
+    volume = AttachedEffect(
+        effect="dead_volume", place="tube", parameters={"volume_m3": 4e-7, "position_m": 1.2}
+    )
+    rig = LAB.model_copy(update={"effects": [volume]})
+    more = volume.model_copy(update={"parameters": {"volume_m3": 4.4e-7, "position_m": 1.2}})
+    near = LAB.model_copy(update={"effects": [more]})
+    for of, share in ((rig, 0.15), (near, 0.2)):
+        problem = make_problem(rig, _recorded(0.25 * LAB.grid.dx_m, "exact", of))
+        left = [
+            np.nansum((problem.measured - p.predict([of])[0]) ** 2, axis=(0, 1))
+            for p in (problem, problem.mended(rig))
+        ]
+        for name in ("valve_out", "middle", "end"):
+            k = problem.taps.index(name)
+            assert left[1][k] < share * left[0][k], (name, left)
