@@ -21,7 +21,7 @@ from pneu_sysid.left_open import left_open
 from pneu_sysid.parameter_units import strength_unit
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
-from pneu_sysid.refits import Refit, refit, settled
+from pneu_sysid.refits import Refit, refit, settled, well_placed
 from pneu_sysid.results import (
     Candidate,
     Dependence,
@@ -274,7 +274,8 @@ def look(
     if near and coarser and coarser[0] is not bench.problem:
 
         def settle(shared: Problem, found: Refit) -> Refit:
-            return settled(shared.mended(found.rig), base, found, bench.project)
+            there = well_placed(shared, found, bench.project)
+            return settled(shared.mended(there.rig), base, there, bench.project)
 
         instead = dict(zip(near, each_of(near, bench.problem, settle), strict=True))
         refits = [instead.get(r, r) for r in refits]

@@ -264,8 +264,28 @@ class Problem:
             known = own.predict([rig])[0] if readings is None else readings
             self.doubt_pa = WHOLE * (halved.result()[0] - known)
 
+    def wrong_of_cells(self, rigs: Sequence[Rig]) -> tuple[Floats, Floats]:
+        """What rigs predict on cells as they are, and what these get wrong of it (`cells`), Pa.
+
+        Args:
+            rigs: Rigs of one structure.
+
+        Returns:
+            Both (n_rigs, n_stretches, horizon, n_taps), the second to be added to the first.
+        """
+        self._prepare(rigs[0])
+        dx_m = self.dx_m or rigs[0].grid.dx_m
+        own = self.with_grid(dx_m)
+        if not kind_of(rigs[0]).along_lines:
+            readings = own.predict(rigs)
+            return readings, np.zeros_like(readings)
+        with ThreadPoolExecutor(1) as pool:  # beside the run on cells as they are
+            halved = pool.submit(self.with_grid(HALF * dx_m).predict, rigs)
+            readings = own.predict(rigs)
+            return readings, WHOLE * (halved.result() - readings)
+
     def mended(self, rig: Rig) -> "Problem":
-        """The same problem, what its cells get wrong of a rig made good (`cells`).
+        """The same problem, what its cells get wrong of a rig made good.
 
         Of rigs near that one it is good to a fraction, unlike what another one's cells get wrong: a
         volume is smeared over the cell that it is in.
@@ -273,14 +293,7 @@ class Problem:
         Args:
             rig: The rig.
         """
-        if not kind_of(rig).along_lines:
-            return self
-        self._prepare(rig)
-        dx_m = self.dx_m or rig.grid.dx_m
-        with ThreadPoolExecutor(1) as pool:  # beside the run on cells as they are
-            halved = pool.submit(self.with_grid(HALF * dx_m).predict, [rig])
-            own = self.with_grid(dx_m).predict([rig])[0]
-            return replace(self, grid_pa=WHOLE * (halved.result()[0] - own))
+        return replace(self, grid_pa=self.wrong_of_cells([rig])[1][0])
 
     def with_grid(self, dx_m: float) -> "Problem":
         """The same problem on another grid; recordings begin there as they were found to here.

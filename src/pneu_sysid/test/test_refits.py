@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Candidates fitted on longer cells, and settled on the rig's own."""
+"""Candidates fitted on longer cells, settled on the rig's own, and placed along a pipe."""
 
 import numpy as np
 import pytest
 from tests.one_tap import one_tap
 
 from pneu_sim.effects import find_effect
-from pneu_sim.rig.schema import AttachedEffect
+from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sysid.bench import REFIT_CELLS
 from pneu_sysid.candidates import Score, residual_matrix
 from pneu_sysid.design.foreseen import foresee
 from pneu_sysid.design.waves import STEP_S
 from pneu_sysid.problem import make_problem
-from pneu_sysid.refits import refit, settled
+from pneu_sysid.refits import Refit, refit, settled, well_placed
 from pneu_sysid.sites import Site
 from pneu_sysid.thresholds import Thresholds
 
@@ -49,3 +49,35 @@ def test_a_candidate_settles_on_the_cells_that_count() -> None:
     used = ~problem.held_out
     share = 1.0 - np.sum(there.residual[used] ** 2) / np.sum(base[used] ** 2)
     assert there.explained == pytest.approx(share)
+
+
+def test_a_candidate_is_placed_without_what_its_cells_make_of_it() -> None:
+    """Cells half as long, no noise: the place is that of the volume, or explains as much."""
+    rig = one_tap(0.1)
+    extra = AttachedEffect(
+        effect="dead_volume", place="tube", parameters={"volume_m3": TRUE_M3, "position_m": 0.75}
+    )
+    grid = rig.grid.model_copy(update={"dx_m": 0.05})
+    plant = rig.model_copy(update={"effects": [extra], "grid": grid})
+    steps = np.random.default_rng(4).uniform(4.0, 6.0, 24)
+    volts = {"voltage": np.repeat(steps, round(0.1 / STEP_S))}
+    problem = make_problem(rig, foresee(plant, volts, 500.0).recording)
+    base = residual_matrix(problem, problem.predict([rig])[0])
+    effect = find_effect("dead_volume")
+    site = Site(effect, "tube", {"position_m": 1.5})
+    there = site.attached(rig, TRUE_M3)
+    off = residual_matrix(problem, problem.predict([there])[0])
+    found = Refit(site, TRUE_M3, 0.0, 0.0, 0.0, 0.0, 9.0, 0.0, off, base - off, there)
+    placed = well_placed(problem, found)
+
+    def left(on: Rig) -> float:
+        readings, wrong = problem.wrong_of_cells([on])
+        return float(np.sum(residual_matrix(problem, (readings + wrong)[0]) ** 2))
+
+    at = placed.rig.effects[-1].parameters["position_m"]
+    assert at != 1.5 and left(placed.rig) < 0.5 * left(there)
+    assert left(placed.rig) < 1.05 * left(rig.model_copy(update={"effects": [extra]}))
+    # what has no place is left alone
+    bare = Site(find_effect("sensor_lag"), "end", {})
+    slow = Refit(bare, 0.01, 0.0, None, 0.0, 0.0, 9.0, 0.0, off, off, bare.attached(rig, 0.01))
+    assert well_placed(problem, slow) is slow
