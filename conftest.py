@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 from tests import measured
-from tests.parts import LONGEST, REALTIME
+from tests.parts import ORDER, REALTIME
 
 ROOT = Path(__file__).parent
 # Bridges of tests do not meet those of their user, nor those of other workers.
@@ -36,11 +36,11 @@ def _name(item):
 
 
 def pytest_collection_modifyitems(items):
-    """Marks what runs against the clock, and lets the longest begin first."""
+    """Marks what runs against the clock, and puts tests in the order that wastes least."""
     for item in items:
         if _name(item).startswith(REALTIME):
             item.add_marker(pytest.mark.realtime)
-    beginnings = (*LONGEST, "")
+    beginnings = (*ORDER, "")
     items.sort(key=lambda item: [_name(item).startswith(b) for b in beginnings].index(True))
 
 

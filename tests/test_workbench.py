@@ -27,10 +27,15 @@ from pneu_sim.rig.load import load_rig
 
 __all__ = ["browser"]  # a fixture
 
+PICTURES = os.environ.get("PNEU_PICTURES")
+"""A folder that receives the story as one picture, as docs/workbench.md shows it, of all of it."""
+
 ROOT = Path(__file__).resolve().parents[1]
 BAG, RIG = "bags/a_leak", "rig_a_fitted.yaml"
 SHORT, SHORT_S = "bags/a_leak_short.mcap", 6.0
 """Its beginning: what is missing is looked for twice, and fitted."""
+LONG_CELLS = "grid: {dx_m: 0.1}\n"
+"""Twice as long, for the same reason."""
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +43,8 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as a user has it, with a recording that is cut short besides."""
     lab = tmp_path_factory.mktemp("lab", numbered=False)
     shutil.copytree(ROOT / "data" / "bags" / "a_leak", lab / BAG)
-    shutil.copy(ROOT / "rigs" / RIG, lab / RIG)
+    rig = (ROOT / "rigs" / RIG).read_text(encoding="utf-8")
+    (lab / RIG).write_text(rig if PICTURES else rig + LONG_CELLS, encoding="utf-8")
     mcap = next((lab / BAG).glob("*.mcap"))
     _shorten(mcap, lab / SHORT)
     whole = mcap.read_bytes()
@@ -80,8 +86,6 @@ def _drawn(page: Page) -> int:
     return int(page.locator(".pneu-chart").get_attribute("data-shown") or 0)
 
 
-PICTURES = os.environ.get("PNEU_PICTURES")
-"""A folder that receives the story as one picture, as docs/workbench.md shows it, of all of it."""
 TIMES = "35" if PICTURES else "36"
 """The error over the noise that is left without the leak."""
 
