@@ -15,12 +15,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tests.short_bags import shorten
 
 from tests.workbench_pages import LONG_MS, Server, browser, button, open_page, pick  # isort: skip
 
 from axe_playwright_python.sync_playwright import Axe
-from mcap.reader import make_reader
-from mcap.writer import Writer
 from playwright.sync_api import Browser, Page, expect
 
 from pneu_sim.rig.load import load_rig
@@ -46,30 +45,11 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rig = (ROOT / "rigs" / RIG).read_text(encoding="utf-8")
     (lab / RIG).write_text(rig if PICTURES else rig + LONG_CELLS, encoding="utf-8")
     mcap = next((lab / BAG).glob("*.mcap"))
-    _shorten(mcap, lab / SHORT)
+    shorten(mcap, lab / SHORT, SHORT_S)
     whole = mcap.read_bytes()
     (lab / "cut.mcap").write_bytes(whole[: len(whole) // 3])
     (lab / "<img src=x onerror=alert(1)>.csv").write_text("time\n1\n")
     return lab
-
-
-def _shorten(whole: Path, short: Path) -> None:
-    """Writes the beginning of a recording."""
-    with whole.open("rb") as source, short.open("wb") as sink:
-        writer, known, end_ns = Writer(sink), {}, None
-        writer.start("ros2")
-        for schema, channel, message in make_reader(source).iter_messages():
-            assert schema is not None
-            end_ns = end_ns or message.log_time + round(1e9 * SHORT_S)
-            if message.log_time > end_ns:
-                break
-            if channel.id not in known:
-                of = writer.register_schema(schema.name, schema.encoding, schema.data)
-                encoding = channel.message_encoding
-                known[channel.id] = writer.register_channel(channel.topic, encoding, of)
-            at_ns = message.log_time, message.publish_time
-            writer.add_message(known[channel.id], at_ns[0], message.data, at_ns[1])
-        writer.finish()
 
 
 @pytest.fixture(scope="module")

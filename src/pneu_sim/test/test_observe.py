@@ -9,6 +9,7 @@ import pytest
 
 from pneu_common.errors import InputError
 from pneu_sim import sensors
+from pneu_sim.observe.leaks import with_room_for_leaks
 from pneu_sim.observe.nearness import distances, gaspari_cohn
 from pneu_sim.observe.observer import Observer
 from pneu_sim.observe.settings import Drift, ObserverSettings
@@ -223,6 +224,36 @@ def test_the_drift_of_a_valve_is_found(lab):
     at = next(n for n, u in enumerate(observer.drifts.unknowns) if u.kind == "null")
     # an offset adds to where the valve closes: the command counts for less
     assert observer.drifts.values[at].mean() == pytest.approx(-0.06, abs=0.03)
+
+
+def test_a_leak_that_came_about_is_found_and_told(lab):
+    """At another place than where there is room for one; where there is none, none is."""
+    volts = commands(500, seed=7)
+    values = {"area_m2": 4e-8, "position_m": 1.2}
+    hidden = [AttachedEffect(effect="leak", place="tube", parameters=values)]
+    leaking = ObserverSettings(dx_m=0.25, fewest_cells=1, leak=Drift(std=5e-9, time_s=20.0))
+    found = {}
+    for effects in (hidden, []):
+        true, read = recorded(lab, volts, effects)
+        observer, mean, _ = followed(lab, volts, read, ("valve_out", "end"), leaking)
+        at = next(n for n, u in enumerate(observer.drifts.unknowns) if u.name == "pipes.tube: leak")
+        told = [w for w in observer.watch.wrong if w.startswith("pipes.tube: leak has drifted")]
+        found[bool(effects)] = (observer.drifts.values[at].mean(), told)
+        off = (mean - true)[250:, observer.sensors.index("middle")]
+        assert np.sqrt(np.mean(off**2)) < 2.0 * NOISE_PA
+    assert 2e-8 < found[True][0] < 4.5e-8 and found[True][1]
+    assert abs(found[False][0]) < 5e-9 and not found[False][1]
+
+
+def test_room_for_leaks_changes_nothing(lab):
+    """Whether lines have a leak of their own or none."""
+    values = {"area_m2": 1e-8, "position_m": 0.7}
+    own = AttachedEffect(effect="leak", place="tube", parameters=values)
+    for effects in ([], [own]):
+        rig = lab.model_copy(update={"effects": effects})
+        true, _ = recorded(rig, commands(100))
+        with_room, _ = recorded(with_room_for_leaks(rig), commands(100))
+        np.testing.assert_allclose(with_room, true, rtol=1e-9)
 
 
 def test_members_that_became_unstable_are_replaced(lab):

@@ -778,6 +778,21 @@ class ObservedSensor(Result):
     """Standard deviation that the observer gives its estimate, root mean square."""
 
 
+class Drifting(Result):
+    """A number of the rig that an observer lets drift, as it is at the end."""
+
+    name: str
+    """Its path in the rig, and what of it."""
+    unit: str
+    """Its unit."""
+    value: Number
+    """By how much it is off what the rig file says."""
+    std: Number
+    """Standard deviation that the observer gives it."""
+    times: Number
+    """Its value over how far it is allowed to drift, one standard deviation."""
+
+
 class Said(Result):
     """Something that an observer said to be wrong."""
 
@@ -808,6 +823,8 @@ class ObserveResult(Head):
     """Every sensor of the rig."""
     said: list[Said]
     """What was said to be wrong, in the order of time."""
+    drifting: list[Drifting] = []
+    """What drifts slowly, at the end."""
 
 
 RESULTS: tuple[type[Result], ...] = (

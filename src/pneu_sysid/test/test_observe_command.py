@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.short_bags import shorten
 from typer.testing import CliRunner
 
 from pneu_common.cli import COMMANDS_GROUP, build_app
@@ -31,7 +32,10 @@ def test_a_tap_that_lags_is_named_and_one_never_shown_is_reproduced(tmp_path):
     out, table, picture = (tmp_path / name for name in ("o.json", "o.csv", "o.png"))
     used = [word for tap in ("supply", *SEEN, "exhaust") for word in ("--used", tap)]
     files = ["--json", str(out), "-o", str(table), "--figure", str(picture)]
-    done = run(str(LAG), "--rig", str(RIG), "--dx", "0.1", "--smooth", "0.02", *used, *files)
+    bag = tmp_path / "lag.mcap"
+    shorten(next(LAG.glob("*.mcap")), bag, 5.0)
+    asked = ["--dx", "0.1", "--smooth", "0.02", "--leak", "1e-8", *used, *files]
+    done = run(str(bag), "--rig", str(RIG), *asked)
     assert done.exit_code == 0, done.output
     result = read_json(out)
     of = {s.name: s for s in result.observed}
@@ -40,6 +44,11 @@ def test_a_tap_that_lags_is_named_and_one_never_shown_is_reproduced(tmp_path):
     named = [s for s in result.said if s.kind == "sensor"]
     assert {s.subject for s in named} == {"end"} and named[0].start_s < 2.0
     assert "late by" in done.output
+    drifting = {d.name: d for d in result.drifting}
+    leak = drifting["pipes.tube: leak"]
+    assert leak.unit == "m^2" and leak.times == pytest.approx(leak.value / 1e-8)
+    assert abs(leak.value) < 1e-8 and "pipes.tube: leak" in done.output
+    assert "valves.valve: null" in drifting
     with table.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     late = [r for r in rows if r["middle.read"] and float(r["time_s"]) >= result.begin_s]

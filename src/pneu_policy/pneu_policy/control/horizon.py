@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_policy.control.predictive_settings import PredictiveSettings
 from pneu_policy.control.shooting import cost
-from pneu_sim.observe.drifts import Drifts
+from pneu_sim.observe.drifts import Drifts, that_may_drift
 from pneu_sim.plant import Plant, State
 from pneu_sim.rig.schema import Rig
 
@@ -84,7 +84,8 @@ class Horizon:
         self.scale, self.weight = settings.scale, settings.weight
         self._s, self.lanes, self.knots = settings, lanes, len(settings.holds)
         fewest = settings.observer.fewest_cells
-        self._plant = Plant([rig] * lanes, settings.dx_m, fewest_cells=fewest)
+        member = that_may_drift(rig, settings.observer)
+        self._plant = Plant([member] * lanes, settings.dx_m, fewest_cells=fewest)
         self._drifts = Drifts(self._plant, settings.observer, aim.used)
         plan = self._plant.plan
         self._at = [*plan.taps, *plan.encoders].index(aim.sensor)

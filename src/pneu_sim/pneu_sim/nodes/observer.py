@@ -23,7 +23,7 @@ from pneu_graph.nodes import common
 from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_sim import topics
 from pneu_sim.observe.observer import Innovation, Observer
-from pneu_sim.observe.settings import ObserverSettings
+from pneu_sim.observe.settings import LEAK_S, Drift, ObserverSettings
 from pneu_sim.rig import load_rig
 
 LONGEST_S = 0.1
@@ -52,6 +52,12 @@ class ObserverParameters(Parameters):
         250.0,
         "Noise of taps whose noise the rig file does not tell, one sigma, Pa.",
         within=(0.1, 1e5),
+        read_only=True,
+    )
+    leak_m2: float = parameter(
+        0.0,
+        "Lines may come to leak to the room by about so much, effective area, m^2; 0 is none.",
+        within=(0.0, 1e-4),
         read_only=True,
     )
     hears: str = parameter(
@@ -105,6 +111,7 @@ class ObserverNode(Node):
             dx_m=params.dx_m or None,
             noise_pa=params.noise_pa,
             seed=params.seed,
+            leak=Drift(std=params.leak_m2, time_s=LEAK_S),
         )
         self._observer = Observer(rig, settings, used)
         self._volts = {valve.command: valve.spool.null_v for valve in self._rig.valves.values()}
@@ -243,11 +250,9 @@ class ObserverNode(Node):
             level, text = DiagnosticStatus.WARN, "no reading yet"
         elif observer.watch.wrong:
             level, text = DiagnosticStatus.WARN, "; ".join(observer.watch.wrong)
-        told = observer.drifts
         figures: dict[str, object] = {"steps": self._steps, "begun anew": self._anew}
-        for unknown, value in zip(told.unknowns, told.values.mean(axis=1), strict=True):
-            if unknown.time_s >= observer.settings.slow_s:
-                figures[f"{unknown.name} ({unknown.unit})"] = float(value)
+        for unknown, value, _ in observer.drifts.slow(observer.settings.slow_s):
+            figures[f"{unknown.name} ({unknown.unit})"] = value
         lines = [common.status(level, f"{name}: model", text, figures, rig)]
         for sensor in observer.used:
             what, unit = ("tap", "Pa") if sensor in self._rig.taps else ("encoder", "rad or m")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a rig is not known well enough to be taken as it is, and wanders: nulls, flows, supplies.
+"""What of a rig is not known well enough to be taken as it is, and wanders: nulls, flows, leaks.
 
 Each is a first-order Markov process about what the rig file says. The members of an ensemble differ
 in it, and what the sensors read says where it is.
@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from pneu_sim import layout as L
 from pneu_sim.full_solver import FullSolver
+from pneu_sim.observe.leaks import Leaks, with_room_for_leaks
 from pneu_sim.observe.settings import Drift, ObserverSettings
 from pneu_sim.plant import Plant
 from pneu_sim.rig import model as M
+from pneu_sim.rig.schema import Rig
 
 Floats = NDArray[np.float64]
 
@@ -44,7 +46,7 @@ class Unknown:
         name: Its path in the rig, and what of it.
         unit: Its unit.
         kind: Which of the drifts of the settings it is.
-        index: Valve, port, reservoir or tap.
+        index: Valve, port, reservoir, tap or pipe.
         std: Standard deviation about zero.
         time_s: Over which it forgets, s.
     """
@@ -55,6 +57,16 @@ class Unknown:
     index: int
     std: float
     time_s: float
+
+
+def that_may_drift(rig: Rig, settings: ObserverSettings) -> Rig:
+    """A rig as members are of it: it does as before, with room for what may come about.
+
+    Args:
+        rig: The rig.
+        settings: How it is followed.
+    """
+    return with_room_for_leaks(rig) if settings.leak.std > 0.0 else rig
 
 
 class Drifts:
@@ -69,7 +81,7 @@ class Drifts:
         """Finds what wanders in a rig.
 
         Args:
-            plant: The members.
+            plant: The members, each of a rig that may drift so (`that_may_drift`).
             settings: How it is followed.
             used: Sensors whose readings are taken.
         """
@@ -106,13 +118,18 @@ class Drifts:
                     add("gain", q, f"{path}, slowly", "share", settings.gain, 1.0)
             # all members are of one rig
             self._port = self._tiles[0][0].port[:, [L.Q_CONDUCTANCE, L.Q_AREA], :1].copy()
+        self._leaks = None
+        if settings.leak.std > 0.0 and isinstance(solver, FullSolver):
+            self._leaks = Leaks(solver, plant.rigs[0])
+            for k, name in enumerate(plant.rigs[0].pipes):
+                add("leak", k, f"pipes.{name}: leak", "m^2", settings.leak, 1.0)
         self.unknowns = found
         self.values = np.zeros((len(found), plant.lanes))
         self._std = np.array([u.std for u in found])
         self._time_s = np.array([u.time_s for u in found])
         self._of = {
             kind: [k for k, u in enumerate(found) if u.kind == kind]
-            for kind in ("command", "null", *SPOOL, "supply", "flow", "gain", "lag")
+            for kind in ("command", "null", *SPOOL, "supply", "flow", "gain", "lag", "leak")
         }
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -145,6 +162,8 @@ class Drifts:
             index = self.unknowns[k].index
             solver.set_reservoir(index, self._supply[index] + self.values[k])
         self._turn()
+        if self._leaks is not None:
+            self._leaks.set(self.values[self._of["leak"]])
         if not self._tiles:
             return
         share = np.ones((len(self._port), self._plant.lanes))
@@ -177,6 +196,16 @@ class Drifts:
     def drifted(self) -> list[float]:
         """Returns by how much each is off on the mean, in its standard deviations."""
         return [float(v) for v in self.values.mean(axis=1) / self._std]
+
+    def slow(self, slow_s: float) -> list[tuple[Unknown, float, float]]:
+        """What forgets slowly, its mean over the members, and their standard deviation.
+
+        Args:
+            slow_s: Over so long or longer, s.
+        """
+        mean, std = self.values.mean(axis=1), self.values.std(axis=1, ddof=1)
+        every = zip(self.unknowns, mean.tolist(), std.tolist(), strict=True)
+        return [one for one in every if one[0].time_s >= slow_s]
 
     def off_v(self) -> Floats:
         """Returns (valves, members) by how much the members' commands are off, V."""

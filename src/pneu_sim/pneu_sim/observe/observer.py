@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_sim.models import kind_of
 from pneu_sim.observe.beginning import begin
-from pneu_sim.observe.drifts import Drifts
+from pneu_sim.observe.drifts import Drifts, that_may_drift
 from pneu_sim.observe.past import Earlier, Past
 from pneu_sim.observe.settings import ObserverSettings
 from pneu_sim.observe.trust import Trust
@@ -104,7 +104,8 @@ class Observer:
             raise InputError(
                 f"rig {rig.name!r}: mechanism: an observer follows bodies, no other mechanism"
             )
-        self.plant = Plant([rig] * s.members, s.dx_m, fewest_cells=s.fewest_cells)
+        member = that_may_drift(rig, s)
+        self.plant = Plant([member] * s.members, s.dx_m, fewest_cells=s.fewest_cells)
         self._vector = StateVector(self.plant, s.reach_m)
         taps, encoders = list(self.plant.plan.taps), list(self.plant.plan.encoders)
         self.sensors = [*taps, *encoders]

@@ -7,6 +7,9 @@ from pydantic import Field
 
 from pneu_common.validation import Settings
 
+LEAK_S = 20.0
+"""Over which a leak forgets how large it was, s."""
+
 
 class Drift(Settings):
     """How far a number that is not well known may wander, as a first-order Markov process.
@@ -42,6 +45,7 @@ class ObserverSettings(Settings):
         hysteresis: Drift of every valve's backlash, full width, V.
         bandwidth: Drift of every spool's bandwidth, as a share.
         lag: Drift of every tap's lag, s.
+        leak: Drift of the effective area of a leak in every line, m^2; there is none below zero.
         noise_pa: Noise of taps whose noise no file tells, one sigma, Pa.
         noise_position: Noise of encoders whose noise no file tells, rad or m.
         timing_s: How much a reading and the model may be apart in time, s: what stamps and the
@@ -80,6 +84,7 @@ class ObserverSettings(Settings):
     hysteresis: Drift = Drift(std=0.0, time_s=20.0)
     bandwidth: Drift = Drift(std=0.0, time_s=20.0)
     lag: Drift = Drift(std=0.0, time_s=20.0)
+    leak: Drift = Drift(std=0.0, time_s=LEAK_S)
     noise_pa: Annotated[float, Field(gt=0.0)] = 250.0
     noise_position: Annotated[float, Field(gt=0.0)] = 1e-3
     timing_s: Annotated[float, Field(ge=0.0)] = 1e-4

@@ -61,6 +61,16 @@ def observe(
             max=1.0,
         ),
     ] = 0.0,
+    leak: Annotated[
+        float,
+        typer.Option(
+            "--leak",
+            help="Lines may come to leak to the room by about so much, effective area, m^2; of a"
+            " smaller number nulls of valves are made.",
+            min=0.0,
+            max=1e-4,
+        ),
+    ] = 0.0,
     seed: Annotated[int, typer.Option(help="Of what is drawn.", min=0)] = 0,
     effects: Annotated[
         Path | None,
@@ -70,7 +80,7 @@ def observe(
 ) -> None:
     """Follow the state of a rig along a recording: taps that are missing, lost or wrong."""
     from pneu_sim.effects import load_effect_file
-    from pneu_sim.observe.settings import ObserverSettings
+    from pneu_sim.observe.settings import LEAK_S, Drift, ObserverSettings
     from pneu_sim.rig import load_rig
     from pneu_sysid.observed.figures import draw_observed
     from pneu_sysid.observed.follow import follow
@@ -100,7 +110,8 @@ def observe(
     for finding in findings:
         console.print(finding, style="yellow")
     steps_back = round(smooth * rate)
-    settings = ObserverSettings(members=members, dx_m=dx, seed=seed)
+    leaking = Drift(std=leak, time_s=LEAK_S)
+    settings = ObserverSettings(members=members, dx_m=dx, seed=seed, leak=leaking)
     noise = noise_of(loaded, settings)
     with progress("observing") as tell:
         found = follow(
@@ -176,6 +187,21 @@ def tables(result: "ObserveResult") -> list[NamedTable]:
             times = f"{every[0].start_s:.2f}", f"{every[-1].end_s:.2f}", f"{whole:.2f}"
             said.add_row(*times, words)
         out.append(said)
+    if result.drifting:
+        drifting = NamedTable(
+            "Drifts slowly, at the end",
+            [
+                Column("what"),
+                Column("off by", "number"),
+                Column("its std.", "number"),
+                Column("unit"),
+                Column("of what is allowed", "number"),
+            ],
+        )
+        for d in result.drifting:
+            figures = f"{d.value:.3g}", f"{d.std:.2g}"
+            drifting.add_row(d.name, *figures, d.unit, f"{d.times:.1f}")
+        out.append(drifting)
     return out
 
 

@@ -3,12 +3,13 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
+from pneu_sim.observe.drifts import Unknown
 from pneu_sim.observe.observer import Estimate, Observer
 from pneu_sim.observe.settings import ObserverSettings
 from pneu_sim.rig.schema import Rig
@@ -30,6 +31,7 @@ class Followed:
         std: By sensor (n,) its standard deviation.
         wrong: (n,) what it says is wrong with the model, in words.
         matter: (n,) by sensor what is the matter with those it does not believe.
+        drifts: What of the rig drifts slowly, its value at the end, and its standard deviation.
     """
 
     time_s: Floats
@@ -38,6 +40,7 @@ class Followed:
     std: dict[str, Floats]
     wrong: list[list[str]]
     matter: list[dict[str, str]]
+    drifts: list[tuple[Unknown, float, float]] = field(default_factory=list)
 
     def error(self, sensor: str, begin_s: float = 0.0, end_s: float = math.inf) -> Floats:
         """Recorded less said, Pa, rad or m, of a while, where anything was recorded.
@@ -158,7 +161,8 @@ def follow(
             progress(n / time.size)
     for back, one in enumerate(reversed(observer.past.states)):
         keep(time.size - 1 - back, observer.estimate_of(one.shown))
-    return Followed(time, read, mean, std, wrong, matter)
+    drifts = observer.drifts.slow(observer.settings.slow_s)
+    return Followed(time, read, mean, std, wrong, matter, drifts)
 
 
 def _first(recording: Recording) -> Mapping[str, float]:

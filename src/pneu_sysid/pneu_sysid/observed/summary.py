@@ -8,7 +8,7 @@ import numpy as np
 
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.observed.follow import Followed
-from pneu_sysid.results import ObservedSensor, ObserveResult, Said, pneu_version
+from pneu_sysid.results import Drifting, ObservedSensor, ObserveResult, Said, pneu_version
 from pneu_sysid.sensor_units import encoder_units
 
 BEGIN_S = 1.0
@@ -87,6 +87,10 @@ def summary_of(
         smooth_s=smooth_s,
         observed=sensors,
         said=said_of(found),
+        drifting=[
+            Drifting(name=u.name, unit=u.unit, value=value, std=std, times=value / u.std)
+            for u, value, std in found.drifts
+        ],
     )
 
 
