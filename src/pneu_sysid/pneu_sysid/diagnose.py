@@ -274,7 +274,7 @@ def look(
     if near and coarser and coarser[0] is not bench.problem:
 
         def settle(shared: Problem, found: Refit) -> Refit:
-            there = well_placed(shared, found, bench.project)
+            there = well_placed(shared, found, bench.blocks, bench.project)
             return settled(shared.mended(there.rig), base, there, bench.project)
 
         instead = dict(zip(near, each_of(near, bench.problem, settle), strict=True))
@@ -473,6 +473,7 @@ def result_of_diagnosis(name: str, found: Diagnosis, findings: list[str]) -> Dia
                 place=r.site.place,
                 position_m=r.site.shape.get(POSITION),
                 position_error_m=r.position_error_m,
+                places_m=None if r.places_m is None else list(r.places_m),
                 strength=r.strength,
                 unit=strength_unit(r.rig, effect, r.site.place),
                 std_error=r.std_error,

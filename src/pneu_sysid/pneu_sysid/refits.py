@@ -12,7 +12,7 @@ from pneu_sim.effects.base import POSITION, EffectParameter
 from pneu_sim.rig import with_parameters
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.candidates import Project, Score, residual_matrix
-from pneu_sysid.evidence import share_explained
+from pneu_sysid.evidence import lead, share_explained
 from pneu_sysid.gauss_newton import Estimate, Variable, huber_cost, minimise
 from pneu_sysid.problem import Problem
 from pneu_sysid.sites import Site
@@ -20,6 +20,7 @@ from pneu_sysid.stages import residual_function
 from pneu_sysid.thresholds import Thresholds
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 ITERATIONS, TOLERANCE = 5, 1e-3
 AT_LEAST = 0.25
@@ -37,6 +38,8 @@ KEPT = 4
 """So many of the best points are kept with their residuals; the estimate is nearly always one."""
 SETTLING = 3
 """Iterations of a fit on other cells, from where it was found."""
+NO_WORSE = 3.0
+"""Places count as good that the best one does not lead by so many standard errors."""
 WORTH_ANOTHER = 1e-3
 """Places are looked at again, so many times at most, as long as the misfit falls by this share."""
 
@@ -57,6 +60,8 @@ class Refit:
         residual: (n_stretches, m) what is left, in noise units, without what is uncertain anyway.
         change: (n_stretches, m) change of the prediction.
         rig: Rig with the effect.
+        places_m: From where to where along its pipe it explains nearly as much; None where that was
+            not looked at, or it has no place.
     """
 
     site: Site
@@ -70,6 +75,7 @@ class Refit:
     residual: Floats = field(repr=False)
     change: Floats = field(repr=False)
     rig: Rig = field(repr=False)
+    places_m: tuple[float, float] | None = None
 
     @property
     def at_bound(self) -> bool:
@@ -366,7 +372,9 @@ def settled(problem: Problem, base: Floats, found: Refit, project: Project | Non
     )
 
 
-def well_placed(problem: Problem, found: Refit, project: Project | None = None) -> Refit:
+def well_placed(
+    problem: Problem, found: Refit, blocks: Ints, project: Project | None = None
+) -> Refit:
     """A candidate along its pipe where it explains most, what cells get wrong there made good.
 
     What a place explains depends on where in a cell it is, by as much as one place differs from
@@ -375,10 +383,11 @@ def well_placed(problem: Problem, found: Refit, project: Project | None = None) 
     Args:
         problem: The problem, on the cells that count.
         found: What was found.
+        blocks: (n_stretches, m) block of time of each reading.
         project: Takes out of a residual what is uncertain anyway.
 
     Returns:
-        The candidate at that place, with nothing else made anew.
+        The candidate at that place, with how far it may be from there and nothing else made anew.
     """
     last = len(found.rig.effects) - 1
     variables = effect_variables(found.rig, last)
@@ -389,11 +398,13 @@ def well_placed(problem: Problem, found: Refit, project: Project | None = None) 
     spots = np.linspace(own.lower, own.upper, shape[POSITION].scanned)
     rigs = [found.rig, *(with_parameters(found.rig, {own.name: float(x)}) for x in spots)]
     readings, wrong = problem.wrong_of_cells(rigs)
-    costs = []
-    for whole in readings + wrong:
-        r = residual_matrix(problem, whole)
-        costs.append(huber_cost((r if project is None else project(r))[~problem.held_out]))
-    return replace(found, rig=rigs[int(np.argmin(costs))])
+    every = [residual_matrix(problem, whole) for whole in readings + wrong]
+    if project is not None:
+        every = [project(r) for r in every]
+    best = int(np.argmin([huber_cost(r[~problem.held_out]) for r in every]))
+    fine = [lead(every[best], r, blocks) < NO_WORSE for r in every[1:]]
+    ends = [float(rigs[best].effects[last].parameters[POSITION]), *spots[fine].tolist()]
+    return replace(found, rig=rigs[best], places_m=(min(ends), max(ends)))
 
 
 def effect_variables(rig: Rig, index: int) -> list[Variable]:

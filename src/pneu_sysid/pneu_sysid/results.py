@@ -495,6 +495,9 @@ class Candidate(Result):
     """Where along a pipe; null where that has no meaning."""
     position_error_m: Perhaps = None
     """Standard error of that; null where it was not fitted."""
+    places_m: list[Number] | None = None
+    """From where to where along the pipe it explains nearly as much; null where that was not looked
+    at: it is for candidates that are hard to tell apart."""
     strength: Perhaps
     """Estimated strength."""
     unit: str

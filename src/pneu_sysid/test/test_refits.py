@@ -11,6 +11,7 @@ from pneu_sysid.bench import REFIT_CELLS
 from pneu_sysid.candidates import Score, residual_matrix
 from pneu_sysid.design.foreseen import foresee
 from pneu_sysid.design.waves import STEP_S
+from pneu_sysid.evidence import blocks_of
 from pneu_sysid.problem import make_problem
 from pneu_sysid.refits import Refit, refit, settled, well_placed
 from pneu_sysid.sites import Site
@@ -68,7 +69,8 @@ def test_a_candidate_is_placed_without_what_its_cells_make_of_it() -> None:
     there = site.attached(rig, TRUE_M3)
     off = residual_matrix(problem, problem.predict([there])[0])
     found = Refit(site, TRUE_M3, 0.0, 0.0, 0.0, 0.0, 9.0, 0.0, off, base - off, there)
-    placed = well_placed(problem, found)
+    blocks = blocks_of(problem, Thresholds().block)
+    placed = well_placed(problem, found, blocks)
 
     def left(on: Rig) -> float:
         readings, wrong = problem.wrong_of_cells([on])
@@ -77,7 +79,10 @@ def test_a_candidate_is_placed_without_what_its_cells_make_of_it() -> None:
     at = placed.rig.effects[-1].parameters["position_m"]
     assert at != 1.5 and left(placed.rig) < 0.5 * left(there)
     assert left(placed.rig) < 1.05 * left(rig.model_copy(update={"effects": [extra]}))
+    # anywhere but near the ends it would do nearly as well
+    assert placed.places_m is not None
+    assert placed.places_m[0] <= min(at, 0.75) and placed.places_m[1] >= max(at, 0.75)
     # what has no place is left alone
     bare = Site(find_effect("sensor_lag"), "end", {})
     slow = Refit(bare, 0.01, 0.0, None, 0.0, 0.0, 9.0, 0.0, off, off, bare.attached(rig, 0.01))
-    assert well_placed(problem, slow) is slow
+    assert well_placed(problem, slow, blocks) is slow

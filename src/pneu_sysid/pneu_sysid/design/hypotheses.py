@@ -18,6 +18,11 @@ NEAR = 0.7
 one recording may be its look-alike in another."""
 
 
+ELSEWHERE = 0.15
+"""Where a candidate may be farther along its pipe than this share of it, it is tried there too: two
+that are told apart where a recording happens to put them need not be where they are."""
+
+
 @dataclass(frozen=True)
 class Hypothesis:
     """A candidate for what a rig is missing.
@@ -29,6 +34,20 @@ class Hypothesis:
 
     label: str
     rig: Rig
+
+    @property
+    def part(self) -> str:
+        """Effect and part of the rig, wherever along it."""
+        return part_of(self.label)
+
+
+def part_of(label: str) -> str:
+    """Effect and part of the rig of a label, wherever along it.
+
+    Args:
+        label: Effect and place.
+    """
+    return label.split(":")[0]
 
 
 def hypotheses_of(rig: Rig, result: DiagnoseResult, source: Path | str) -> list[Hypothesis]:
@@ -59,7 +78,22 @@ def hypotheses_of(rig: Rig, result: DiagnoseResult, source: Path | str) -> list[
     chosen = [best, *tied, *near]
     if len(chosen) < 2:  # of a verdict that is in doubt for another reason
         chosen.append(others[0])
-    return [_hypothesis(rig, c, source) for c in chosen[:MOST]]
+    every = [one for c in chosen[:MOST] for one in (c, *_elsewhere(rig, c))]
+    return [_hypothesis(rig, c, source) for c in every]
+
+
+def _elsewhere(rig: Rig, candidate: Candidate) -> list[Candidate]:
+    """A candidate where it may be as well."""
+    if candidate.places_m is None or candidate.place not in rig.pipes:
+        return []
+    far = ELSEWHERE * rig.pipes[candidate.place].length_m
+    return [
+        candidate.model_copy(
+            update={"position_m": at, "parameters": {**candidate.parameters, POSITION: at}}
+        )
+        for at in candidate.places_m
+        if abs(at - (candidate.position_m or 0.0)) > far
+    ]
 
 
 def _hypothesis(rig: Rig, candidate: Candidate, source: Path | str) -> Hypothesis:

@@ -8,7 +8,7 @@ from typing import Literal
 
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.design.design import Asked, design
-from pneu_sysid.design.hypotheses import hypotheses_of
+from pneu_sysid.design.hypotheses import hypotheses_of, part_of
 from pneu_sysid.design.judge import judged
 from pneu_sysid.design.limits import Limits
 from pneu_sysid.design.live import LiveRig, play
@@ -125,8 +125,13 @@ def run(
             plan = design(
                 rig, replace(asked, hypotheses=hypotheses, parameters=unseen, seed=number), tell
             )
-            top = hypotheses[0].label
-            doubts = [s for s in plan.expected.separations if s.one == top and s.other in tied]
+            top, others = hypotheses[0].part, {part_of(label) for label in tied}
+            doubts = [
+                s
+                for s in plan.expected.separations
+                if top in (part_of(s.one), part_of(s.other))
+                and others & {part_of(s.one), part_of(s.other)}
+            ]
             if all(s.inseparable for s in doubts):
                 state.ended = "inseparable"
                 state.words = " ".join(w for w in plan.expected.words if top in w)

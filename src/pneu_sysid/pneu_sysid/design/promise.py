@@ -97,13 +97,15 @@ def expected_of(
 
 
 def pairs_of(hypotheses: Sequence[Hypothesis]) -> list[tuple[int, int]]:
-    """Every two of them, by their numbers.
+    """Every two of them, by their numbers, but for one and the same at two places.
 
     Args:
         hypotheses: They.
     """
-    n = len(hypotheses)
-    return [(a, b) for a in range(n) for b in range(a + 1, n)]
+    every = range(len(hypotheses))
+    return [
+        (a, b) for a in every for b in every if a < b and hypotheses[a].part != hypotheses[b].part
+    ]
 
 
 def _short(of: Separation, best: float, seconds: float) -> str:
