@@ -16,8 +16,9 @@ from pneu_sysid.thresholds import Thresholds
 
 Floats = NDArray[np.float64]
 
-MUCH_LONGER = 25.0
-"""Candidates that so many times the length would not tell apart are said to be alike."""
+MUCH_LONGER = 16.0
+"""Candidates that so many times the length would not tell apart are said to be alike. Of those that
+are one and the same, what two places in a model make of them differs by so little as well."""
 LITTLE = 0.8
 """A standard error above this share of what was known before: the recording tells little of it."""
 SPARE = 1.2
