@@ -363,13 +363,23 @@ def settled(problem: Problem, base: Floats, found: Refit, project: Project | Non
         strength=value,
         std_error=error,
         t=abs(value - strength.absent) / max(sure, 1e-300),
-        position_error_m=None if at is None else float(estimate.std_errors[at]),
+        position_error_m=None
+        if at is None
+        else _place_error(float(estimate.std_errors[at]), found.places_m),
         explained=share_explained(base[used], residual[used]),
         held_out=share_explained(base[~used], residual[~used]),
         residual=residual,
         change=base - residual,
         rig=rig,
     )
+
+
+def _place_error(std_error_m: float, places_m: tuple[float, float] | None) -> float:
+    """Error of a place: no less than half of the way that it may be along."""
+    if places_m is None:
+        return std_error_m
+    half_m = 0.5 * (places_m[1] - places_m[0])
+    return max(std_error_m, half_m) if np.isfinite(std_error_m) else half_m
 
 
 def well_placed(
