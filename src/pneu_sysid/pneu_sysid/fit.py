@@ -33,6 +33,7 @@ from pneu_sysid.stages import (
     Step,
     Work,
     at_noise,
+    brought_back,
     centred,
     is_slow,
     problem_of,
@@ -63,6 +64,9 @@ DRIFTED = 2.0
 at again from there ..."""
 STEPS_THERE = 4
 """... in so many steps at most; from a valley of the drawn rigs that was 13 % off three led out."""
+FAR_OFF = 0.5
+"""A parameter that is not seen and is off by so many standard deviations of what was known of it is
+brought back."""
 STRANGE = 3.0
 """A recording with so many times the error of the best one is told to be another's."""
 
@@ -195,7 +199,7 @@ def fit_rig(
     now = drawn
     unseen: set[Key] = set()
     for step in steps:
-        if step.again and last is not None and settled(last.estimate):
+        if step.again and last is not None and settled(last.estimate) and not last.back:
             # what was computed anew and gained little is done; a limit may be found all the same
             done = at_noise(last.estimate, last.problem, job.used(last.problem))
             if (done or last.fresh) and not step.limits:
@@ -217,9 +221,10 @@ def fit_rig(
                 continue  # of what is to be fitted nothing is slow
             fitted = last.fitted
         last = _taken(job, now, step, fitted, last)
-        now = last.rig
         if not step.slow:
-            unseen |= _unseen(last.fitted, last.estimate)
+            last, hidden = _brought_back(job, last, _unseen(last.fitted, last.estimate))
+            unseen |= hidden
+        now = last.rig
         job.work.finish(step)
     assert last is not None
     return _outcome(job, every, held, _at_known_scale(job, last))
@@ -293,6 +298,7 @@ class _Taken:
         estimate: Its estimate.
         fresh: Whether it began with a Jacobian of its own.
         bends: How much opening curves bend by it; None where it cannot tell, as valves may be off.
+        back: Whether parameters were brought back to where they were before all.
     """
 
     step: Step
@@ -302,6 +308,7 @@ class _Taken:
     estimate: Estimate
     fresh: bool
     bends: Bends | None = None
+    back: bool = False
 
 
 def _list_of(
@@ -456,6 +463,32 @@ def _unseen(fitted: list[FitParameter], estimate: Estimate) -> set[Key]:
         for p, norm, value in zip(fitted, norms, estimate.values, strict=True)
         if norm * _spread(p, float(value)) < 1.0
     }
+
+
+def _brought_back(job: _Job, last: _Taken, hidden: set[Key]) -> tuple[_Taken, set[Key]]:
+    """Brings back what was driven to where nothing shows it (`brought_back`).
+
+    Args:
+        job: What does not change.
+        last: The step.
+        hidden: Parameters that are not seen where they are.
+
+    Returns:
+        The step, and those of them that are not seen where they were before all either.
+    """
+    far: list[FitParameter] = []
+    off: list[float] = []
+    for p, value in zip(last.fitted, last.estimate.values.tolist(), strict=True):
+        deviations = (value - job.centres[_key(p)]) / _spread(p, value)
+        if _key(p) in hidden and abs(deviations) > FAR_OFF:
+            far.append(p)
+            off.append(deviations)
+    if not far:
+        return last, hidden
+    centres = [job.centres[_key(p)] for p in far]
+    used = job.used(last.problem)
+    rig, seen = brought_back(last.rig, last.problem, used, far, centres, off)
+    return replace(last, rig=rig, back=rig is not last.rig), hidden - {_key(p) for p in seen}
 
 
 def _spread(p: FitParameter, value: float) -> float:

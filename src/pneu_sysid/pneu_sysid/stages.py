@@ -291,6 +291,43 @@ def at_noise(estimate: Estimate, problem: Problem, used: Mask) -> bool:
     return float(np.sum(estimate.residual**2)) < AT_NOISE**2 * count
 
 
+def brought_back(
+    rig: Rig,
+    problem: Problem,
+    used: Mask,
+    hidden: Sequence[FitParameter],
+    centres: Sequence[float],
+    off: Sequence[float],
+) -> tuple[Rig, list[FitParameter]]:
+    """Brings back what was driven to where nothing shows it, where that explains no less.
+
+    On the way down some parameters are driven so far that they change nothing any more, as does a
+    wall's heat once the gas is as warm as the wall. That says nothing of where they were before.
+
+    Args:
+        rig: The rig.
+        problem: The recordings.
+        used: (n_stretches,) stretches that count.
+        hidden: Parameters that are not seen where they are.
+        centres: Where each was before all, in the unit that it is estimated in.
+        off: By how many standard deviations of what was known of it each is off that.
+
+    Returns:
+        The rig, the same where all stay; and those that are seen where they were.
+    """
+    rigs = [rig_at(rig, [p], np.array([c])) for p, c in zip(hidden, centres, strict=True)]
+    here, *there = (problem.residual(y)[used] for y in problem.predict([rig, *rigs]))
+    seen = [p for p, r in zip(hidden, there, strict=True) if np.sum((r - here) ** 2) > 1.0]
+    back = [
+        (p, c)
+        for p, c, deviations, r in zip(hidden, centres, off, there, strict=True)
+        if np.sum(r**2) - np.sum(here**2) < deviations**2
+    ]
+    if back:
+        rig = rig_at(rig, [p for p, _ in back], np.array([c for _, c in back]))
+    return rig, seen
+
+
 def problem_of(rig: Rig, recordings: list[Recording], step: Step, workers: int | None) -> Problem:
     """The problem that a step solves.
 

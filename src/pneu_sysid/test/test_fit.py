@@ -12,7 +12,9 @@ from studies.exact_rigs import draw_rig, record
 from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.build import build, spool_row
+from pneu_sim.rig.parameters import get_parameter, with_parameters
 from pneu_sim.rig.schema import AttachedEffect, FitParameter, Opening, Rig
+from pneu_sim.run import run_from_rest
 from pneu_sim.signals import Signal
 from pneu_sim.valve import positions_along
 from pneu_sysid.curves import EXPONENT_APART, WIDEST, curve_ties, mirrors_of, with_own_curves
@@ -25,7 +27,7 @@ from pneu_sysid.parameters import (
 )
 from pneu_sysid.problem import make_problem, pull_of
 from pneu_sysid.records import Recording
-from pneu_sysid.stages import steps_of
+from pneu_sysid.stages import brought_back, steps_of
 
 ROOT = Path(__file__).parents[3]
 
@@ -253,6 +255,29 @@ def test_a_datasheet_becomes_a_calibration(
         port = path.split(".")[3]
         true = truth.valves["valve"].ports[port].conductance_m3_s_pa
         assert outcome.values[k] == pytest.approx(true, rel=0.02), path
+
+
+def test_what_nothing_shows_where_it_was_driven_is_brought_back() -> None:
+    """Heat of walls that is as much as there can be is not seen, though less of it would be."""
+    true = load_rig(ROOT / "rigs" / "lab.yaml")
+    true.grid.dx_m = 0.2
+    at = np.arange(0.0, 1.0, 1e-3)
+    volts = np.where(np.floor(at / 0.25) % 2 == 0, 7.0, 5.0)  # filled, and never exhausted
+    out = run_from_rest(true, {"voltage": volts}, 1e-3)
+    signals = {n: Signal(at[::4], x[::4]) for n, x in out.taps.items()}
+    recording = Recording("filled", {"voltage": Signal(at, volts)}, signals)
+    paths = [f"pipes.{name}.wall.nusselt" for name in ("tube", "exhaust_tube")]
+    driven = with_parameters(true, dict.fromkeys(paths, 40.0))
+    hidden = [p for p in calibrated_parameters(true) if p.path in paths]
+    problem = make_problem(driven, recording)
+    used = np.ones(problem.stretches, dtype=bool)
+    rig, seen = brought_back(driven, problem, used, hidden, [8.0, 8.0], [4.0, 4.0])
+    assert [p.path for p in seen] == ["pipes.tube.wall.nusselt"]
+    assert [get_parameter(rig, path) for path in paths] == [8.0, 8.0]
+    # one that explains more where it is stays there, seen or not
+    warm = make_problem(true, Recording("same", recording.commands, signals))
+    rig, _ = brought_back(true, warm, used, hidden[:1], [40.0], [0.1])
+    assert rig is true
 
 
 def test_warnings_are_three_lines_at_most(calibrated: tuple[Rig, Recording, FitOutcome]) -> None:
