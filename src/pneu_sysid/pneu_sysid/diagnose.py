@@ -274,13 +274,27 @@ def look(
     if near and coarser and coarser[0] is not bench.problem:
 
         def settle(shared: Problem, found: Refit) -> Refit:
-            there = well_placed(shared, found, bench.blocks, bench.project)
-            return settled(shared.mended(there.rig), base, there, bench.project)
+            return settled(shared.mended(found.rig), base, found, bench.project)
 
-        instead = dict(zip(near, each_of(near, bench.problem, settle), strict=True))
-        refits = [instead.get(r, r) for r in refits]
-        result = _judge(bench, base, refits, best, readings, taken)
+        def place(shared: Problem, found: Refit) -> Refit:
+            return settle(shared, well_placed(shared, found, bench.blocks, bench.project))
+
+        todo = near
+        for work_on in (settle, place):  # a place is dear, and a clear winner needs none
+            if todo:
+                tell("rivals", 0.0)
+                instead = dict(zip(todo, each_of(todo, bench.problem, work_on), strict=True))
+                refits = [instead.get(r, r) for r in refits]
+                result = _judge(bench, base, refits, best, readings, taken)
+                todo = [r for r in _to_place(result) if r in instead.values()]
     return result
+
+
+def _to_place(result: Diagnosis) -> list[Refit]:
+    """Believed candidates with a place, but for one that leads all others."""
+    believed = result.finalists[: result.believed]
+    first = 0 if result.verdict == "ambiguous" else 1
+    return [r for r in believed[first:] if POSITION in r.site.shape]
 
 
 def _nearly_as_good(result: Diagnosis) -> list[Refit]:
