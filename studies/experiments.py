@@ -320,7 +320,8 @@ def page(path: Path) -> None:
     sources = sorted({one["sources"] for one in kept.values()})
     lines = [
         "# Experiments", "",
-        f"Made by `make experiments`, from the sources {', '.join(sources)}.", "",
+        f"Made by `make experiments`, from the sources {', '.join(sources)}; each row names its"
+        " own.", "",
         "## Two effects that a random recording does not tell apart", "",
         "Plants with finer cells and another flux than the models. A random recording of"
         f" {SECONDS:g} s leaves the two open; then a designed one of the same length, and another"
@@ -328,19 +329,21 @@ def page(path: Path) -> None:
         " the standard errors by which the designed one alone tells the first of the two from what"
         " comes nearest.", "",
         "| hidden | first, random | expected | found | with the designed one | with another random"
-        " one | design [s] |",
-        "|---|---|---|---|---|---|---|",
+        " one | design [s] | sources |",
+        "|---|---|---|---|---|---|---|---|",
     ]  # fmt: skip
     right = count = 0
     for k, pair in enumerate(PAIRS):
         one = kept.get(f"pair_{k}")
         if one is None:
-            lines.append(f"| {pair.name} | not run | | | | | |")
+            lines.append(f"| {pair.name} | not run | | | | | | |")
             continue
         count += 1
         f = one["figures"]
         if not f["open"]:
-            lines.append(f"| {pair.name} | no random recording left it open | | | | | |")
+            told = "no random recording left it open"
+            lines.append(f"| {pair.name} | {told} | | | | | | {one['sources']} |")
+            count -= 1
             continue
         named_right = f["both"][0] == "effect" and f["both"][1].startswith(f["hidden"])
         right += named_right
@@ -352,36 +355,39 @@ def page(path: Path) -> None:
             f"| {f['hidden']} ({values}) | {', '.join(f['first'])} | {expected:.1f} | {found}"
             f" | {'right' if named_right else 'NOT RIGHT'}: {', '.join(f['both'])}"
             f" | {', '.join(f['random_again'])}"
-            f" | {f['design_s']:.0f} |"
+            f" | {f['design_s']:.0f} | {one['sources']} |"
         )
-    lines += ["", f"Named rightly: {right} of {count}.", "", "## Calibration", ""]
+    told = f"Named rightly: {right} of {count} that were left open."
+    lines += ["", told, "", "## Calibration", ""]
     lines += [
         "Errors of all parameters, in what was not known of each before: root mean square, in"
         f" brackets the median. {SHEETS} datasheets of each rig, whose numbers are off by"
         f" {OFF:g} of that. Commands of all ways keep to the same limits of volts. Found over"
         " expected: standard errors after the fit over what the plan foresaw, median and the middle"
         " 80 %.", "",
-        f"| rig | datasheet | parameters | {' | '.join(WAYS)} | found over expected | design [s] |",
-        "|---|---|---|---|---|---|---|---|",
+        f"| rig | datasheet | parameters | {' | '.join(WAYS)} | found over expected | design [s] |"
+        " sources |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]  # fmt: skip
     for file in CALIBRATED:
         every: list[list[list[float]]] = []
         for seed in range(SHEETS):
             one = kept.get(_calibration_key(file, seed))
             if one is None:
-                lines.append(f"| {file} | {seed} | not run | | | | | |")
+                lines.append(f"| {file} | {seed} | not run | | | | | | |")
                 continue
             f = one["figures"]
             low, middle, high = f["error_ratios"]
             told = " | ".join(f"{f[way][0]:.2f} ({f[way][1]:.3f})" for way in WAYS)
             lines.append(
                 f"| {file} | {seed} | {f['parameters']} | {told}"
-                f" | {middle:.2f} ({low:.2f} to {high:.2f}) | {f['design_s']:.0f} |"
+                f" | {middle:.2f} ({low:.2f} to {high:.2f}) | {f['design_s']:.0f}"
+                f" | {one['sources']} |"
             )
             every.append([f[way] for way in WAYS])
         if every:
             told = " | ".join(f"{whole:.2f} ({middle:.3f})" for whole, middle in np.mean(every, 0))
-            lines.append(f"| {file} | mean | | {told} | | |")
+            lines.append(f"| {file} | mean | | {told} | | | |")
     write_whole(path, "\n".join(lines) + "\n")
 
 
