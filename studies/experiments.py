@@ -338,13 +338,12 @@ def page(path: Path) -> None:
         if one is None:
             lines.append(f"| {pair.name} | not run | | | | | | |")
             continue
-        count += 1
         f = one["figures"]
         if not f["open"]:
             told = "no random recording left it open"
             lines.append(f"| {pair.name} | {told} | | | | | | {one['sources']} |")
-            count -= 1
             continue
+        count += 1
         named_right = f["both"][0] == "effect" and f["both"][1].startswith(f["hidden"])
         right += named_right
         top = part_of(f["first"][0])

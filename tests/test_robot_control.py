@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.live_graph import own_domain, running_graph, wait_for
 from tests.live_rig import LaunchedNodes
-from tests.measured import SAFE_WITHIN_S, MachineStalledError, Watch
+from tests.measured import MachineStalledError, Watch
 from tests.robots import KOKORO, kokoro_lab
 
 from trajectory_msgs.msg import JointTrajectory  # isort: skip
@@ -19,6 +19,9 @@ from pneu_policy.control.joint import JointGains
 from pneu_policy.control.robot_controllers import JointPidController, save_robot_controller
 from pneu_sim.rig import load_rig
 
+QUIET_S = 3.0
+"""On a quiet machine all processes together wait for 1.7 to 2.1 s of the four that are judged, with
+another program that computes for 4.9 to 8.1 s: only there the machine may be to blame."""
 OVERRIDES = """
 /**/joint_target:
   ros__parameters:
@@ -106,7 +109,7 @@ def test_it_follows_its_targets(robot):
     # It falls where the valves were closed meanwhile, as they are when nobody commands in time.
     assert robot.rested_after(begun_s)
     stalled_s = watch.stalled_s(begun_s, time.monotonic())
-    assert stalled_s > SAFE_WITHIN_S
+    assert stalled_s > QUIET_S
     raise MachineStalledError(f"the valves were closed, the machine stalled for {stalled_s:.2f} s")
 
 

@@ -68,4 +68,4 @@ def _rows(plan: Plan, rig: Rig, name: str, row_of: dict[int, int]) -> list[tuple
     length_m = rig.pipes[name].length_m
     centres = (np.arange(n) + 0.5) * length_m / n
     found = spread(0.5 * length_m, centres)
-    return [(row_of[first + i], share) for i, share in found if first + i in row_of]
+    return [(row_of[first + i], share) for i, share in found]
