@@ -16,6 +16,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.task import Future
 
 from pneu_common.errors import InputError
+from pneu_common.garbage import spare_what_stays
 from pneu_common.log import LOG, hand_on
 from pneu_graph.nodes.lifetime import initialised
 
@@ -162,10 +163,13 @@ def pause(seconds: float) -> None:
 def say_ready(node: Node, about: str = "") -> None:
     """Logs that a node answers; to be called when it is about to be spun.
 
+    From then on no collection of garbage stops it for long.
+
     Args:
         node: The node.
         about: What it does, in some words.
     """
+    spare_what_stays()
     node.get_logger().info(f"ready: {about}" if about else "ready")
 
 

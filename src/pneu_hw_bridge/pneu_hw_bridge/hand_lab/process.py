@@ -2,7 +2,6 @@
 """The process of an emulated hand: its plant keeps time whatever its node is busy with."""
 
 import contextlib
-import gc
 import json
 import socket
 import struct
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
+from pneu_common.garbage import spare_what_stays
 from pneu_hw_bridge.child import JSON, LONGEST, Child, packed
 from pneu_hw_bridge.hand_lab.hidden import open_truth
 from pneu_hw_bridge.hand_lab.plant import HandPlant
@@ -124,8 +124,7 @@ def run(link: socket.socket) -> None:
         return
     link.send(packed({"ready": hand.settings.name}))
     link.setblocking(False)
-    gc.collect()
-    gc.freeze()
+    spare_what_stays()
     plant.run()
     if plant.failure:
         with contextlib.suppress(OSError):

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
+from pneu_common.garbage import spare_what_stays
 from pneu_sim import sensors
 from pneu_sim.effects.places import sources
 from pneu_sim.rig.schema import Rig
@@ -241,6 +242,7 @@ class Plant:
                 f"rig {self.rig.name!r} runs at {speed:.2f} times real time here, needed are"
                 f" {LEAST_FACTOR:g}; choose a longer cell (--dx) or a coarser rig"
             )
+        spare_what_stays()
         self._begun_s = time.monotonic() - self._samples * self._sample_s
         self._thread = threading.Thread(target=self._run, name="plant", daemon=True)
         self._thread.start()

@@ -19,6 +19,7 @@ from dataclasses import asdict
 from typing import Any
 
 from pneu_common.errors import InputError
+from pneu_common.garbage import spare_what_stays
 from pneu_hw_bridge.child import JSON, LONGEST, packed
 from pneu_hw_bridge.phantom.device import Device, DeviceGoneError, Frame
 from pneu_hw_bridge.phantom.emulated import EmulatedDevice
@@ -287,8 +288,7 @@ def run(link: socket.socket) -> None:
     link.setblocking(False)
     with contextlib.suppress(OSError):
         link.send(packed({"ready": told["device"]}))
-    gc.collect()
-    gc.freeze()
+    spare_what_stays()
     gc.disable()  # nothing here goes in circles
     try:
         device.run(servo.tick, told["rate_hz"])

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
+from pneu_common.garbage import spare_what_stays
 from pneu_policy.control.horizon import Aim, Horizon
 from pneu_policy.control.improve import improvement
 from pneu_policy.control.predictive_settings import PredictiveSettings
@@ -268,6 +269,7 @@ def _serve(pipe: Connection, rig: Rig, aim: Aim, settings: PredictiveSettings) -
         os.setpriority(os.PRIO_PROCESS, 0, os.getpriority(os.PRIO_PROCESS, os.getppid()))
     planner = Planner(rig, aim, settings)
     planner.warm()
+    spare_what_stays()
     pipe.send(None)
     while True:
         try:

@@ -22,6 +22,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.qos import qos_profile_sensor_data
 
 from pneu_common.errors import InputError
+from pneu_common.garbage import spare_what_stays
 from pneu_graph.nodes import common
 from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_sim import topics
@@ -208,6 +209,10 @@ class ControllingNode(LifecycleNode):
     def _hear_target(self) -> Any:
         """The subscription to targets."""
 
+    def _hear_more(self) -> list[Any]:
+        """Subscriptions to what the controller hears besides."""
+        return []
+
     @abstractmethod
     def _forget_target(self) -> None:
         """Lets go of the target that was heard last."""
@@ -278,7 +283,7 @@ class ControllingNode(LifecycleNode):
             )
             for topic in self._reading_topics
         ]
-        self._target_subscription = self._hear_target()
+        self._subscriptions_made += [self._hear_target(), *self._hear_more()]
         # Created while inactive, so that activation waits for nothing.
         self._timer = self.create_timer(self._period_s, self._tick)
         self._timer.cancel()
@@ -298,6 +303,7 @@ class ControllingNode(LifecycleNode):
         """
         self._forget()
         self._clock_seen.clear()
+        spare_what_stays()  # a controller is made after the node has said that it is ready
         self._state, self._detail = "waiting", ""
         self._timer.reset()
         return super().on_activate(state)
@@ -347,7 +353,7 @@ class ControllingNode(LifecycleNode):
     def _close(self) -> None:
         self.destroy_timer(self._timer)
         self._close_diagnostics()
-        for subscription in (*self._subscriptions_made, self._target_subscription):
+        for subscription in self._subscriptions_made:
             self.destroy_subscription(subscription)
         for _, publisher in self._publishers_made:
             self.destroy_lifecycle_publisher(publisher)
