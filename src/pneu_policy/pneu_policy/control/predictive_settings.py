@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from pneu_common.validation import Listed, Settings
 from pneu_policy.control.shooting import SCALE_PA
-from pneu_sim.observe.settings import Drift, ObserverSettings
+from pneu_sim.observe.settings import LOAD_S, Drift, ObserverSettings
 
 Method = Literal["gauss_newton", "mppi", "adaptive"]
 """``gauss_newton``: steps by differences between rigs side by side; ``mppi``: path integral, plans
@@ -116,6 +116,10 @@ class PredictiveSettings(Settings):
         return sum(self.holds)
 
 
+ADAPTING_LOADED = ADAPTING.model_copy(
+    update={"load": Drift(std=0.2, time_s=LOAD_S), "timing_s": 1e-3}
+)
+"""The same of a robot, which may carry something: what a hand takes up."""
 SCALE_JOINT = 0.01
 """Errors of a joint are told in this, rad or m."""
 
@@ -129,6 +133,7 @@ class JointPredictiveSettings(PredictiveSettings):
 
     delay_s: Annotated[float, Field(ge=0.0)] = 0.006
     smooth_per_v: Annotated[float, Field(ge=0.0)] = 0.002
+    observer: ObserverSettings = ADAPTING_LOADED
 
     @property
     def scale(self) -> float:

@@ -23,7 +23,7 @@ from pneu_graph.nodes import common
 from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_sim import topics
 from pneu_sim.observe.observer import Innovation, Observer
-from pneu_sim.observe.settings import LEAK_S, Drift, ObserverSettings
+from pneu_sim.observe.settings import LEAK_S, LOAD_S, Drift, ObserverSettings
 from pneu_sim.rig import load_rig
 
 LONGEST_S = 0.1
@@ -58,6 +58,12 @@ class ObserverParameters(Parameters):
         0.0,
         "Lines may come to leak to the room by about so much, effective area, m^2; 0 is none.",
         within=(0.0, 1e-4),
+        read_only=True,
+    )
+    load_kg: float = parameter(
+        0.0,
+        "Joints may come to carry about so much, kg; 0 is nothing.",
+        within=(0.0, 1e3),
         read_only=True,
     )
     hears: str = parameter(
@@ -112,6 +118,7 @@ class ObserverNode(Node):
             noise_pa=params.noise_pa,
             seed=params.seed,
             leak=Drift(std=params.leak_m2, time_s=LEAK_S),
+            load=Drift(std=params.load_kg, time_s=LOAD_S),
         )
         self._observer = Observer(rig, settings, used)
         self._volts = {valve.command: valve.spool.null_v for valve in self._rig.valves.values()}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a rig is not known well enough to be taken as it is, and wanders: nulls, flows, leaks.
+"""What of a rig is not known well enough to be taken as it is, and wanders: nulls, flows, loads.
 
 Each is a first-order Markov process about what the rig file says. The members of an ensemble differ
 in it, and what the sensors read says where it is.
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pneu_sim import layout as L
 from pneu_sim.full_solver import FullSolver
 from pneu_sim.observe.leaks import Leaks, with_room_for_leaks
+from pneu_sim.observe.loads import Loads
 from pneu_sim.observe.settings import Drift, ObserverSettings
 from pneu_sim.plant import Plant
 from pneu_sim.rig import model as M
@@ -30,6 +31,7 @@ SPOOL = {
     "bandwidth": (M.V_FREQUENCY, "share"),
 }
 """Columns of a valve's row that drift, none of which may be negative."""
+KINDS = ("command", "null", *SPOOL, "supply", "flow", "gain", "lag", "leak", "load", "load_at")
 LASTING_S = 0.5
 """What forgets sooner says nothing of a plan's horizon."""
 MOST = 6.0
@@ -46,7 +48,7 @@ class Unknown:
         name: Its path in the rig, and what of it.
         unit: Its unit.
         kind: Which of the drifts of the settings it is.
-        index: Valve, port, reservoir, tap or pipe.
+        index: Valve, port, reservoir, tap, pipe, or joint of those that may carry something.
         std: Standard deviation about zero.
         time_s: Over which it forgets, s.
     """
@@ -123,14 +125,19 @@ class Drifts:
             self._leaks = Leaks(solver, plant.rigs[0])
             for k, name in enumerate(plant.rigs[0].pipes):
                 add("leak", k, f"pipes.{name}: leak", "m^2", settings.leak, 1.0)
+        self._loads = None
+        if settings.load.std > 0.0 and isinstance(solver, FullSolver):
+            self._loads = Loads(solver, plant.rigs[0])
+            for k, name in enumerate(self._loads.joints):
+                add("load", k, f"joints.{name}: load", "kg", settings.load, 1.0)
+                if self._loads.rotary[k]:
+                    add("load_at", k, f"joints.{name}: load's place", "m", settings.load_at, 1.0)
+        self._load_at_m = settings.load_at_m
         self.unknowns = found
         self.values = np.zeros((len(found), plant.lanes))
         self._std = np.array([u.std for u in found])
         self._time_s = np.array([u.time_s for u in found])
-        self._of = {
-            kind: [k for k, u in enumerate(found) if u.kind == kind]
-            for kind in ("command", "null", *SPOOL, "supply", "flow", "gain", "lag", "leak")
-        }
+        self._of = {kind: [k for k, u in enumerate(found) if u.kind == kind] for kind in KINDS}
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draws all anew.
@@ -164,6 +171,8 @@ class Drifts:
         self._turn()
         if self._leaks is not None:
             self._leaks.set(self.values[self._of["leak"]])
+        if self._loads is not None:
+            self._carry(self._loads)
         if not self._tiles:
             return
         share = np.ones((len(self._port), self._plant.lanes))
@@ -174,6 +183,13 @@ class Drifts:
             factor = np.maximum(share, LEAST_FLOW)[:, None]
             for tile, of in self._tiles:
                 tile.port[:, [L.Q_CONDUCTANCE, L.Q_AREA]] = self._port * factor[..., of]
+
+    def _carry(self, loads: Loads) -> None:
+        """Has the joints of the members carry what their numbers say."""
+        far = np.full((len(loads.joints), self._plant.lanes), self._load_at_m)
+        for k in self._of["load_at"]:
+            far[self.unknowns[k].index] += self.values[k]
+        loads.set(self.values[self._of["load"]], far)
 
     def _turn(self) -> None:
         """Has the valves and the taps of the members be as their numbers say."""

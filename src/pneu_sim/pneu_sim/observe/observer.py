@@ -132,13 +132,17 @@ class Observer:
         self.begin({})
 
     def begin(
-        self, readings: Mapping[str, float], volts: Mapping[str, float] | None = None
+        self,
+        readings: Mapping[str, float],
+        volts: Mapping[str, float] | None = None,
+        known: bool = False,
     ) -> None:
         """Begins anew, by the first readings; see `pneu_sim.observe.beginning`.
 
         Args:
             readings: By sensor, Pa, rad or m; may be empty.
             volts: By command what the valves were told last, V; others are closed.
+            known: Whether what the rig is like stays as it was found.
         """
         s, told = self.settings, volts or {}
         self._rng = np.random.default_rng([s.seed, 24])
@@ -148,7 +152,10 @@ class Observer:
         for v, command in enumerate(self.plant.plan.commands):
             if command in told:
                 self.plant.spools.memory[:, v, :2] = told[command]
-        self.drifts.begin(self._rng)
+        if known:
+            self.drifts.apply()
+        else:
+            self.drifts.begin(self._rng)
         self.past.forget()
         self.trust.reset()
         self.watch.reset()

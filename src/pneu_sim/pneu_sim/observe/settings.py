@@ -9,6 +9,8 @@ from pneu_common.validation import Settings
 
 LEAK_S = 20.0
 """Over which a leak forgets how large it was, s."""
+LOAD_S = 20.0
+"""Over which a load is forgotten, s: it is taken up and put down."""
 
 
 class Drift(Settings):
@@ -46,6 +48,10 @@ class ObserverSettings(Settings):
         bandwidth: Drift of every spool's bandwidth, as a share.
         lag: Drift of every tap's lag, s.
         leak: Drift of the effective area of a leak in every line, m^2; there is none below zero.
+        load: Drift of a point mass that every joint which may be loaded carries besides what its
+            file says, kg; there is none below zero.
+        load_at: Drift of how far that is from a rotary joint, m.
+        load_at_m: How far it is unless readings say otherwise, m.
         noise_pa: Noise of taps whose noise no file tells, one sigma, Pa.
         noise_position: Noise of encoders whose noise no file tells, rad or m.
         timing_s: How much a reading and the model may be apart in time, s: what stamps and the
@@ -85,6 +91,9 @@ class ObserverSettings(Settings):
     bandwidth: Drift = Drift(std=0.0, time_s=20.0)
     lag: Drift = Drift(std=0.0, time_s=20.0)
     leak: Drift = Drift(std=0.0, time_s=LEAK_S)
+    load: Drift = Drift(std=0.0, time_s=LOAD_S)
+    load_at: Drift = Drift(std=0.1, time_s=LOAD_S)
+    load_at_m: Annotated[float, Field(ge=0.0)] = 0.2
     noise_pa: Annotated[float, Field(gt=0.0)] = 250.0
     noise_position: Annotated[float, Field(gt=0.0)] = 1e-3
     timing_s: Annotated[float, Field(ge=0.0)] = 1e-4

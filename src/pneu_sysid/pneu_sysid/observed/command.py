@@ -71,6 +71,12 @@ def observe(
             max=1e-4,
         ),
     ] = 0.0,
+    load: Annotated[
+        float,
+        typer.Option(
+            "--load", help="Joints may come to carry about so much, kg.", min=0.0, max=1e3
+        ),
+    ] = 0.0,
     seed: Annotated[int, typer.Option(help="Of what is drawn.", min=0)] = 0,
     effects: Annotated[
         Path | None,
@@ -80,7 +86,7 @@ def observe(
 ) -> None:
     """Follow the state of a rig along a recording: taps that are missing, lost or wrong."""
     from pneu_sim.effects import load_effect_file
-    from pneu_sim.observe.settings import LEAK_S, Drift, ObserverSettings
+    from pneu_sim.observe.settings import LEAK_S, LOAD_S, Drift, ObserverSettings
     from pneu_sim.rig import load_rig
     from pneu_sysid.observed.figures import draw_observed
     from pneu_sysid.observed.follow import follow
@@ -110,8 +116,13 @@ def observe(
     for finding in findings:
         console.print(finding, style="yellow")
     steps_back = round(smooth * rate)
-    leaking = Drift(std=leak, time_s=LEAK_S)
-    settings = ObserverSettings(members=members, dx_m=dx, seed=seed, leak=leaking)
+    settings = ObserverSettings(
+        members=members,
+        dx_m=dx,
+        seed=seed,
+        leak=Drift(std=leak, time_s=LEAK_S),
+        load=Drift(std=load, time_s=LOAD_S),
+    )
     noise = noise_of(loaded, settings)
     with progress("observing") as tell:
         found = follow(
