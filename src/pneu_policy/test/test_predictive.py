@@ -10,6 +10,7 @@ import pytest
 from pneu_common.errors import InputError
 from pneu_policy.control.controllers import PidController, load_controller, save_pid
 from pneu_policy.control.horizon import Aim
+from pneu_policy.control.late import with_delay
 from pneu_policy.control.pid import Gains
 from pneu_policy.control.planning import Beside, Planner, Request
 from pneu_policy.control.predictive import PredictiveController
@@ -22,7 +23,9 @@ from pneu_policy.judge.robot import JointTasks, judge_joint
 from pneu_policy.judge.tasks import Conditions, Tasks
 from pneu_policy.task.plants import ControlPlant
 from pneu_sim.observe.observer import Observer
+from pneu_sim.plant import Plant
 from pneu_sim.rig import load_rig
+from pneu_sim.rig.model import V_DELAY
 from pneu_sim.rig.schema import AttachedEffect
 
 RIGS = Path(__file__).parents[3] / "rigs"
@@ -268,6 +271,12 @@ def test_a_controller_sees_virtual_taps_and_does_not_know(lab, tmp_path):
             load_controller(tmp_path / "v.yaml")
 
 
+def test_commands_are_late_at_all_valves():
+    rig = load_rig(RIGS / "kokoro_fitted.yaml")
+    known, late = (Plant([one], 0.25).spools.spool for one in (rig, with_delay(rig, 0.006)))
+    np.testing.assert_allclose((late - known)[0, :, V_DELAY], 0.006)
+
+
 def test_a_joint_follows_by_both_its_valves():
     known, path = load_rig(RIGS / "kokoro_fitted.yaml"), RIGS.parent / "policies"
     tasks = JointTasks("elbow", -0.4, 0.4, kinds=("smooth",), runs=1, seconds=1.5)
@@ -275,6 +284,17 @@ def test_a_joint_follows_by_both_its_valves():
     assert run.rmse < math.radians(1.5)
     # one opens as far as the other closes
     np.testing.assert_allclose(run.volts.sum(axis=0), 10.0, atol=1e-9)
+
+
+def test_a_joint_carries_what_nobody_told_it_of():
+    """As well as with what it carries in its rig file, after it has found out."""
+    known, path = load_rig(RIGS / "kokoro_fitted.yaml"), RIGS.parent / "policies"
+    values = {"mass_kg": 0.3, "distance_m": 0.15}
+    load = AttachedEffect(effect="payload", place="elbow", parameters=values)
+    true = known.model_copy(update={"effects": [load]})
+    tasks = JointTasks("elbow", -0.4, 0.4, kinds=("smooth",), runs=1, seconds=1.5)
+    (run,) = judge_joint(path / "kokoro_predictive.yaml", known, true, tasks, 0.12)
+    assert run.rmse < math.radians(2.5)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What plans would bring: rigs side by side, rolled out from one state under a voltage each."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -81,6 +82,7 @@ class Horizon:
             InputError: The rig has no such sensor, or other commands.
         """
         self._signs = aim.signs_of(rig)
+        self._commands = list(rig.commands)
         self.scale, self.weight = settings.scale, settings.weight
         self._s, self.lanes, self.knots = settings, lanes, len(settings.holds)
         fewest = settings.observer.fewest_cells
@@ -157,6 +159,19 @@ class Horizon:
         """
         other = 2.0 * self._s.null_v - volts
         return np.stack([volts if sign > 0.0 else other for sign in self._signs], axis=-2)
+
+    def one_of(self, volts: Mapping[str, float]) -> float | None:
+        """The voltage of a plan that comes next to what valves have; None where one is not told.
+
+        Args:
+            volts: By command, V.
+        """
+        told = [volts.get(name, math.nan) for name in self._commands]
+        null_v = self._s.null_v
+        every = zip(told, self._signs, strict=True)
+        one = [v if sign > 0.0 else 2.0 * null_v - v for v, sign in every]
+        mean = sum(one) / len(one)
+        return mean if math.isfinite(mean) else None
 
     def cost(self, error: Floats, plans: Floats, now_v: float) -> Floats:
         """(lanes,) sums of squares of errors and of changes of the voltage.

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pneu_policy.control.horizon import Aim
 from pneu_policy.control.identity import OF_LINES, check_same, rig_identity
+from pneu_policy.control.in_force import InForce
 from pneu_policy.control.late import with_delay
 from pneu_policy.control.planning import Beside, Here, Planner, Planning, Request
 from pneu_policy.control.predictive_settings import PredictiveSettings
@@ -29,8 +30,6 @@ PREVIEW_STEP_S = 0.01
 """Targets ahead are asked for so closely, s."""
 LONGEST_S = 0.1
 """A step so long after the last begins anew, s."""
-SAME_S = 1e-7
-"""Times that are as near to each other are the same."""
 EARLY = 0.25
 """A step that is early by less than this share of a period is that of the next one."""
 KEPT = 6000
@@ -128,6 +127,8 @@ class PredictiveController:
         self.took_s: deque[float] = deque(maxlen=KEPT)
         self.asked = self.missed = 0
         self.deferred = False
+        self._in_force = InForce(s.null_v)
+        self._begun = self._known = False
         self.reset()
 
     def plan_beside(self) -> None:
@@ -156,7 +157,17 @@ class PredictiveController:
         check_same(rig_identity(self.rig), rig_identity(rig), OF_LINES, who, "plans on")
 
     def reset(self) -> None:
-        """Forgets the past: the state is found anew from the first readings."""
+        """Forgets the past: state and rig are found anew from the first readings on."""
+        self.pause()
+        self._known = False
+
+    def pause(self) -> None:
+        """Lets the state go, as after a while without readings, but not what the rig is like.
+
+        What was learnt of a model that is wrong goes too.
+        """
+        if self._begun:
+            self._known = not self.observer.watch.wrong
         self._course = Course(0.0, np.full(self._horizon.knots, self.settings.null_v))
         self._next: Course | None = None
         self._time_s = 0.0
@@ -164,8 +175,20 @@ class PredictiveController:
         self._now_v = self.settings.null_v
         self._begun = False
         self._heard: Heard | None = None
-        self._told: deque[tuple[float, float]] = deque([(-math.inf, self.settings.null_v)])
+        self._in_force.reset()
         self.planning.forget()
+
+    def applied(self, ago_s: float, volts: Mapping[str, float]) -> None:
+        """Hears what a bridge says was applied; it need not be what was commanded.
+
+        Args:
+            ago_s: How long before the readings of the last step, s; below 0 after them.
+            volts: By command, V; where one is missing nothing is made of it.
+        """
+        one = self._horizon.one_of(volts)
+        if one is not None and self._begun:
+            # what is applied acts at once, what is told after the delay that the model has
+            self._in_force.apply(self._time_s - ago_s - self.settings.delay_s, one)
 
     def step(
         self,
@@ -189,7 +212,7 @@ class PredictiveController:
         if not np.isfinite(targets_pa).all():
             raise ValueError("found a target that is not finite")
         if since_s is not None and not 0.0 < since_s <= LONGEST_S and self._begun:
-            self.reset()
+            self.pause()
         self.follow()
         since = self.period_s if since_s is None else since_s
         if self._begun:
@@ -197,7 +220,7 @@ class PredictiveController:
         self._take()
         self._heard = Heard(dict(taps_pa), tuple(targets_pa), self._time_s, since, late_s)
         self._now_v = self._volts(self._time_s)
-        self._told.append((self._time_s + late_s, self._now_v))
+        self._in_force.tell(self._time_s + late_s, self._now_v)
         if not self.deferred:
             self.follow()
         return self._now_v
@@ -234,7 +257,7 @@ class PredictiveController:
             self.observer.mean_state(),
             self.observer.drifts.lasting(),
             heard.late_s,
-            self._in_force(heard.time_s),
+            self._in_force.at(heard.time_s),
         )
         self._asked_s = self._time_s
         self.asked += 1
@@ -249,10 +272,6 @@ class PredictiveController:
             self._next = Course(ready.begin_s, ready.volts)
             self.took_s.append(ready.took_s)
 
-    def _in_force(self, time_s: float) -> float:
-        """The command that acts at a time, V."""
-        return next(volts for at, volts in reversed(self._told) if at <= time_s + SAME_S)
-
     def _observe(self, heard: Heard) -> None:
         """Leads the observer on, by what acted meanwhile."""
         end_s = heard.time_s
@@ -260,23 +279,12 @@ class PredictiveController:
             samples = self.settings.samples
             step_s = heard.since_s / samples
             begin_s = end_s - heard.since_s
-            held = [self._mean(begin_s + n * step_s, step_s) for n in range(samples)]
+            held = [self._in_force.mean(begin_s + n * step_s, step_s) for n in range(samples)]
             self.observer.advance(self._horizon.each(np.array(held)), step_s)
         else:
-            volts = self._horizon.each(np.array([self._in_force(end_s)]))[:, 0]
+            volts = self._horizon.each(np.array([self._in_force.at(end_s)]))[:, 0]
             told = dict(zip(self.observer.plant.plan.commands, volts.tolist(), strict=True))
-            self.observer.begin(heard.readings, told)
+            self.observer.begin(heard.readings, told, self._known)
             self._begun = True
         self.observer.assimilate(heard.readings)
-        while len(self._told) > 1 and self._told[1][0] <= end_s:
-            self._told.popleft()
-
-    def _mean(self, begin_s: float, long_s: float) -> float:
-        """Mean of the commands that acted for a while, V."""
-        first, end_s = self._in_force(begin_s), begin_s + long_s
-        extra, before = 0.0, first
-        for at, volts in self._told:
-            if begin_s + SAME_S < at < end_s - SAME_S:
-                extra += (volts - before) * (end_s - at)
-                before = volts
-        return first + extra / long_s
+        self._in_force.forget_before(end_s)

@@ -3,11 +3,16 @@
 
 import contextlib
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+from pneu_msgs.msg import ValveCommand
+from rclpy.node import Node
 
+from pneu_graph.nodes import common
 from pneu_hw_bridge.priority import precedence
 from pneu_policy.control.predictive import PredictiveController
+from pneu_sim import topics
 
 PLANS, PLANS_LATE = "plans", "plans late"
 """What /diagnostics calls how many were wanted, and how many of them were not made in time."""
@@ -53,8 +58,34 @@ class Plans:
             self._first.close()
 
     def rest(self) -> None:
-        """Forgets when it was stepped last."""
+        """Forgets when it was stepped last, and the state; what the rig is like it still knows."""
         self._stepped_ns = None
+        if self.controller is not None:
+            self.controller.pause()
+
+    def listen(self, node: Node) -> list[Any]:
+        """Hears what is applied, for a predictive controller.
+
+        Args:
+            node: Who listens.
+
+        Returns:
+            The subscriptions.
+        """
+        if self.controller is None:
+            return []
+        return [
+            node.create_subscription(
+                ValveCommand, topics.APPLIED_TOPIC, self._on_applied, common.READINGS_QOS
+            )
+        ]
+
+    def _on_applied(self, message: ValveCommand) -> None:
+        """Takes what was applied."""
+        if self.controller is not None and self._stepped_ns is not None:
+            volts = dict(zip(message.name, message.voltage_v, strict=False))
+            ago_s = 1e-9 * (self._stepped_ns - common.from_stamp(message.header.stamp))
+            self.controller.applied(ago_s, volts)
 
     def follow(self) -> None:
         """Does what need not be done before the voltages go out."""

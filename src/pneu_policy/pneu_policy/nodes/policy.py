@@ -109,10 +109,14 @@ class PolicyNode(ControlNode):
         super().destroy_node()
 
     def _rest(self) -> None:
-        self._plans.rest()
         self._blind_ns: int | None = None
-        if self._controller is not None:
+        if self._plans.controller is not None:
+            self._plans.rest()
+        elif self._controller is not None:
             self._controller.reset()
+
+    def _hear_more(self) -> list[Any]:
+        return self._plans.listen(self)
 
     def _step(self, stamp_ns: int, pressures_pa: Mapping[str, float]) -> float:
         assert self._controller is not None

@@ -101,9 +101,13 @@ class RobotNode(ControllingNode):
         super().destroy_node()
 
     def _rest(self) -> None:
-        self._plans.rest()
-        if self._controller is not None:
+        if self._plans.controller is not None:
+            self._plans.rest()
+        elif self._controller is not None:
             self._controller.reset()
+
+    def _hear_more(self) -> list[Any]:
+        return self._plans.listen(self)
 
     def _about(self) -> str:
         return "" if self._controller is None else self._controller.name
