@@ -4,7 +4,8 @@
 The plants are those of ``make study-pressure``, with what they hide; targets, noise and delays are
 the same. Nothing runs against the clock, so that the figures are the same on any machine: what a
 controller commands in one period acts in the next, whatever time it took. Runs that are there
-already in ``out/predictive`` are not run again.
+already in ``out/predictive`` are not run again; with ``--only`` those of other controllers are
+shown as they were made last, and the page says of which sources each column is.
 """
 
 import argparse
@@ -81,6 +82,7 @@ def one(tube: str, name: str, kind: str, seed: int) -> dict[str, float]:
     files = files_of(tube, name)
     path = OUT / f"{tube}-{name}-{kind}-{seed}-{digest_of([*files, *made_of(tube)])}.json"
     if path.exists():
+        path.touch()  # the newest counts
         return dict(json.loads(path.read_text(encoding="utf-8")))
     rig = load_rig(TUBES[tube].rig)
     conditions = Conditions(dx_m=0.5 * rig.grid.dx_m)
@@ -96,6 +98,29 @@ def one(tube: str, name: str, kind: str, seed: int) -> dict[str, float]:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, json.dumps(found))
     return found
+
+
+def kept(tube: str, name: str) -> tuple[dict[str, list[dict[str, float]]], str]:
+    """The runs of a controller that were made last, by kind of target, and of which sources.
+
+    Those count of which none is missing; there may be no such.
+
+    Args:
+        tube: Name of the tube.
+        name: Of the controller.
+    """
+    files = sorted(OUT.glob(f"{tube}-{name}-*-*-*.json"), key=lambda path: path.stat().st_mtime)
+    for of in dict.fromkeys(path.stem.rsplit("-", 1)[1] for path in reversed(files)):
+        paths = {
+            kind: [OUT / f"{tube}-{name}-{kind}-{seed}-{of}.json" for seed in TASKS.seeds]
+            for kind in TASKS.kinds
+        }
+        if all(path.exists() for those in paths.values() for path in those):
+            return {
+                kind: [json.loads(path.read_text(encoding="utf-8")) for path in those]
+                for kind, those in paths.items()
+            }, of
+    return {}, ""
 
 
 def with_a_fault(
@@ -181,10 +206,11 @@ def main(arguments: list[str] | None = None) -> int:
     """Runs the study; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--only", nargs="+", help="controllers")
+    parser.add_argument("--only", nargs="*", help="controllers to run; of none shows what there is")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "predictive.md")
     asked = parser.parse_args(arguments)
-    names = asked.only or [*PREDICTIVE, *VIRTUAL, *LEARNED, *CLASSICAL]
+    every = [*PREDICTIVE, *VIRTUAL, *LEARNED, *CLASSICAL]
+    names = every if asked.only is None else asked.only
     jobs = [
         (tube, name, kind, seed)
         for name in names
@@ -196,14 +222,20 @@ def main(arguments: list[str] | None = None) -> int:
     for tube, name, _, _ in jobs:
         file = files_of(tube, name)[0]
         check_fits(load_controller(file), file, load_rig(TUBES[tube].rig))
-    found: dict[tuple[str, str, str], list[dict[str, float]]] = {}
     runs = joblib.Parallel(n_jobs=asked.workers, return_as="generator")(
         joblib.delayed(one)(*job) for job in jobs
     )
     with progress("runs") as told:
-        for n, ((tube, name, kind, _), figures) in enumerate(zip(jobs, runs, strict=True)):
+        for n, ((tube, name, _, _), _) in enumerate(zip(jobs, runs, strict=True)):
             told(f"{tube} {name}", n / len(jobs))
-            found.setdefault((tube, kind, name), []).append(figures)
+    found: dict[tuple[str, str, str], list[dict[str, float]]] = {}
+    sources: dict[str, list[str]] = {}
+    for name in every:
+        for tube in TUBES:
+            rows, of = kept(tube, name)
+            found |= {(tube, kind, name): figures for kind, figures in rows.items()}
+            if of:
+                sources.setdefault(name, []).append(f"{tube} {of}")
     kinds: list[tuple[str, Callable[[str, float], Spoil] | None, str]] = [
         ("as ever", None, "end"),
         *((words, make, tap) for tap in ("end", "valve_out") for words, make in BROKEN.items()),
@@ -211,7 +243,7 @@ def main(arguments: list[str] | None = None) -> int:
     faults = joblib.Parallel(n_jobs=asked.workers)(
         joblib.delayed(with_a_fault)(tube, *kind) for tube in TUBES for kind in kinds
     )
-    write_whole(asked.page, "\n".join([*page(found, names), *of_live(), *of_faults(faults)]))
+    write_whole(asked.page, "\n".join([*page(found, sources), *of_live(), *of_faults(faults)]))
     Console().print(f"{asked.page} is written")
     return 0
 
@@ -283,28 +315,31 @@ def of_faults(rows: Sequence[str]) -> list[str]:
 
 
 def page(
-    found: dict[tuple[str, str, str], list[dict[str, float]]], names: Sequence[str]
+    found: dict[tuple[str, str, str], list[dict[str, float]]], sources: Mapping[str, list[str]]
 ) -> list[str]:
     """The page.
 
     Args:
         found: Figures of runs by tube, kind of target and controller.
-        names: Controllers, in order.
+        sources: By controller, in order, digests of what its runs were made from.
     """
-    files = [f for t in TUBES for n in names for f in files_of(t, n)]
-    digest = digest_of([*files, *(p for tube in TUBES for p in made_of(tube))])
+    names = list(sources)
     known, told = limits(), PREDICTIVE | VIRTUAL
     lines = [
         "# Predictive control of a pressure",
         "",
-        f"Made by `make predictive`, from the model, controllers and plants {digest}.",
+        "Made by `make predictive`. Each column names the model, controller and plant that it was"
+        " made from, the short tube's and the long one's.",
         "",
         "Table 9.1 of the thesis on the plants of the emulated lab, whose hidden effects no model"
         " knows, in lock step: see `studies/predictive.py`. Predictive controllers plan on the"
         " calibrated rig and find out by what the plant differs while they control"
         " ([control.md](control.md)).",
         "",
-        *(f"- `{name}`: {words}" for name, words in told.items() if name in names),
+        *(
+            f"- `{name}`: {f'{told[name]}; ' if name in told else ''}{', '.join(of)}"
+            for name, of in sources.items()
+        ),
         *(f"- `{name}`: {words}; not run" for name, words in told.items() if name not in names),
         "",
         f"RMSE in atm, mean and standard deviation of {len(TASKS.seeds)} runs of"

@@ -12,7 +12,7 @@ from tests.measured import MachineStalledError, Watch
 from trajectory_msgs.msg import JointTrajectory  # isort: skip
 
 from pneu_graph.nodes import common
-from pneu_policy.nodes.plans import PLANS, PLANS_LATE
+from pneu_policy.control.planning import PLANS, PLANS_LATE
 
 QUIET_S = 3.0
 """On a quiet machine all processes together wait for 1.7 to 2.1 s of the four that are judged, with

@@ -25,6 +25,8 @@ from pneu_sim.rig.schema import Rig
 
 Floats = NDArray[np.float64]
 
+PLANS, PLANS_LATE = "plans", "plans late"
+"""What /diagnostics calls how many were wanted, and how many of them were not made in time."""
 READY_S = 120.0
 """How long a process beside may take to build its model; the first time it compiles it."""
 

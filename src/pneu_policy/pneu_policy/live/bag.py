@@ -13,8 +13,8 @@ import numpy as np
 
 from pneu_common.errors import InputError
 from pneu_graph.bag.reader import BagReader
+from pneu_policy.control.planning import PLANS, PLANS_LATE
 from pneu_policy.judge.metrics import Track
-from pneu_policy.nodes.plans import PLANS, PLANS_LATE
 from pneu_runtime import hook
 
 NAMESPACE = "lab"

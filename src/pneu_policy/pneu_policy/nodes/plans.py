@@ -11,11 +11,10 @@ from rclpy.node import Node
 
 from pneu_graph.nodes import common
 from pneu_hw_bridge.priority import precedence
+from pneu_policy.control.planning import PLANS, PLANS_LATE
 from pneu_policy.control.predictive import PredictiveController
 from pneu_sim import topics
 
-PLANS, PLANS_LATE = "plans", "plans late"
-"""What /diagnostics calls how many were wanted, and how many of them were not made in time."""
 MOST_LATE_S = 0.05
 """An age of readings that is beyond this is that of another clock."""
 LATEST_NS = 100_000_000
