@@ -2,10 +2,11 @@
 """Table 9.1 with predictive control against the clock: on the emulated lab, by the live graph.
 
 The plants, targets and controllers of ``make predictive``, each lab with its bridge, a recorder,
-the node of the controller and the process that plans for it: five processes, which two cores have
-not enough time for. A run for which the machine is too slow is tried three times and then counts as
-what it is, not valid. What was found goes to ``docs/predictive_live.json``, which the page of
-``make predictive`` shows; runs that are there already in ``out/predictive_live`` are not run again.
+the node of the controller and the process that plans for it: five processes, for which two cores
+have time enough with ``predictive_light`` only. A run for which the machine is too slow is tried
+three times and then counts as what it is, not valid. What was found goes to
+``docs/predictive_live.json``, which the page of ``make predictive`` shows; runs that are there
+already in ``out/predictive_live`` are not run again.
 """
 
 import argparse

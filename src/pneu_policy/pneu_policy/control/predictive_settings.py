@@ -26,6 +26,7 @@ ADAPTING = ObserverSettings(
     dead_band=Drift(std=0.1, time_s=20.0),
     hysteresis=Drift(std=0.1, time_s=20.0),
     lag=Drift(std=0.002, time_s=20.0),
+    timing_s=1e-3,
 )
 """An observer that finds out, while it controls, by what the valve and the taps differ from the rig
 file: what is not known of a real rig is of this size."""
@@ -116,9 +117,7 @@ class PredictiveSettings(Settings):
         return sum(self.holds)
 
 
-ADAPTING_LOADED = ADAPTING.model_copy(
-    update={"load": Drift(std=0.2, time_s=LOAD_S), "timing_s": 1e-3}
-)
+ADAPTING_LOADED = ADAPTING.model_copy(update={"load": Drift(std=0.2, time_s=LOAD_S)})
 """The same of a robot, which may carry something: what a hand takes up."""
 SCALE_JOINT = 0.01
 """Errors of a joint are told in this, rad or m."""
