@@ -43,6 +43,10 @@ SECANTS = 2
 """Steps with a Jacobian corrected by secants, for each that is computed."""
 SLOW_PULL_S = 0.06
 """Over so short a time a prediction is nearly linear in what flows."""
+SHORTER = 0.25
+"""Cells that are shorter by less than this share tell little more."""
+NOISE_SCATTERS = 3.0
+"""By so many of its standard deviations the square of noise alone may be above its mean."""
 COARSEST = 4.0
 """Cells of the first steps are at most this much longer than the rig's."""
 FEWEST_CELLS = 20
@@ -82,6 +86,7 @@ class Step:
         tries: Whether what spools may be is tried first.
         limits: Whether limits of spools are tried first, which the step before makes possible.
         again: Whether it is left out once nothing more is gained, or no limit is found.
+        last: Whether it comes after all others, where these leave little more than noise.
     """
 
     words: str
@@ -94,6 +99,7 @@ class Step:
     tries: bool = False
     limits: bool = False
     again: bool = False
+    last: bool = False
 
 
 def steps_of(rig: Rig, approach: bool, iterations: int) -> list[Step]:
@@ -130,6 +136,8 @@ def steps_of(rig: Rig, approach: bool, iterations: int) -> list[Step]:
         Step(f"all, {time} time", coarse, None, 1, corrected=True, again=True)
         for time in ("second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth")
     ]
+    if rig.grid.dx_m < (1.0 - SHORTER) * coarse:
+        out.append(Step("all, on the rig's own cells", rig.grid.dx_m, None, 1, last=True))
     return out
 
 
@@ -182,6 +190,17 @@ class Work:
             return tell
 
         return told
+
+    def add(self, step: Step, weight: float, runs: int) -> None:
+        """Takes up a step that nobody knew of beforehand.
+
+        Args:
+            step: The step.
+            weight: What one run in it is worth.
+            runs: How many it takes.
+        """
+        self._ends[step] = (self._done + weight * runs, weight)
+        self._total = 1.05 * self._ends[step][0]
 
     def finish(self, step: Step) -> None:
         """Ends a step, whether or not all of it had to be done.
@@ -289,6 +308,19 @@ def at_noise(estimate: Estimate, problem: Problem, used: Mask) -> bool:
     """
     count = max(int(np.isfinite(problem.measured[used]).sum()), 1)
     return float(np.sum(estimate.residual**2)) < AT_NOISE**2 * count
+
+
+def only_noise(estimate: Estimate, problem: Problem, used: Mask) -> bool:
+    """Whether nothing but noise is left.
+
+    Args:
+        estimate: The estimation.
+        problem: Its problem.
+        used: (n_stretches,) stretches that it used.
+    """
+    count = max(int(np.isfinite(problem.measured[used]).sum()), 1)
+    most = count + NOISE_SCATTERS * float(np.sqrt(2.0 * count))
+    return float(np.sum(estimate.residual**2)) < most
 
 
 def brought_back(

@@ -341,4 +341,7 @@ def test_what_flows_is_fitted_first_of_whatever_moves(horizon_s: float, moves: b
     rig.fit.horizon_s = horizon_s
     steps = steps_of(rig, approach=True, iterations=8)
     assert steps[0].slow and steps[0].part
+    # long cells come near, the rig's own have the last word
+    assert [s.last for s in steps] == [False] * (len(steps) - 1) + [True]
+    assert steps[-1].dx_m == rig.grid.dx_m < steps[0].dx_m
     assert (steps[0].pull_s or 0.0) <= (pull_of(rig) or 0.0)
