@@ -67,6 +67,18 @@ def test_what_is_written_again_is_no_news_and_what_was_passed_over_never_acts():
     assert one.at(0.1) == 8.0
 
 
+def test_commands_that_differ_by_little_are_not_taken_for_one_another():
+    """A slow ramp, of which every third command is overtaken on the way."""
+    one = InForce(NULL_V)
+    for n in range(100):
+        one.tell(0.01 * n, NULL_V + 0.008 * n)
+        if n % 3 != 2:
+            one.apply(0.01 * n + 0.004, NULL_V + 0.008 * n)
+        one.forget_before(0.01 * n)
+        assert one.followed
+        assert one.at(0.01 * n + 0.005) == pytest.approx(NULL_V + 0.008 * n, abs=0.0081)
+
+
 def test_a_bridge_that_says_nothing_more_does_not_follow():
     one = of((0.0, 6.0), (0.01, 6.0), (0.02, 7.0))
     one.apply(0.001, 6.0)
