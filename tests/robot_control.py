@@ -3,11 +3,13 @@
 
 import os
 import time
+from contextlib import contextmanager
 
 import numpy as np
-from tests.live_graph import wait_for
+from tests.live_graph import own_domain, running_graph, wait_for
 from tests.live_rig import LaunchedNodes
 from tests.measured import MachineStalledError, Watch
+from tests.robots import kokoro_lab
 
 from trajectory_msgs.msg import JointTrajectory  # isort: skip
 
@@ -28,6 +30,25 @@ OVERRIDES = """
     high: 0.4
     period_s: 2.5
 """
+
+
+@contextmanager
+def running_robot(folder, rig, controller):
+    """Runs a Kokoro with its lab, bridge, controller and targets; fails where a node complained.
+
+    Args:
+        folder: Where what is launched writes.
+        rig: File of the rig as the graph knows it.
+        controller: File of the controller.
+    """
+    with own_domain(), running_graph() as graph, kokoro_lab(folder) as lab:
+        one = Robot(folder, lab, graph, rig, controller)
+        one.nodes.launch()
+        try:
+            yield one
+            assert not one.nodes.complaints()
+        finally:
+            one.nodes.close()
 
 
 class Robot:

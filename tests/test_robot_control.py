@@ -4,9 +4,9 @@
 import time
 
 import pytest
-from tests.live_graph import own_domain, running_graph, wait_for
-from tests.robot_control import Robot
-from tests.robots import KOKORO, kokoro_lab
+from tests.live_graph import wait_for
+from tests.robot_control import running_robot
+from tests.robots import KOKORO
 
 from pneu_policy.control.drive import Drive
 from pneu_policy.control.joint import JointGains
@@ -25,14 +25,8 @@ def pid(folder):
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory):
     folder = tmp_path_factory.mktemp("robot")
-    with own_domain(), running_graph() as graph, kokoro_lab(folder) as lab:
-        one = Robot(folder, lab, graph, KOKORO, pid(folder))
-        one.nodes.launch()
-        try:
-            yield one
-            assert not one.nodes.complaints()
-        finally:
-            one.nodes.close()
+    with running_robot(folder, KOKORO, pid(folder)) as one:
+        yield one
 
 
 def test_it_follows_its_targets(robot):

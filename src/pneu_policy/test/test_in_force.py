@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pneu_policy.control.horizon import Aim, Horizon
 from pneu_policy.control.in_force import InForce
 from pneu_policy.control.predictive import PredictiveController
-from pneu_policy.control.predictive_settings import PredictiveSettings
-from pneu_policy.control.robot_controllers import load_robot_controller
+from pneu_policy.control.predictive_settings import JointPredictiveSettings, PredictiveSettings
 from pneu_policy.task.plants import ControlPlant
 from pneu_sim.rig import load_rig
 
@@ -119,10 +119,10 @@ def test_the_model_holds_where_a_bridge_that_closed_the_valve_says_so(heard):
 
 def test_valves_at_both_sides_of_a_piston_are_one_voltage():
     rig = load_rig(ROOT / "rigs/kokoro_fitted.yaml")
-    one = load_robot_controller(ROOT / "policies/kokoro_predictive.yaml", rig).inner
-    horizon = one._horizon
+    aim = Aim("elbow", ("elbow",), {"head": 1.0, "rod": -1.0})
+    horizon = Horizon(rig, aim, JointPredictiveSettings(), 1)
     for volts in (0.0, 4.0, 9.5):
         head, rod = horizon.each(np.array([volts]))[:, 0]
-        assert horizon.one_of({"head": head, "rod": rod}) == pytest.approx(volts)
-    assert horizon.one_of({"head": 5.0, "rod": 5.0}) == NULL_V
-    assert horizon.one_of({"head": 5.0}) is None
+        assert horizon.voltage_of({"head": head, "rod": rod}) == pytest.approx(volts)
+    assert horizon.voltage_of({"head": 5.0, "rod": 5.0}) == NULL_V
+    assert horizon.voltage_of({"head": 5.0}) is None

@@ -65,6 +65,7 @@ DRIFTED = 2.0
 at again from there ..."""
 STEPS_THERE = 4
 """... in so many steps at most; from a valley of the drawn rigs that was 13 % off three led out."""
+OWN_CELLS = "all, on the rig's own cells"
 STEPS_OWN = 3
 """Steps on the rig's own cells at most: each may cost sixteen on long ones."""
 TELLS_MORE = 0.01
@@ -204,8 +205,6 @@ def fit_rig(
     now = drawn
     unseen: set[Key] = set()
     for step in steps:
-        if step.last:
-            continue
         if step.again and last is not None and settled(last.estimate) and not last.back:
             # what was computed anew and gained little is done; a limit may be found all the same
             done = at_noise(last.estimate, last.problem, job.used(last.problem))
@@ -234,8 +233,7 @@ def fit_rig(
         now = last.rig
         job.work.finish(step)
     assert last is not None
-    last = _on_own_cells(job, [s for s in steps if s.last], _at_known_scale(job, last))
-    return _outcome(job, every, held, last)
+    return _outcome(job, every, held, _on_own_cells(job, _at_known_scale(job, last)))
 
 
 def parameters_of(rig: Rig) -> list[FitParameter]:
@@ -349,11 +347,7 @@ def _work(
     """What a fit has before it."""
     seconds = sum(r.end_s for r in recordings)
     return Work.of_steps(
-        [
-            (step, weight_of(rig, step, seconds), count, len(rig.valves))
-            for step in steps
-            if not step.last
-        ],
+        [(step, weight_of(rig, step, seconds), count, len(rig.valves)) for step in steps],
         tell or (lambda stage, fraction=None, note="": None),
     )
 
@@ -445,25 +439,25 @@ def _at_known_scale(job: _Job, last: _Taken) -> _Taken:
     return there if there_left - here_left < mean_square * (here_off - there_off) else last
 
 
-def _on_own_cells(job: _Job, steps: list[Step], last: _Taken) -> _Taken:
+def _on_own_cells(job: _Job, last: _Taken) -> _Taken:
     """The calibration, after steps on the rig's own cells where long ones leave a bit beyond noise.
 
     What long cells make of a parameter is not what the rig's own do: steps on them end where their
     slopes, not its own, are at right angles to what is left. With steep fronts that is elsewhere:
     on a drawn rig 1 cm for the places of taps, and squares of 12980, of 11880 on its own cells.
     """
-    used = job.used(last.problem)
+    used, dx_m = job.used(last.problem), last.rig.grid.dx_m
     # of a model that lacks something more is wrong than what cells make of it
     near = at_noise(last.estimate, last.problem, used)
-    if not near or only_noise(last.estimate, last.problem, used):
+    if last.step.dx_m <= dx_m or not near or only_noise(last.estimate, last.problem, used):
         return last
-    seconds = sum(r.end_s for r in job.recordings)
-    for step in steps:
-        for _ in range(STEPS_OWN):
-            job.work.add(step, weight_of(last.rig, step, seconds), len(last.fitted))
-            last = _taken(job, last.rig, step, last.fitted, None)
-            if last.estimate.gained < TELLS_MORE:
-                break
+    step = replace(last.step, words=OWN_CELLS, dx_m=dx_m, corrected=False)
+    weight = weight_of(last.rig, step, sum(r.end_s for r in job.recordings))
+    for _ in range(STEPS_OWN):
+        job.work.add(step, weight, len(last.fitted))
+        last = _taken(job, last.rig, step, last.fitted, None)
+        if last.estimate.gained < TELLS_MORE:
+            break
     return last
 
 

@@ -43,8 +43,6 @@ SECANTS = 2
 """Steps with a Jacobian corrected by secants, for each that is computed."""
 SLOW_PULL_S = 0.06
 """Over so short a time a prediction is nearly linear in what flows."""
-SHORTER = 0.25
-"""Cells that are shorter by less than this share tell little more."""
 NOISE_SCATTERS = 3.0
 """By so many of its standard deviations the square of noise alone may be above its mean."""
 COARSEST = 4.0
@@ -86,7 +84,6 @@ class Step:
         tries: Whether what spools may be is tried first.
         limits: Whether limits of spools are tried first, which the step before makes possible.
         again: Whether it is left out once nothing more is gained, or no limit is found.
-        last: Whether it comes after all others, where these leave little more than noise.
     """
 
     words: str
@@ -99,7 +96,6 @@ class Step:
     tries: bool = False
     limits: bool = False
     again: bool = False
-    last: bool = False
 
 
 def steps_of(rig: Rig, approach: bool, iterations: int) -> list[Step]:
@@ -136,8 +132,6 @@ def steps_of(rig: Rig, approach: bool, iterations: int) -> list[Step]:
         Step(f"all, {time} time", coarse, None, 1, corrected=True, again=True)
         for time in ("second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth")
     ]
-    if rig.grid.dx_m < (1.0 - SHORTER) * coarse:
-        out.append(Step("all, on the rig's own cells", rig.grid.dx_m, None, 1, last=True))
     return out
 
 
@@ -306,8 +300,7 @@ def at_noise(estimate: Estimate, problem: Problem, used: Mask) -> bool:
         problem: Its problem.
         used: (n_stretches,) stretches that it used.
     """
-    count = max(int(np.isfinite(problem.measured[used]).sum()), 1)
-    return float(np.sum(estimate.residual**2)) < AT_NOISE**2 * count
+    return float(np.sum(estimate.residual**2)) < AT_NOISE**2 * _readings(problem, used)
 
 
 def only_noise(estimate: Estimate, problem: Problem, used: Mask) -> bool:
@@ -318,9 +311,14 @@ def only_noise(estimate: Estimate, problem: Problem, used: Mask) -> bool:
         problem: Its problem.
         used: (n_stretches,) stretches that it used.
     """
-    count = max(int(np.isfinite(problem.measured[used]).sum()), 1)
+    count = _readings(problem, used)
     most = count + NOISE_SCATTERS * float(np.sqrt(2.0 * count))
     return float(np.sum(estimate.residual**2)) < most
+
+
+def _readings(problem: Problem, used: Mask) -> int:
+    """How many readings there are, at least one."""
+    return max(int(np.isfinite(problem.measured[used]).sum()), 1)
 
 
 def brought_back(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from studies import experiments
 from studies.exact_rigs import draw_rig, record
 
 from pneu_common.errors import InputError
@@ -18,7 +19,8 @@ from pneu_sim.run import run_from_rest
 from pneu_sim.signals import Signal
 from pneu_sim.valve import positions_along
 from pneu_sysid.curves import EXPONENT_APART, WIDEST, curve_ties, mirrors_of, with_own_curves
-from pneu_sysid.fit import FitOutcome, fit_rig, parameters_of
+from pneu_sysid.fit import OWN_CELLS, FitOutcome, fit_rig, parameters_of
+from pneu_sysid.observed.noise import with_noise
 from pneu_sysid.parameters import (
     calibrated_parameters,
     listed_parameters,
@@ -334,6 +336,22 @@ def test_the_first_part_of_a_recording() -> None:
     assert recording.until(10.0) is recording
 
 
+@pytest.mark.parametrize(("gain", "taken"), [(0.0, False), (6e-4, True), (1e-2, False)])
+def test_the_rig_s_own_cells_have_the_last_word_near_the_noise(gain: float, taken: bool) -> None:
+    """Where more is left, something is missing; where nothing is, long cells have done."""
+    rig = load_rig(ROOT / "rigs/rig_b.yaml")
+    rig = with_noise(rig, dict.fromkeys(rig.taps, 250.0))
+    wrong = AttachedEffect(effect="sensor_gain", place="end", parameters={"error": gain})
+    levels = np.random.default_rng(1).choice([0.0, 2.0, 5.0, 8.0, 10.0], 38)
+    volts = {"voltage": np.repeat(levels, round(0.04 / experiments.STEP_S))}
+    hidden = wrong if gain else None
+    recording = experiments.record(experiments.plant_of(rig, hidden), volts, "steep", 3)
+    few = [p for p in parameters_of(rig) if p.path.endswith("out.position_m")]
+    said: set[str] = set()
+    fit_rig(rig, [recording], few, progress=lambda stage, done=None, note="": said.add(note))
+    assert (OWN_CELLS in said) == taken
+
+
 @pytest.mark.parametrize(("horizon_s", "moves"), [(0.5, False), (0.15, True), (0.5, True)])
 def test_what_flows_is_fitted_first_of_whatever_moves(horizon_s: float, moves: bool) -> None:
     """From a datasheet's flows a robot's joints are far off, and what they tell leads astray."""
@@ -341,7 +359,4 @@ def test_what_flows_is_fitted_first_of_whatever_moves(horizon_s: float, moves: b
     rig.fit.horizon_s = horizon_s
     steps = steps_of(rig, approach=True, iterations=8)
     assert steps[0].slow and steps[0].part
-    # long cells come near, the rig's own have the last word
-    assert [s.last for s in steps] == [False] * (len(steps) - 1) + [True]
-    assert steps[-1].dx_m == rig.grid.dx_m < steps[0].dx_m
     assert (steps[0].pull_s or 0.0) <= (pull_of(rig) or 0.0)

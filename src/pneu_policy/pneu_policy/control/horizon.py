@@ -160,8 +160,8 @@ class Horizon:
         other = 2.0 * self._s.null_v - volts
         return np.stack([volts if sign > 0.0 else other for sign in self._signs], axis=-2)
 
-    def one_of(self, volts: Mapping[str, float]) -> float | None:
-        """The voltage of a plan that comes next to what valves have; None where one is not told.
+    def voltage_of(self, volts: Mapping[str, float]) -> float | None:
+        """The voltage of a plan by which valves have these (`each`); None where one is not told.
 
         Args:
             volts: By command, V.

@@ -5,6 +5,7 @@ A command goes by bus and may be late, and a bridge may refuse it and close the 
 Where nobody says what was applied, what was told is taken to have acted in time.
 """
 
+import math
 from collections import deque
 
 Command = tuple[float, float]
@@ -38,7 +39,7 @@ class InForce:
 
     def reset(self) -> None:
         """Forgets all."""
-        self._applied: deque[Command] = deque([(float("-inf"), self._null_v)])
+        self._applied: deque[Command] = deque([(-math.inf, self._null_v)])
         self._told: deque[Command] = deque()
         self.followed, self._heard = True, False
 

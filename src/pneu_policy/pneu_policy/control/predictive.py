@@ -185,7 +185,7 @@ class PredictiveController:
             ago_s: How long before the readings of the last step, s; below 0 after them.
             volts: By command, V; where one is missing nothing is made of it.
         """
-        one = self._horizon.one_of(volts)
+        one = self._horizon.voltage_of(volts)
         if one is not None and self._begun:
             # what is applied acts at once, what is told after the delay that the model has
             self._in_force.apply(self._time_s - ago_s - self.settings.delay_s, one)

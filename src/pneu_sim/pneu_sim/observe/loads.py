@@ -20,8 +20,6 @@ Floats = NDArray[np.float64]
 TRIED_KG = 1e-3
 TRIED_M = (0.0, 0.5, 1.0)
 """Where a mass is tried: any three distances tell a polynomial of second degree."""
-NEAREST_M = 0.0
-"""No load lies behind the joint that moves it."""
 
 
 class Loads:
@@ -60,7 +58,8 @@ class Loads:
             distance_m: (joints, members) how far from a rotary joint.
         """
         body = np.repeat(self._known, mass_kg.shape[1], axis=2)
-        masses, far = np.maximum(mass_kg, 0.0), np.maximum(distance_m, NEAREST_M)
+        # no load lies behind the joint that moves it
+        masses, far = np.maximum(mass_kg, 0.0), np.maximum(distance_m, 0.0)
         for b, rows, mass, at in zip(self._of, self._rows, masses, far, strict=True):
             body[b] += rows @ (mass * np.stack([np.ones_like(at), at, at**2]))
         for tile, of in self._tiles:
