@@ -21,7 +21,10 @@ DAMPING = (1e-4, 1e-2, 1.0)
 UNTRIED = 1e-2
 """That of a step which is taken untried."""
 LARGE_V = 1.0
-"""A step that changes a voltage by so much is tried first: a linear model may not reach so far."""
+"""A step that changes a voltage by so much is tried first: a linear model may not reach so far. So
+is one that takes a voltage farther than it is from null, and farther than differences told: there
+the flow bends most, and a spool that differences did not move out of its dead band seems to need
+many times what it does."""
 LEARN = 0.1
 """Share of the variances of the draws that is learnt anew with every plan."""
 LEAST, MOST = 0.4, 2.0
@@ -56,9 +59,9 @@ class GaussNewton:
 
     One roll-out of all differences makes a step, which is taken untried as in the real-time
     iteration of Diehl, Bock and Schloeder (2005, SIAM J. Control Optim. 43, 1714): the next plan
-    begins from where it led. A step that is large is tried first, in several dampings and lengths;
-    a second roll-out says which is best, if any (Nocedal and Wright, Numerical Optimization, 2nd
-    ed. 2006, ch. 10).
+    begins from where it led. A step that goes farther than a linear model may hold is tried first
+    (``LARGE_V``), in several dampings and lengths; a second roll-out says which is best, if any
+    (Nocedal and Wright, Numerical Optimization, 2nd ed. 2006, ch. 10).
     """
 
     def __init__(self, settings: PredictiveSettings) -> None:
@@ -95,7 +98,8 @@ class GaussNewton:
             plan, seen, signed, target, now_v, bounds, horizon.weight, dampings, horizon.scale
         )
         quick = horizon.allowed((plan + first)[None], now_v)[0]
-        if np.abs(quick - plan).max() < LARGE_V:
+        far = np.abs(quick - plan)
+        if not np.any(far >= np.clip(np.abs(plan - s.null_v), np.abs(signed), LARGE_V)):
             return np.asarray(quick)
         tried = [plan + 0.5**k * step for k in range(2) for step in steps]
         tried += [np.full(knots, s.null_v)] * (self.lanes - len(tried))
