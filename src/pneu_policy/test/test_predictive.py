@@ -114,6 +114,26 @@ def test_a_large_step_is_tried_before_it_is_taken(lab):
     assert tries == [1, 2]
 
 
+@pytest.mark.parametrize("more_pa", [2e3, 4e3, 8e3])
+@pytest.mark.parametrize(("width_v", "from_v"), [(0.0, 4.95), (0.06, 5.0), (0.12, 5.05)])
+def test_a_step_out_of_the_dead_band_makes_no_plan_worse(lab, width_v, from_v, more_pa):
+    """What 0.1 V hardly moves is no linear model of what half a volt does."""
+    band = AttachedEffect(effect="dead_band", place="valve", parameters={"width_v": width_v})
+    rig = lab.model_copy(update={"effects": [*lab.effects, band]})
+    s = PredictiveSettings(holds=SHORT)
+    start = np.full(len(SHORT), from_v)
+    planner, asked = request_of(rig, s, 101325.0 + more_pa, start)
+    found = planner.plan(asked).volts
+
+    def cost(plan):
+        planner.horizon.begin(asked.state, asked.drifted)
+        lanes = np.tile(plan, (planner.horizon.lanes, 1))
+        error = planner.horizon.roll(asked.decided, lanes) - asked.target[:, None]
+        return float(planner.horizon.cost(error, lanes, s.null_v)[0])
+
+    assert cost(found) < 0.7 * cost(start)
+
+
 def test_it_follows_on_a_plant_that_its_model_does_not_know(lab, tmp_path):
     save_predictive(tmp_path / "p.yaml", str(RIGS / "lab.yaml"), "end", None, {})
     hidden = [
@@ -265,10 +285,30 @@ def test_a_controller_sees_virtual_taps_and_does_not_know(lab, tmp_path):
         ("", "taps: found None, needed are names"),
         ("taps: [far]\n", "'far': rig 'lab' has supply"),
         ("taps: [end]\nspeed: 1\n", "speed: unknown, known are"),
+        ("taps: [end]\nobserver: {members: 1}\n", "v.yaml: observer.members"),
+        ("taps: [end]\ndelay_s: late\n", "v.yaml: delay_s"),
     ):
         (tmp_path / "v.yaml").write_text(text + line, encoding="utf-8")
         with pytest.raises(InputError, match=words):
             load_controller(tmp_path / "v.yaml")
+
+
+def test_a_policy_that_sees_gas_runs_by_what_an_observer_tells(tmp_path):
+    """One tap is there: what the thesis could only simulate (7.3) drives a plant."""
+    policy, rig_file = RIGS.parent / "policies" / "short_line_0.npz", RIGS / "rig_a_fitted.yaml"
+    text = f"pneu_controller: 1\nkind: virtual\ncontroller: {policy}\ntaps: [end]\n"
+    (tmp_path / "v.yaml").write_text(f"{text}rig: {rig_file}\n", encoding="utf-8")
+    rig = load_rig(rig_file)
+    tasks = Tasks(seeds=(101,), duration_s=4.0)
+    target, conditions = tasks.target("jagged", 101), Conditions(dx_m=0.125)
+    observed, true = (
+        tasks.judge(simulated_tracks(file, rig, [target], [1], 4.0, conditions)[0]).rmse_atm
+        for file in (tmp_path / "v.yaml", policy)
+    )
+    assert observed < 1.2 * true < 0.05
+    (tmp_path / "v.yaml").write_text(f"{text}rig: {RIGS / 'kokoro.yaml'}\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"v\.yaml: taps: 'end': rig 'kokoro' has"):
+        load_controller(tmp_path / "v.yaml")
 
 
 def test_commands_are_late_at_all_valves():

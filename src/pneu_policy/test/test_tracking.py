@@ -8,6 +8,7 @@ gymnasium = pytest.importorskip("gymnasium")
 
 from pneu_common.errors import InputError  # noqa: E402
 from pneu_policy.control.observations import Observer, Recipe  # noqa: E402
+from pneu_policy.control.predictive_settings import ADAPTING  # noqa: E402
 from pneu_policy.task.ensembles import draw_rigs  # noqa: E402
 from pneu_policy.task.make import make_env  # noqa: E402
 from pneu_policy.task.plants import ControlPlant  # noqa: E402
@@ -304,3 +305,57 @@ def test_the_environment_can_be_made_from_a_rig_at_hand():
     rig = load_rig(SHORT)
     env = PressureTracking(small(spread=0.0), rig)
     assert env.rig is rig
+
+
+def test_a_policy_trains_on_what_an_observer_tells():
+    """Of all taps and of the gas, by the controlled tap alone: near the truth, and no more."""
+    recipe = Recipe(tap="end", taps=("end", "valve_out", "middle"), line=(("tube", 3),))
+    settings = {"num_envs": 3, "recipe": recipe, "spread": 0.0, "noise_pa": 250.0, "horizon": 60}
+    virtual = {"taps": ["end"], "observer": {"members": 16, "dx_m": 0.25}}
+    real, seen = make_env(small(**settings)), make_env(small(**settings, virtual=virtual))
+    action = np.random.default_rng(5).uniform(-0.5, 0.5, (60, 3, 1))
+    first, gas = 6 * 7, slice(-9, None)  # previews with their zooms come first
+    pressures = slice(first, first + 3)
+    off_taps, off_gas = [], []
+    for env in (real, seen):
+        env.reset(seed=3)
+    for k, a in enumerate(action):
+        true, told = (env.step(a)[0] for env in (real, seen))
+        assert np.isfinite(told).all()
+        if k > 20:
+            off_taps.append(told[:, pressures] - true[:, pressures])
+            off_gas.append(told[:, gas] - true[:, gas])
+        if k == 40:
+            moved = np.ptp(true[:, gas])
+    scale = recipe.range_pa
+    # a virtual tap beside a real one with its noise of 250 Pa; what is heard is no truth
+    assert 100.0 < np.std(off_taps) * scale < 4e3
+    assert np.std(off_gas) < 0.05 * moved
+    # what other taps read is not seen: with those deaf there is no difference
+    for env in (deaf := make_env(small(**settings, virtual=virtual)),):
+        env._noise[1:] = 1e6
+        env.reset(seed=3)
+    seen.reset(seed=3)
+    for a in action[:10]:
+        np.testing.assert_array_equal(seen.step(a)[0], deaf.step(a)[0])
+
+
+@pytest.mark.parametrize(
+    ("virtual", "words"),
+    [
+        ({"taps": ["supply"]}, "virtual.taps: found 'supply', the recipe has end, valve_out"),
+        ({"taps": []}, "virtual.taps"),
+        ({"taps": ["end"], "observer": {"members": 1}}, "virtual.observer.members"),
+        ({"taps": ["end"], "observer": {"colour": 1}}, "unknown key 'virtual.observer.colour'"),
+    ],
+)
+def test_virtual_taps_of_a_training_that_make_no_sense(virtual, words):
+    with pytest.raises(InputError, match=words):
+        make_env(small(virtual=virtual))
+
+
+def test_settings_of_an_observer_are_the_usual_ones_but_for_those_given():
+    found = small(virtual={"taps": ["end"], "observer": {"members": 8}}).virtual.observer
+    assert found == ADAPTING.model_copy(update={"members": 8})
+    again = EnvSettings(**small(virtual={"taps": ["end"], "observer": found}).plain())
+    assert again.virtual.observer == found

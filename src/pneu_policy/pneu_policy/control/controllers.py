@@ -12,8 +12,6 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
 from pneu_common.documents import read_yaml
@@ -21,11 +19,9 @@ from pneu_common.errors import InputError
 from pneu_common.files import write_whole
 from pneu_policy.control.controller import Controller as Controller
 from pneu_policy.control.feed_forward import FeedForward
-from pneu_policy.control.observations import Observer
+from pneu_policy.control.learned import PolicyController
 from pneu_policy.control.pid import Gains, Pid
 from pneu_policy.control.policy_file import PolicyFile
-
-Floats = NDArray[np.float64]
 
 PERIOD_S = 0.004
 """Control period of a PID where none is named, s."""
@@ -132,55 +128,6 @@ class FeedForwardPid(PidController):
         )
 
 
-class PolicyController:
-    """A learned policy with the memory that its features need."""
-
-    def __init__(self, policy: PolicyFile, name: str | None = None) -> None:
-        """Starts without a past.
-
-        Args:
-            policy: The policy.
-            name: What to call it; None is the name of its file.
-        """
-        recipe = policy.recipe
-        self.policy = policy
-        self.name = name or (policy.path.stem if policy.path is not None else "policy")
-        self.tap, self.taps = recipe.tap, recipe.taps
-        self.preview_s, self.period_s = recipe.preview_s, recipe.period_s
-        self._observer = Observer(recipe, 1)
-        self._taps = np.empty((1, len(self.taps)))
-        self._targets = np.empty((1, len(self.preview_s)))
-        self._volts = np.empty(1)
-
-    def reset(self) -> None:
-        """Forgets the past: as if pressures had not changed and the valve had been closed."""
-        self._observer.reset()
-
-    def step(
-        self,
-        taps_pa: Mapping[str, float],
-        targets_pa: Sequence[float],
-        line: Floats | None = None,
-    ) -> float:
-        """Voltage for the next period; see `Controller.step`.
-
-        Args:
-            taps_pa: Per tap its newest reading, Pa.
-            targets_pa: Target at the times ahead, Pa.
-            line: (1, points) gas of the lines, for a policy that sees it in simulation.
-        """
-        row = self._taps[0]
-        for n, tap in enumerate(self.taps):
-            row[n] = taps_pa[tap]
-        self._targets[0] = targets_pa
-        features = self._observer.observe(self._taps, self._targets, line)[0]
-        r = self.policy.recipe
-        volts = r.null_v + r.half_v * min(max(self.policy.act(features), -1.0), 1.0)
-        self._volts[0] = volts
-        self._observer.acted(self._volts)
-        return volts
-
-
 def load_controller(spec: str | Path) -> Controller:
     """Reads a controller from its file.
 
@@ -263,10 +210,12 @@ def _load_yaml(path: Path) -> Controller:
 
 def _virtual_of(data: Mapping[str, Any], path: Path) -> Controller:
     """A controller that sees virtual taps, by the files of it and of its rig."""
+    from pneu_policy.control.followed import FollowedSettings
     from pneu_policy.control.virtual import VirtualTaps
     from pneu_sim.rig.load import load_rig
 
-    known = ("pneu_controller", "kind", "controller", "rig", "taps")
+    settings = tuple(FollowedSettings.model_fields)
+    known = ("pneu_controller", "kind", "controller", "rig", *settings)
     for name in data:
         if name not in known:
             raise InputError(f"{name}: unknown, known are {', '.join(known)}")
@@ -279,8 +228,9 @@ def _virtual_of(data: Mapping[str, Any], path: Path) -> Controller:
     taps = data.get("taps")
     if not (isinstance(taps, list) and taps and all(isinstance(tap, str) for tap in taps)):
         raise InputError(f"taps: found {taps!r}, needed are names of taps that are there")
+    followed = FollowedSettings(**{name: data[name] for name in settings if name in data})
     inner = load_controller(files[0])
-    return VirtualTaps(inner, load_rig(files[1]), taps, name=path.stem)
+    return VirtualTaps(inner, load_rig(files[1]), followed, name=path.stem)
 
 
 def _pid_of(data: Mapping[str, Any]) -> PidController | FeedForwardPid:

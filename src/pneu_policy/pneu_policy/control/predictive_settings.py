@@ -2,9 +2,10 @@
 """How a predictive controller is set; see `pneu_policy.control.predictive`."""
 
 import math
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from pneu_common.validation import Listed, Settings
 from pneu_policy.control.shooting import SCALE_PA
@@ -30,6 +31,18 @@ ADAPTING = ObserverSettings(
 )
 """An observer that finds out, while it controls, by what the valve and the taps differ from the rig
 file: what is not known of a real rig is of this size."""
+
+
+def as_given(value: Any, usual: ObserverSettings) -> Any:
+    """Settings of an observer of which a file gives some: the others are the usual ones.
+
+    Args:
+        value: What is given.
+        usual: The usual ones.
+    """
+    if not isinstance(value, Mapping):
+        return value
+    return {**usual.model_dump(exclude_defaults=True), **value}
 
 
 class PredictiveSettings(Settings):
@@ -76,6 +89,11 @@ class PredictiveSettings(Settings):
     temperature: Annotated[float, Field(gt=0.0)] = 0.1
     share: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
     observer: ObserverSettings = ADAPTING
+
+    @field_validator("observer", mode="before")
+    @classmethod
+    def _given(cls, value: Any) -> Any:
+        return as_given(value, cls.model_fields["observer"].default)
 
     @model_validator(mode="after")
     def _check(self) -> Self:

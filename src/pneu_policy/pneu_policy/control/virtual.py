@@ -2,24 +2,17 @@
 """A controller that sees virtual taps: what an observer says of them, from fewer that are there.
 
 Any controller will do. It is told of every tap what the observer estimates, of those that are there
-too, and does not know the difference.
+too, and does not know the difference; a policy that sees the gas of lines is told that as well.
 """
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from pneu_common.errors import InputError
 from pneu_policy.control.controller import Controller
+from pneu_policy.control.followed import Followed, FollowedSettings
 from pneu_policy.control.identity import OF_LINES, check_same, rig_identity
-from pneu_policy.control.late import with_delay
-from pneu_policy.control.predictive_settings import ADAPTING
-from pneu_sim.observe.observer import Observer
-from pneu_sim.observe.settings import ObserverSettings
+from pneu_policy.control.learned import PolicyController
 from pneu_sim.rig.schema import Rig
-
-SAMPLE_S = 2e-3
-"""Commands are followed at least this finely within a period."""
 
 
 class VirtualTaps:
@@ -33,39 +26,34 @@ class VirtualTaps:
         period_s: Time from one step to the next, s.
         controller: The other controller.
         rig: The model.
-        observer: What follows the state.
+        followed: What follows the state.
     """
 
     def __init__(
-        self,
-        controller: Controller,
-        rig: Rig,
-        taps: Sequence[str],
-        settings: ObserverSettings = ADAPTING,
-        delay_s: float = 0.004,
-        name: str = "virtual",
+        self, controller: Controller, rig: Rig, settings: FollowedSettings, name: str = "virtual"
     ) -> None:
         """Builds the observer.
 
         Args:
             controller: The controller that commands.
             rig: The rig, calibrated.
-            taps: Taps that are there.
-            settings: How the state is followed.
-            delay_s: How late commands reach the valve beyond what the rig file knows, s.
+            settings: Taps that are there, and how the state is followed.
             name: What to call it.
 
         Raises:
-            InputError: The rig lacks a tap, or cannot be followed.
+            InputError: The rig lacks a tap or a pipe, or cannot be followed.
         """
         self.name, self.controller, self.rig = name, controller, rig
-        self.tap, self.taps = controller.tap, tuple(taps)
+        self.tap, self.taps = controller.tap, settings.taps
         self.preview_s, self.period_s = controller.preview_s, controller.period_s
         for tap in controller.taps:
             if tap not in rig.taps:
                 raise InputError(f"taps: {tap!r}: rig {rig.name!r} has {', '.join(rig.taps)}")
-        self.observer = Observer(with_delay(rig, delay_s), settings, self.taps)
-        self._null_v = next(iter(rig.valves.values())).spool.null_v
+        self.followed = Followed(rig, settings, self.period_s)
+        self._policy = controller if isinstance(controller, PolicyController) else None
+        self._points = () if self._policy is None else self._policy.policy.recipe.line
+        if self._points:
+            self.followed.line(self._points)  # raises where there is no such pipe
         self.reset()
 
     def check_rig(self, rig: Rig, who: str) -> None:
@@ -83,8 +71,7 @@ class VirtualTaps:
     def reset(self) -> None:
         """Forgets the past."""
         self.controller.reset()
-        self._held_v = self._null_v
-        self._begun = False
+        self.followed.reset()
 
     def step(self, taps_pa: Mapping[str, float], targets_pa: Sequence[float]) -> float:
         """Voltage for the next period; see `Controller.step`.
@@ -93,16 +80,11 @@ class VirtualTaps:
             taps_pa: Per tap its newest reading, Pa; one that is not finite is not there.
             targets_pa: Target at the times ahead, Pa.
         """
-        command = self.observer.plant.plan.commands[0]
-        if self._begun:
-            samples = max(1, round(self.period_s / SAMPLE_S))
-            held = np.full((1, samples), self._held_v)
-            self.observer.advance(held, self.period_s / samples)
-        else:
-            self.observer.begin(taps_pa, {command: self._held_v})
-            self._begun = True
-        self.observer.assimilate(taps_pa)
-        told = self.observer.estimate().mean
+        told = self.followed.look(taps_pa)
         seen = {tap: told[tap] for tap in self.controller.taps}
-        self._held_v = self.controller.step(seen, targets_pa)
-        return self._held_v
+        if self._policy is not None and self._points:
+            volts = self._policy.step(seen, targets_pa, self.followed.line(self._points))
+        else:
+            volts = self.controller.step(seen, targets_pa)
+        self.followed.acted(volts)
+        return volts

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
-from pneu_policy.control.controllers import Controller, PolicyController, load_controller
+from pneu_policy.control.controllers import Controller, load_controller
 from pneu_policy.control.late import with_delay
+from pneu_policy.control.learned import PolicyController
 from pneu_policy.control.predictive import PredictiveController
 from pneu_policy.control.virtual import VirtualTaps
 from pneu_policy.judge.metrics import EARLY_S, Track

@@ -12,7 +12,8 @@ from typing import Any
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes.parameters import parameter
-from pneu_policy.control.controllers import Controller, PolicyController, load_controller
+from pneu_policy.control.controllers import Controller, load_controller
+from pneu_policy.control.learned import PolicyController
 from pneu_policy.control.predictive import PredictiveController
 from pneu_policy.control.virtual import VirtualTaps
 from pneu_policy.nodes.control import ControlNode, ControlParameters
@@ -72,7 +73,7 @@ class PolicyNode(ControlNode):
             if policy.recipe.line:
                 raise InputError(
                     f"{self._params.policy}: this policy sees the gas of lines, which no sensor"
-                    " tells"
+                    " tells; an observer does, by a controller of kind `virtual`"
                 )
             if self._params.command not in policy.rig["commands"]:
                 raise InputError(

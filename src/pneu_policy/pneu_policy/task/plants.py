@@ -121,13 +121,7 @@ class SteppedPlant:
         Raises:
             InputError: There is no such pipe, or the model knows no gas along its lines.
         """
-        columns = []
-        for pipe, n in points:
-            gas = np.stack(self._plant.gas_in(pipe))
-            cells = gas.shape[1]
-            at = np.minimum(((np.arange(n) + 0.5) * cells / n).astype(int), cells - 1)
-            columns.append(gas[:, at].reshape(3 * n, self.count).T)
-        return np.concatenate(columns, axis=1)
+        return self._plant.gas_along(points).T
 
     def _advance(self, volts: Floats) -> tuple[Series, Floats]:
         """What was recorded of one period, and what the sensors then showed, (n, count).

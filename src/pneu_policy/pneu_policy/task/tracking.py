@@ -17,6 +17,7 @@ from pydantic import Field
 
 from pneu_common.errors import InputError
 from pneu_common.validation import Settings
+from pneu_policy.control.followed import Followed, FollowedSettings
 from pneu_policy.control.observations import Observer, Recipe
 from pneu_policy.task.ensembles import draw_rigs
 from pneu_policy.task.plants import ControlPlant
@@ -56,6 +57,8 @@ class EnvSettings(Settings):
         start_error_pa: An episode starts within this of its target, Pa.
         reward: The reward.
         seed: Seed of the drawn rigs.
+        virtual: What is seen is what an observer of the rig as its file has it tells, by these taps
+            alone: so a policy does that runs with virtual ones. None sees all there is.
         unit: What errors are told in, and how much one of it is.
         mark: Error at which the task is called learned, in that unit.
     """
@@ -81,6 +84,7 @@ class EnvSettings(Settings):
     start_error_pa: Annotated[float, Field(ge=0.0, lt=1e6)] = 20e3
     reward: Reward = Reward()
     seed: Seed = 0
+    virtual: FollowedSettings | None = None
 
     @property
     def file(self) -> str:
@@ -134,6 +138,15 @@ class PressureTracking(TaskEnv):
         taps = [self.rig.taps[tap] for tap in r.taps]
         self._noise = np.array([t.noise_pa if s.noise_pa is None else s.noise_pa for t in taps])
         self._observer = Observer(r, s.num_envs)
+        self._followed: list[Followed] = []
+        if s.virtual is not None:
+            unseen = [tap for tap in s.virtual.taps if tap not in r.taps]
+            if unseen:
+                raise InputError(
+                    f"virtual.taps: found {unseen[0]!r}, the recipe has {', '.join(r.taps)}"
+                )
+            each = [s.virtual.seeded(n) for n in range(s.num_envs)]
+            self._followed = [Followed(self.rig, one, r.period_s) for one in each]
         self.num_envs = s.num_envs
         self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (r.size,), np.float32)
         self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
@@ -183,6 +196,8 @@ class PressureTracking(TaskEnv):
         away = rng.uniform(-s.start_error_pa, s.start_error_pa, n)
         self.plant.reset(np.clip(self._targets[0, :, 0] + away, s.low_pa, s.high_pa))
         self._observer.reset()
+        for one in self._followed:
+            one.reset()
         self._step = 0
         self._started = True
         return self._observe(), {}
@@ -206,6 +221,8 @@ class PressureTracking(TaskEnv):
         volts = r.volts(np.asarray(actions, dtype=np.float64).reshape(self.num_envs))
         self.plant.step(volts)
         self._observer.acted(volts)
+        for one, v in zip(self._followed, volts.tolist(), strict=False):
+            one.acted(v)
         self._step += 1
         observation = self._observe()
         pressure = self._readings[:, self._controlled]
@@ -226,8 +243,23 @@ class PressureTracking(TaskEnv):
         self._readings = self.plant.readings()
         seen = self._readings[:, self._seen]
         seen = seen + self._noise * self._rng.normal(size=seen.shape)
-        line = self.plant.line(r.line) if r.line else None
+        line = None
+        if self._followed:
+            seen, line = self._through_observers(seen)
+        elif r.line:
+            line = self.plant.line(r.line)
         return self._observer.observe(seen, self._targets[self._step], line).astype(np.float32)
+
+    def _through_observers(self, seen: Floats) -> tuple[Floats, Floats | None]:
+        """What observers make of readings: all taps, and the gas of the lines where it is seen."""
+        r = self.settings.recipe
+        told = np.empty_like(seen)
+        for n, one in enumerate(self._followed):
+            shown = one.look(dict(zip(r.taps, seen[n].tolist(), strict=True)))
+            told[n] = [shown[tap] for tap in r.taps]
+        if not r.line:
+            return told, None
+        return told, np.concatenate([one.line(r.line) for one in self._followed])
 
 
 def _check_step(settings: EnvSettings, plant: ControlPlant) -> None:
