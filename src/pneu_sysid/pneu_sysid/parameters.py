@@ -7,7 +7,7 @@ import numpy as np
 
 from pneu_common.errors import InputError
 from pneu_sim.models import kind_of
-from pneu_sim.rig.parameters import get_parameter, told_apart, value_of, with_parameters
+from pneu_sim.rig.parameters import each_that_differs, get_parameter, value_of, with_parameters
 from pneu_sim.rig.schema import CLOSED, FitParameter, Rig
 from pneu_sysid.gauss_newton import Variable
 from pneu_sysid.moving_parameters import moving_parameters
@@ -31,7 +31,7 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
     out: list[FitParameter] = []
 
     def add(path: str, lower: float, upper: float, std: float, log: bool = False) -> None:
-        for one in told_apart(rig, path):
+        for one in each_that_differs(rig, path):
             out.append(FitParameter(path=one, lower=lower, upper=upper, std=std, log=log))
 
     def around(path: str, factor: float, relative_std: float) -> None:
@@ -136,7 +136,7 @@ def calibrated_parameters(rig: Rig) -> list[FitParameter]:
         return out
 
     def add(path: str, lower: float, upper: float, std: float, log: bool = False) -> None:
-        for one in told_apart(rig, path):
+        for one in each_that_differs(rig, path):
             out.append(FitParameter(path=one, lower=lower, upper=upper, std=std, log=log))
 
     def around(path: str, factor: float, relative_std: float) -> None:

@@ -26,6 +26,20 @@ def _step(node: Any, part: str, path: str) -> Any:
         raise InputError(f"parameter {path!r}: no {part!r} there; known are {known}") from None
 
 
+def _holders(rig: Rig, path: str) -> list[tuple[str, Any, str]]:
+    """Of every number that a path stands for: its own path, what holds it, and its name there."""
+    *parents, last = path.split(".")
+    nodes: list[tuple[str, Any]] = [("", rig)]
+    for part in parents:
+        if part != "*":
+            nodes = [(f"{at}{part}.", _step(node, part, path)) for at, node in nodes]
+        elif all(isinstance(node, dict) and node for _, node in nodes):
+            nodes = [(f"{at}{name}.", of) for at, node in nodes for name, of in node.items()]
+        else:
+            raise InputError(f"parameter {path!r}: there is nothing for '*' to stand for")
+    return [(f"{at}{last}", node, last) for at, node in nodes]
+
+
 def get_parameter(rig: Rig, path: str) -> float:
     """Returns the number at a dotted path.
 
@@ -38,19 +52,14 @@ def get_parameter(rig: Rig, path: str) -> float:
     Raises:
         InputError: There is no number at that path.
     """
-    node: Any = rig
-    for part in path.split("."):
-        if part == "*":
-            if not isinstance(node, dict) or not node:
-                raise InputError(f"parameter {path!r}: there is nothing for '*' to stand for")
-            part = next(iter(node))
-        node = _step(node, part, path)
-    if isinstance(node, bool) or not isinstance(node, int | float):
-        raise InputError(f"parameter {path!r}: found {node!r}, a number is needed")
-    return float(node)
+    _, node, last = _holders(rig, path)[0]
+    found = _step(node, last, path)
+    if isinstance(found, bool) or not isinstance(found, int | float):
+        raise InputError(f"parameter {path!r}: found {found!r}, a number is needed")
+    return float(found)
 
 
-def told_apart(rig: Rig, path: str) -> list[str]:
+def each_that_differs(rig: Rig, path: str) -> list[str]:
     """The path itself; where ``*`` in it stands for numbers that differ, the path of each.
 
     Args:
@@ -60,25 +69,9 @@ def told_apart(rig: Rig, path: str) -> list[str]:
     Raises:
         InputError: There is no number at that path.
     """
-    paths = [""]
-    for part in path.split("."):
-        nodes = [_node(rig, one, path) for one in paths]
-        if part == "*":
-            if not all(isinstance(node, dict) and node for node in nodes):
-                return [path]  # whoever reads it is told that there is nothing
-            pairs = zip(paths, nodes, strict=True)
-            paths = [f"{one}.{name}".lstrip(".") for one, node in pairs for name in node]
-        else:
-            paths = [f"{one}.{part}".lstrip(".") for one in paths]
+    paths = [one for one, _, _ in _holders(rig, path)]
     values = {get_parameter(rig, one) for one in paths}
     return [path] if len(values) == 1 else paths
-
-
-def _node(rig: Rig, path: str, whole: str) -> Any:
-    node: Any = rig
-    for part in path.split(".") if path else ():
-        node = _step(node, part, whole)
-    return node
 
 
 def with_parameters(rig: Rig, values: dict[str, float]) -> Rig:
@@ -93,16 +86,7 @@ def with_parameters(rig: Rig, values: dict[str, float]) -> Rig:
     """
     copy = rig.model_copy(deep=True)
     for path, value in values.items():
-        *parents, last = path.split(".")
-        nodes: list[Any] = [copy]
-        for part in parents:
-            if part == "*":
-                if not all(isinstance(node, dict) and node for node in nodes):
-                    raise InputError(f"parameter {path!r}: there is nothing for '*' to stand for")
-                nodes = [child for node in nodes for child in node.values()]
-            else:
-                nodes = [_step(node, part, path) for node in nodes]
-        for node in nodes:
+        for _, node, last in _holders(copy, path):
             _step(node, last, path)
             if isinstance(node, BaseModel):
                 object.__setattr__(node, last, float(value))
