@@ -148,6 +148,7 @@ class Work:
         self._ends, self._tell = ends, tell
         self._total = 1.05 * max((end for end, _ in ends.values()), default=1.0)
         self._done = self._until = 0.0
+        self._mark = 0.0, 0.0  # what was done, and the fraction told, when the last step was added
         self.words = ""
 
     @classmethod
@@ -179,22 +180,28 @@ class Work:
 
             def tell(fraction: float) -> None:
                 self._done = min(begun + weight * count * fraction, self._until)
-                self._tell("calibrating", self._done / self._total, self.words)
+                self._tell("calibrating", self._fraction(), self.words)
 
             return tell
 
         return told
 
     def add(self, step: Step, weight: float, runs: int) -> None:
-        """Takes up a step that nobody knew of beforehand.
+        """Takes up a step that nobody knew of beforehand; what is told done does not go back.
 
         Args:
             step: The step.
             weight: What one run in it is worth.
             runs: How many it takes.
         """
+        self._mark = self._done, self._fraction()
         self._ends[step] = (self._done + weight * runs, weight)
         self._total = 1.05 * self._ends[step][0]
+
+    def _fraction(self) -> float:
+        """What is told done: from the mark on what is left shares what was left to be told."""
+        done, told = self._mark
+        return told + (1.0 - told) * (self._done - done) / (self._total - done)
 
     def finish(self, step: Step) -> None:
         """Ends a step, whether or not all of it had to be done.
