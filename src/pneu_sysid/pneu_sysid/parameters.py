@@ -98,12 +98,13 @@ def default_parameters(rig: Rig) -> list[FitParameter]:
     for name in rig.chambers:
         around(f"chambers.{name}.volume_m3", 4.0, 0.5)
     out += moving_parameters(rig)
-    add("pipes.*.wall.laminar", 0.3, 3.0, 0.3)
-    add("pipes.*.wall.unsteady", 0.0, 3.0, 0.5)
-    add("pipes.*.wall.turbulent_fade", 0.0, 3.0, 0.5)
-    add("pipes.*.wall.heat_unsteady", 0.0, 3.0, 0.5)
-    add("pipes.*.wall.heat_turbulent", 0.0, 3.0, 0.5)
-    add("pipes.*.wall.onset_reynolds", 1000.0, 20000.0, 1500.0, log=True)
+    if rig.pipes:
+        add("pipes.*.wall.laminar", 0.3, 3.0, 0.3)
+        add("pipes.*.wall.unsteady", 0.0, 3.0, 0.5)
+        add("pipes.*.wall.turbulent_fade", 0.0, 3.0, 0.5)
+        add("pipes.*.wall.heat_unsteady", 0.0, 3.0, 0.5)
+        add("pipes.*.wall.heat_turbulent", 0.0, 3.0, 0.5)
+        add("pipes.*.wall.onset_reynolds", 1000.0, 20000.0, 1500.0, log=True)
     for name, tap in rig.taps.items():
         if tap.pipe is not None and tap.channel is not None:
             length = rig.pipes[tap.pipe].length_m
@@ -154,7 +155,8 @@ def calibrated_parameters(rig: Rig) -> list[FitParameter]:
             around(f"{base}.max_speed_v_s", 10.0, 1.0)
         if valve.spool.max_acceleration_v_s2 is not None:
             around(f"{base}.max_acceleration_v_s2", 10.0, 1.0)
-    add("pipes.*.wall.roughness_m", 0.0, 5e-5, 5e-6)
+    if rig.pipes:
+        add("pipes.*.wall.roughness_m", 0.0, 5e-5, 5e-6)
     for name in rig.chambers:
         around(f"chambers.{name}.heat_w_per_k", 5.0, 0.4)
         around(f"chambers.{name}.convection_m2", 5.0, 0.4)
