@@ -10,7 +10,7 @@ from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.run import run_from_rest
 from pneu_sim.signals import Signal
-from pneu_sysid.cells import amounts_in, error_of_cells, without_doubt, words_on_cells
+from pneu_sysid.cells import REMAINS, amounts_in, error_of_cells, without_doubt, words_on_cells
 from pneu_sysid.problem import make_problem
 from pneu_sysid.records import Recording
 
@@ -26,7 +26,7 @@ def test_weighed_squares_are_those_of_the_covariance():
     weighed = without_doubt(r, doubt)
     for sensor in range(2):
         d = doubt[..., sensor].ravel()
-        weight = np.linalg.inv(np.eye(d.size) + np.outer(d, d))
+        weight = np.linalg.inv(np.diag(1.0 + (REMAINS * d) ** 2) + np.outer(d, d))
         for k in range(3):
             a, b = r[k, ..., sensor].ravel(), r[(k + 1) % 3, ..., sensor].ravel()
             of = [weighed[j, ..., sensor].ravel() for j in (k, (k + 1) % 3)]

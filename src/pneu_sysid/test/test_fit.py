@@ -347,9 +347,15 @@ def test_the_rig_s_own_cells_have_the_last_word_near_the_noise(gain: float, take
     hidden = wrong if gain else None
     recording = experiments.record(experiments.plant_of(rig, hidden), volts, "steep", 3)
     few = [p for p in parameters_of(rig) if p.path.endswith("out.position_m")]
-    said: set[str] = set()
-    fit_rig(rig, [recording], few, progress=lambda stage, done=None, note="": said.add(note))
-    assert (OWN_CELLS in said) == taken
+    said: list[tuple[float, str]] = []
+
+    def tell(stage: str, done: float | None = None, note: str = "") -> None:
+        said.append((done or 0.0, note))
+
+    fit_rig(rig, [recording], few, progress=tell)
+    assert (OWN_CELLS in {note for _, note in said}) == taken
+    told = [done for done, _ in said if done]
+    assert told == sorted(told) and told[-1] <= 1.0
 
 
 @pytest.mark.parametrize(("horizon_s", "moves"), [(0.5, False), (0.15, True), (0.5, True)])
