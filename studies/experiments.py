@@ -28,6 +28,7 @@ from pneu_sim.rig.opening import opening_at
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.run import add_encoder_noise, add_noise, run_from_rest
 from pneu_sim.signals import Signal
+from pneu_sysid.curves import curve_ties
 from pneu_sysid.design.design import Asked, design
 from pneu_sysid.design.hypotheses import hypotheses_of, part_of
 from pneu_sysid.design.judge import judged
@@ -246,17 +247,21 @@ WAYS = (f"random {LONG_S:g} s", f"random {SHORT_S:g} s", f"designed {SHORT_S:g} 
 
 
 def datasheet(rig: Rig, seed: int) -> Rig:
-    """A rig as its datasheet might have it: every number off by about what is not known of it."""
+    """A rig as its datasheet might have it: every number off by about what is not known of it.
+
+    Opening curves are off as a whole: they bend no more there than a fit expects curves to.
+    """
     bare = rig.model_copy(
         update={"calibration": None, "fit": rig.fit.model_copy(update={"parameters": []})}
     )
     listed, _ = estimated_parameters(bare)
     rng = np.random.default_rng([seed, 47])
-    x = [
-        float(np.clip(v.value + OFF * std * rng.normal(), v.lower, v.upper))
-        for v in variables_of(bare, listed)
-        for std in [min(v.std, v.upper - v.lower)]
-    ]
+    variables = variables_of(bare, listed)
+    std = np.array([min(v.std, v.upper - v.lower) for v in variables])
+    ties = curve_ties(bare, listed).matrix * std
+    root = np.linalg.cholesky(np.eye(std.size) + ties.T @ ties)
+    off = OFF * std * np.linalg.solve(root.T, rng.normal(size=std.size))
+    x = [float(np.clip(v.value + o, v.lower, v.upper)) for v, o in zip(variables, off, strict=True)]
     return rig_at(bare, listed, np.array(x))
 
 

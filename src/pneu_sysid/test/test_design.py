@@ -13,19 +13,24 @@ from tests.one_tap import LAB, one_tap
 
 from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
-from pneu_sim.rig.schema import AttachedEffect, Calibration
+from pneu_sim.rig.schema import AttachedEffect, Calibration, FitParameter
 from pneu_sysid.design.choose import choose
 from pneu_sysid.design.command import foreseen_words, joints_of
-from pneu_sysid.design.design import REST_S, Asked, design
-from pneu_sysid.design.foreseen import foresee, lasting_share
+from pneu_sysid.design.design import REST_S, Asked, _Model, design
+from pneu_sysid.design.foreseen import foresee, lasting_share, with_known_noise
 from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.design.information import Columns, Information, _scatter
 from pneu_sysid.design.judge import promised_errors
 from pneu_sysid.design.limits import limits_of, volts_of
+from pneu_sysid.design.parameters import parameters_to_learn
 from pneu_sysid.design.plan import Bounds, Expected, Plan
 from pneu_sysid.design.plan_file import check_plan, load_plan
+from pneu_sysid.design.possible import possible_rigs
+from pneu_sysid.design.promise import Promise
 from pneu_sysid.design.tracking import track
 from pneu_sysid.design.waves import KINDS, STEP_S, draw_piece, joined
+from pneu_sysid.fit import as_fitted
+from pneu_sysid.gauss_newton import left_out_moves
 from pneu_sysid.results import write_json
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -207,6 +212,28 @@ def test_covariance_is_that_of_a_fit():
     np.testing.assert_allclose(np.cov(np.array(drawn).T), found, rtol=0.1, atol=2e-5)
 
 
+def test_errors_promised_are_those_that_leaving_stretches_out_finds():
+    """Against fits of linear models to draws, few stretches telling much alone."""
+    columns, _ = made_up(np.random.default_rng(9), 5, 8)
+    j = columns[:, :, 5:].copy()
+    j[1:, :, 1] *= 0.05  # one stretch alone tells of the second number
+    grams = np.einsum("smi,smj->sij", j, j)
+    alone = Information(
+        Columns([], [], [0, 1]), np.stack([grams, grams], axis=1), [], np.ones(2), np.eye(2)
+    )
+    whole = grams.sum(axis=0) + np.eye(2)
+    inverse = np.linalg.inv(whole)
+    rng, moved = np.random.default_rng(2), []
+    for _ in range(4000):
+        y = j @ rng.normal(size=2) + rng.normal(size=j.shape[:2])
+        r = y - j @ (inverse @ np.einsum("smp,sm->p", j, y))
+        moves = left_out_moves(whole, grams, np.einsum("smp,sm->sp", j, r))
+        moved.append(0.8 * np.sum(moves**2, axis=0) + np.diag(inverse @ inverse))
+    found = np.sqrt(np.mean(moved, axis=0))
+    assert found[1] > 1.2 * np.sqrt(inverse[1, 1])
+    np.testing.assert_allclose(alone.found(), found, rtol=0.05)
+
+
 def test_the_choice_is_the_best_of_all():
     _, told = made_up(np.random.default_rng(11), 6, 8)
     best = max(
@@ -278,6 +305,53 @@ def test_what_no_experiment_can_tell_is_said_before():
     assert words.startswith(
         "No experiment within these limits can tell valve_delay@valve from clock_offset@end"
     )
+
+
+SOME = (
+    "reservoirs.supply.pressure_pa",
+    "valves.valve.ports.supply.conductance_m3_s_pa",
+    "valves.valve.ports.exhaust.conductance_m3_s_pa",
+    "valves.valve.spool.bandwidth_hz",
+    "pipes.tube.area_m2",
+    "pipes.tube.wall.turbulent",
+)
+
+
+BARE = FITTED.model_copy(update={"fit": FITTED.fit.model_copy(update={"parameters": []})})
+
+
+def some() -> list[FitParameter]:
+    found = [p for p in parameters_to_learn(BARE) if p.path in SOME]
+    assert len(found) == len(SOME)
+    return found
+
+
+def test_promises_hold_for_rigs_like_the_one_that_is_known():
+    """What a plan tells of rigs that it was not made by, beside what it promises."""
+    listed = some()
+    asked = Asked(2.0, limits_of(BARE), [], listed, rate_hz=100.0, seed=1)
+    plan = design(BARE, asked)
+    promised = np.array([plan.expected.std_errors[p.path] for p in listed], dtype=float)
+    ratios = []
+    rng = np.random.default_rng(100)
+    for one in possible_rigs(with_known_noise(as_fitted(BARE)), listed, {}, 6, rng):
+        there = _Model(one.rig, dataclasses.replace(asked, parameters=one.parameters), {}, {})
+        seen = there.foresee(plan.volts(STEP_S))
+        ratios.append(Promise(seen, there.tells(seen)).errors(listed) / promised)
+    assert 1.0 / 1.5 < np.median(ratios) < 1.5
+    assert np.quantile(ratios, 0.1) > 0.3 and np.quantile(ratios, 0.9) < 3.0
+
+
+def test_limits_that_hold_for_the_rig_as_it_is_known_and_not_for_others_like_it():
+    listed = [p for p in some() if p.path == SOME[0]]
+    (supply,) = listed
+    assert supply.std is not None
+    highest = BARE.reservoirs["supply"].pressure_pa + 0.5 * supply.std
+    limits = limits_of(BARE, highest_pa=highest)
+    plan = design(BARE, Asked(2.0, limits, [], listed, "steps", rate_hz=100.0))
+    (words,) = [w for w in plan.expected.words if w.startswith("In ")]
+    assert re.match(r"In [1-5] of 5 rigs as this one may be by what is known of it", words)
+    assert plan.expected.highest_pa["end"] > highest
 
 
 def test_promises_are_of_the_same_points_of_curves():

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """An experiment designed: pieces drawn, what each tells, the best chosen, and played whole.
 
-Parameters: D-optimal, the volume of what is possible of them is made small (Fedorov 1972).
+Parameters: D-optimal, the volume of what is possible of them is made small (Fedorov 1972), on
+average over rigs as they may be (`possible`).
 Candidates: T-optimal, each stays as far as it can from what any other can make of it (Atkinson and
 Fedorov 1975, Biometrika 62(1), 57), the nearest two counting.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -25,7 +26,8 @@ from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.design.information import Information, information_of
 from pneu_sysid.design.limits import Limits
 from pneu_sysid.design.plan import Bounds, Plan, thinned
-from pneu_sysid.design.promise import expected_of, pairs_of, separation_of
+from pneu_sysid.design.possible import possible_rigs
+from pneu_sysid.design.promise import Promise, expected_of, pairs_of, separation_of
 from pneu_sysid.design.tracking import track
 from pneu_sysid.design.waves import KINDS, STEP_S, Choice, draw_piece, joined, shut
 from pneu_sysid.fit import as_fitted
@@ -35,8 +37,8 @@ from pneu_sysid.thresholds import Thresholds
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
-Tells = Callable[..., Information]
-"""What pieces tell: of what is foreseen, of when they begin and end, and who is told of it."""
+Ran = Callable[[float], None]
+"""Told the fraction done."""
 
 POOL = 120
 """Pieces that are drawn to choose from."""
@@ -59,6 +61,13 @@ MOST_TRIES = 40
 WINDOWS = 5
 """... the best that follow one another there, so many, and from then on the best plan so far with
 some pieces exchanged for others that follow one another there."""
+AVERAGED = 3
+"""Rigs as they may be, by which plans for parameters are chosen; one that is behind the best plan
+so far by the first of them is not run by the others."""
+PROMISED = 5
+"""Others, by which the plan that was chosen is judged."""
+LEAVES = 1e6
+"""A rig in which a plan would leave its limits counts against it by more than all it tells."""
 SCATTER = 0.5
 """By so much of what is needed the lead that is found is other than promised: by one standard
 error, as it is counted in those, and by what the model got wrong of it."""
@@ -118,22 +127,51 @@ class _Pool:
 
 
 @dataclass(frozen=True)
+class _Model:
+    """A rig, and how what is played on it is foreseen.
+
+    Attributes:
+        rig: The rig.
+        asked: What a plan is to be, its parameters as they are known of this rig.
+        lasting: Per sensor the share of what its calibration left that lasts.
+        mirrors: Opening curves that are about the mirrors of others.
+    """
+
+    rig: Rig
+    asked: Asked
+    lasting: Mapping[str, float]
+    mirrors: Mirrors
+
+    def foresee(self, volts: Mapping[str, Floats], progress: Ran | None = None) -> Foreseen:
+        """What happens along commands."""
+        return foresee(self.rig, volts, self.asked.rate_hz, self.asked.workers, progress)
+
+    def tells(
+        self, seen: Foreseen, edges: Floats | None = None, progress: Ran | None = None
+    ) -> Information:
+        """What the pieces between edges tell; without edges, each stretch that a fit has of it."""
+        problem = make_problem(self.rig, seen.recording, workers=self.asked.workers)
+        if kind_of(self.rig).along_lines:
+            problem = problem.coarsened(self.rig, LONGER_CELLS)
+        return information_of(
+            problem, self.rig, self.asked.hypotheses, self.asked.parameters, edges, self.lasting,
+            self.mirrors, progress,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class _Played:
     """A choice of pieces, played whole.
 
     Attributes:
         chosen: The pieces.
         volts: Per command volts every ``STEP_S``.
-        seen: What happens.
-        promised: What it tells, as one piece.
-        value: What that is worth.
+        values: What it is worth by each rig that it is chosen by.
     """
 
     chosen: list[int]
     volts: dict[str, Floats]
-    seen: Foreseen
-    promised: Information
-    value: float
+    values: list[float]
 
 
 def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
@@ -151,20 +189,23 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
     if not asked.hypotheses and not asked.parameters:
         raise InputError(f"rig {rig.name!r}: found no parameters to learn, and no candidates")
     # candidates are told apart with the rig that was diagnosed, numbers learnt with one for a fit
-    model = with_known_noise(rig if asked.hypotheses else as_fitted(rig))
-    tells = partial(_information, model, asked, lasting_share(rig), mirrors_of(rig))
+    rig_run = with_known_noise(rig if asked.hypotheses else as_fitted(rig))
+    model = _Model(rig_run, asked, lasting_share(rig), mirrors_of(rig))
     rng = np.random.default_rng([asked.seed, 23])
-    pool = _drawn(model, asked, rng, tell)
+    pool = _drawn(model, rng, tell)
     known = None
     if asked.kind is None:
-        edges = pool.edges_s(POOL)
-        known = tells(pool.seen, edges, partial(tell, "what each piece tells"))
-    best = _played(model, asked, pool, known, tells, rng, tell)
-    gram = best.promised.grams.sum(axis=0)
+        known = model.tells(pool.seen, pool.edges_s(POOL), partial(tell, "what each piece tells"))
+    others = _others(model, pool, AVERAGED + PROMISED)
+    chosen_by, judges = others[:AVERAGED] or [model], others[AVERAGED:] or [model]
+    best = _played(model, chosen_by, pool, known, rng, tell)
+    promises = [Promise(seen, m.tells(seen)) for m in judges for seen in [m.foresee(best.volts)]]
     labels = [one.label for one in asked.hypotheses]
     separations, most = [], []
+    promised = promises[0].told
+    gram = promised.grams.sum(axis=0)
     for a, b in pairs_of(asked.hypotheses):
-        lead = best.promised.lead(gram, a, b)
+        lead = promised.lead(gram, a, b)
         most.append(max(lead, 0.0 if known is None else _alone(known, pool, a, b)))
         separations.append(separation_of(labels[a], labels[b], lead, most[-1]))
     seconds = float(pool.edges_s(pool.count)[-1])
@@ -177,27 +218,45 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
         seed=asked.seed,
         commands={name: thinned(series, STEP_S) for name, series in best.volts.items()},
         limits=_bounds(asked.limits),
-        expected=expected_of(best.seen, best.promised, separations, most, learnt, seconds),
+        expected=expected_of(promises, asked.limits, separations, most, learnt, seconds),
     )
 
 
-def _drawn(model: Rig, asked: Asked, rng: np.random.Generator, tell: Progress) -> _Pool:
+def _others(model: _Model, pool: _Pool, count: int) -> list[_Model]:
+    """Rigs as they may be, of those that can be run; none where candidates are told apart."""
+    asked = model.asked
+    if asked.hypotheses:
+        return []
+    volts = joined([pool.rest, *pool.pieces[: pool.count]], asked.limits)
+    rng = np.random.default_rng([asked.seed, 59])
+    out: list[_Model] = []
+    for one in possible_rigs(model.rig, asked.parameters, model.mirrors, 2 * count, rng):
+        other = replace(model, rig=one.rig, asked=replace(asked, parameters=one.parameters))
+        try:
+            other.foresee(volts)
+        except InputError:
+            continue  # one that cannot be run tells nothing
+        out.append(other)
+        if len(out) == count:
+            break
+    return out
+
+
+def _drawn(model: _Model, rng: np.random.Generator, tell: Progress) -> _Pool:
     """Pieces that keep to the limits, and more."""
+    rig, asked = model.rig, model.asked
     limits, seconds = asked.limits, asked.seconds - REST_S
     if asked.kind == "tracking":  # what corrects without end is no piece of something else
         count, piece_s = 1, round(seconds / STEP_S) * STEP_S
-        pieces = track(model, limits, piece_s, TRACKED, rng).pieces
+        pieces = track(rig, limits, piece_s, TRACKED, rng).pieces
     else:
         count = max(round(seconds / np.clip(seconds / PIECES, *PIECE_S)), 1)
         piece_s = round(seconds / count / STEP_S) * STEP_S
         kinds = [asked.kind] if asked.kind else list(KINDS)
-        pieces = [
-            draw_piece(model, limits, piece_s, kinds[k % len(kinds)], rng) for k in range(POOL)
-        ]
-    rest = shut(model, limits, REST_S)
+        pieces = [draw_piece(rig, limits, piece_s, kinds[k % len(kinds)], rng) for k in range(POOL)]
+    rest = shut(rig, limits, REST_S)
     volts = joined([rest, *pieces], limits)
-    ran = partial(tell, "running what may be played")
-    seen = foresee(model, volts, asked.rate_hz, asked.workers, ran)
+    seen = model.foresee(volts, partial(tell, "running what may be played"))
     edges = REST_S + np.arange(len(pieces) + 1) * piece_s
     spent = [count * seen.taken_kg(*edges[k : k + 2]) for k in range(len(pieces))]
     allowed = [
@@ -211,11 +270,10 @@ def _drawn(model: Rig, asked: Asked, rng: np.random.Generator, tell: Progress) -
 
 
 def _played(
-    model: Rig,
-    asked: Asked,
+    model: _Model,
+    chosen_by: Sequence[_Model],
     pool: _Pool,
     known: Information | None,
-    tells: Tells,
     rng: np.random.Generator,
     tell: Progress,
 ) -> _Played:
@@ -224,11 +282,11 @@ def _played(
     What a piece tells depends on what was before it, and begun elsewhere it goes elsewhere. So
     what pieces tell where they were drawn only says where to begin, and plans are judged whole.
     """
-    worth = _worth(known, asked)
+    limits = model.asked.limits
     count = pool.count
-    edges = pool.edges_s(count)
     begin: list[list[int]] = []
     if known is not None:
+        worth = _worth(known, model.asked)
         begin = _windows(known, pool.allowed, count, worth)
         begin.append(choose(known.grams, count, pool.allowed, worth))
     best: _Played | None = None
@@ -245,20 +303,50 @@ def _played(
             continue
         tried.add(tuple(chosen))
         tell("trying plans", turn / tries)
-        volts = joined([pool.rest, *(pool.pieces[k] for k in chosen)], asked.limits)
-        seen = foresee(model, volts, asked.rate_hz, asked.workers)
-        inside = all(seen.keeps(asked.limits, *edges[k : k + 2]) for k in range(count))
-        if not inside or seen.air_kg[-1] > asked.limits.air_kg:
+        volts = joined([pool.rest, *(pool.pieces[k] for k in chosen)], limits)
+        seen = model.foresee(volts)
+        if not seen.within(limits):
             continue
-        promised = tells(seen, np.array([0.0, edges[-1]]))
-        value = worth(promised.grams.sum(axis=0))
-        if best is None or value > best.value:
-            best = _Played(chosen, volts, seen, promised, value)
         if known is None:
-            break
+            return _Played(chosen, volts, [])
+        values = _values(model, chosen_by, volts, seen, best, turn)
+        if values:
+            best = _Played(chosen, volts, values)
     if best is None:
-        raise InputError(_nothing_left(seen, asked.limits, float(seen.air_kg[-1])))
+        raise InputError(_nothing_left(seen, limits, float(seen.air_kg[-1])))
     return best
+
+
+def _values(
+    model: _Model,
+    chosen_by: Sequence[_Model],
+    volts: Mapping[str, Floats],
+    seen: Foreseen,
+    best: _Played | None,
+    turn: int,
+) -> list[float]:
+    """What a plan is worth by each rig; none where it is not better than the best so far.
+
+    The first of them that says so is enough, each in its turn.
+    """
+    size = len(chosen_by)
+    values = [0.0] * size
+    ahead = 0.0
+    for k in range(turn, turn + size):
+        one = chosen_by[k % size]
+        try:
+            there = seen if one is model else one.foresee(volts)
+        except InputError:
+            return []  # it cannot be run, and what it tells is not known
+        told = one.tells(there)
+        values[k % size] = _worth(told, one.asked)(told.grams.sum(axis=0))
+        if not there.within(model.asked.limits):
+            values[k % size] -= LEAVES
+        if best is not None:
+            ahead += values[k % size] - best.values[k % size]
+            if ahead <= 0.0:
+                return []
+    return values
 
 
 def _windows(
@@ -292,28 +380,8 @@ def _exchanged(
     return out
 
 
-def _information(
-    model: Rig,
-    asked: Asked,
-    lasting: Mapping[str, float],
-    mirrors: Mirrors,
-    seen: Foreseen,
-    edges: Floats,
-    progress: Callable[[float], None] | None = None,
-) -> Information:
-    problem = make_problem(model, seen.recording, workers=asked.workers)
-    if kind_of(model).along_lines:
-        problem = problem.coarsened(model, LONGER_CELLS)
-    return information_of(
-        problem, model, asked.hypotheses, asked.parameters, edges, lasting,
-        mirrors, progress,
-    )  # fmt: skip
-
-
-def _worth(known: Information | None, asked: Asked) -> Worth:
-    """What a sum of pieces is worth; nothing where none are chosen."""
-    if known is None:
-        return lambda gram: 0.0
+def _worth(known: Information, asked: Asked) -> Worth:
+    """What a sum of pieces is worth."""
     if not asked.hypotheses:
         return known.log_determinant
     pairs, needed = pairs_of(asked.hypotheses), Thresholds().tied

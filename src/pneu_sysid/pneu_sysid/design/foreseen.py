@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a model foresees of commands: readings as a recording, and whether limits are kept."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -58,6 +59,14 @@ class Foreseen:
             bool(np.all((self.joints[name][now] >= low) & (self.joints[name][now] <= high)))
             for name, (low, high) in limits.joints.items()
         )
+
+    def within(self, limits: Limits) -> bool:
+        """Whether all keeps to limits, the air that is taken too.
+
+        Args:
+            limits: The limits.
+        """
+        return self.keeps(limits, 0.0, math.inf) and float(self.air_kg[-1]) <= limits.air_kg
 
     def taken_kg(self, begin_s: float, end_s: float) -> float:
         """Air that is taken from the supplies for a time.

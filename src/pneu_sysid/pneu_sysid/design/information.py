@@ -15,7 +15,7 @@ from scipy.linalg import block_diag
 
 from pneu_sim.rig import with_parameters
 from pneu_sim.rig.schema import FitParameter, Rig
-from pneu_sysid.cells import own_share
+from pneu_sysid.cells import own_share, weights_of
 from pneu_sysid.curves import Mirrors, curve_ties
 from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.evidence import blocks_of
@@ -90,6 +90,30 @@ class Information:
         count = len(self.columns.parameters)
         return np.asarray(whole[:count, :count])
 
+    def found(self) -> Floats:
+        """(P,) standard errors that a fit is expected to find, as shares of what was known before.
+
+        A fit tells them by leaving out one stretch after the other, each with what it alone tells
+        (`gauss_newton.left_out_moves`). Of noise that is, on average, how much less certain all is
+        without each: the sum of ``(H - o)^-1 o H^-1`` over stretches of information ``o``, all
+        having ``H``. It is no less than what noise makes of a fit to all.
+
+        Pieces are to be the stretches.
+        """
+        at = [*self.columns.parameters, *self.columns.doubtful]
+        inner, scatter = self.grams[:, 0][:, at][:, :, at], self.grams[:, 1][:, at][:, :, at]
+        known = block_diag(self.prior, np.eye(len(self.columns.doubtful)) / self.doubt**2)
+        whole = inner.sum(axis=0) + known
+        inverse = np.linalg.inv(whole)
+        variance = np.diag(inverse @ known @ inverse).copy()
+        count = len(inner)
+        for own, of in zip(inner, scatter, strict=True):
+            moved = np.linalg.solve(whole - own, of @ inverse)
+            variance += (count - 1) / count * np.maximum(np.diag(moved), 0.0)
+        numbers = len(self.columns.parameters)
+        least = np.diag(self.covariance(self.grams.sum(axis=0)))
+        return np.asarray(np.sqrt(np.maximum(variance[:numbers], least)))
+
     def log_determinant(self, gram: Floats) -> float:
         """Logarithm of how much smaller the volume of what is possible becomes (D-optimality).
 
@@ -150,7 +174,7 @@ def information_of(
     rig: Rig,
     hypotheses: Sequence[Hypothesis],
     parameters: Sequence[FitParameter],
-    edges_s: Floats,
+    edges_s: Floats | None,
     lasting: Mapping[str, float],
     mirrors: Mirrors | None = None,
     progress: Callable[[float], None] | None = None,
@@ -162,7 +186,7 @@ def information_of(
         rig: The rig.
         hypotheses: What it may lack.
         parameters: Its numbers that are not known exactly.
-        edges_s: (n_pieces + 1,) where pieces begin and end, s.
+        edges_s: (n_pieces + 1,) where pieces begin and end, s; None takes each stretch for one.
         lasting: Per sensor the share of the square of what is taken for noise that lasts, see
             `foreseen.lasting_share`.
         mirrors: Opening curves that are about the mirrors of others.
@@ -212,6 +236,10 @@ def information_of(
         diff = (readings[there] - readings[here]) / (problem.noise_pa * step)
         diff[missing] = 0.0
         columns[:, :, c] = np.nan_to_num(diff.reshape(problem.stretches, -1))
+    longer = (problem.dx_m or rig.grid.dx_m) / rig.grid.dx_m
+    doubt = own_share(longer) if doubtful else 1.0
+    if doubtful and not hypotheses:  # as a fit weighs its readings; a verdict has them count alike
+        columns *= weights_of(doubt * columns[:, :, doubtful].sum(axis=2))[:, :, None]
     share = np.array([lasting.get(name, 0.0) for name in problem.taps])
     per_stretch = np.stack(
         [
@@ -220,15 +248,15 @@ def information_of(
         ],
         axis=1,
     )
-    middle = problem.span_s.mean(axis=1)
-    piece = np.clip(np.searchsorted(edges_s, middle, "right") - 1, 0, edges_s.size - 2)
-    totals = np.zeros((edges_s.size - 1, *per_stretch.shape[1:]))
-    np.add.at(totals, piece, per_stretch)
+    totals = per_stretch
+    if edges_s is not None:
+        middle = problem.span_s.mean(axis=1)
+        piece = np.clip(np.searchsorted(edges_s, middle, "right") - 1, 0, edges_s.size - 2)
+        totals = np.zeros((edges_s.size - 1, *per_stretch.shape[1:]))
+        np.add.at(totals, piece, per_stretch)
     ties = curve_ties(rig, listed, mirrors).matrix * known
     prior = np.eye(known.size) + ties.T @ ties
     layout = Columns(change, own, numbers, doubtful)
-    longer = (problem.dx_m or rig.grid.dx_m) / rig.grid.dx_m
-    doubt = own_share(longer) if doubtful else 1.0
     return Information(layout, totals, variables, known, prior, doubt)
 
 

@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from pneu_sim.rig.schema import FitParameter
 from pneu_sysid.design.foreseen import Foreseen, fastest_pa_s
 from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.design.information import Information
+from pneu_sysid.design.limits import Limits
 from pneu_sysid.design.plan import Expected, Separation
 from pneu_sysid.thresholds import Thresholds
 
@@ -51,9 +53,33 @@ def separation_of(one: str, other: str, lead: float, best: float) -> Separation:
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Promise:
+    """What a plan is to be expected of on one rig.
+
+    Attributes:
+        seen: What happens.
+        told: What each stretch of it tells that a fit has of it.
+    """
+
+    seen: Foreseen
+    told: Information
+
+    def errors(self, learnt: Sequence[FitParameter]) -> Floats:
+        """(P,) the same in each parameter's own unit.
+
+        Args:
+            learnt: The parameters.
+        """
+        told = self.told
+        logarithmic = {p.path for p in learnt if p.log}
+        size = [math.exp(v.value) if v.name in logarithmic else 1.0 for v in told.variables]
+        return np.asarray(told.found() * told.known_std * size)
+
+
 def expected_of(
-    seen: Foreseen,
-    promised: Information,
+    promises: Sequence[Promise],
+    limits: Limits,
     separations: Sequence[Separation],
     best: Sequence[float],
     learnt: Sequence[FitParameter],
@@ -61,9 +87,11 @@ def expected_of(
 ) -> Expected:
     """What is to be expected of a plan.
 
+    Extremes are those of all rigs that it is judged by, standard errors the middle one of theirs.
+
     Args:
-        seen: What happens along it.
-        promised: What it tells, as one piece.
+        promises: By the rig, or by rigs as it may be.
+        limits: What is kept to.
         separations: Of every two candidates.
         best: Of each by how many standard errors a plan for the two alone tells them.
         learnt: Parameters that it is to tell.
@@ -73,24 +101,38 @@ def expected_of(
     words = [_short(s, most, seconds) for s, most in told_of if not s.told_apart]
     errors: dict[str, float | None] = {}
     if learnt:
-        logarithmic = {p.path for p in learnt if p.log}
-        share = np.sqrt(np.diag(promised.covariance(promised.grams.sum(axis=0))))
-        for v, part, std in zip(promised.variables, share, promised.known_std, strict=True):
-            size = math.exp(v.value) if v.name in logarithmic else 1.0
-            errors[v.name] = float(part * std * size)
-        little = [v.name for v, s in zip(promised.variables, share, strict=True) if s > LITTLE]
+        share = np.median([one.told.found() for one in promises], axis=0)
+        names = [v.name for v in promises[0].told.variables]
+        middle = np.median([one.errors(learnt) for one in promises], axis=0)
+        errors.update(zip(names, middle.tolist(), strict=True))
+        little = [name for name, s in zip(names, share, strict=True) if s > LITTLE]
         if little:
             words.append(
                 f"It tells little of {', '.join(little)}: what was known of"
                 f" {'them' if len(little) > 1 else 'it'} before stays nearly as it was."
             )
-    pressures = seen.recording.pressures
+    beyond = sum(not one.seen.within(limits) for one in promises)
+    if beyond and len(promises) > 1:
+        words.append(
+            f"In {beyond} of {len(promises)} rigs as this one may be by what is known of it, the"
+            " limits would be left: the bridge would end the plan there."
+        )
+    every = [one.seen for one in promises]
+    taps = every[0].recording.pressures
+    values = {name: [one.recording.pressures[name].values for one in every] for name in taps}
+    fastest = [fastest_pa_s(one.recording) for one in every]
     return Expected(
-        highest_pa={name: float(s.values.max()) for name, s in pressures.items()},
-        lowest_pa={name: float(s.values.min()) for name, s in pressures.items()},
-        fastest_pa_s=dict(fastest_pa_s(seen.recording)),
-        joints={name: [float(q.min()), float(q.max())] for name, q in seen.joints.items()},
-        air_kg=float(seen.air_kg[-1]),
+        highest_pa={name: float(np.max(of)) for name, of in values.items()},
+        lowest_pa={name: float(np.min(of)) for name, of in values.items()},
+        fastest_pa_s={name: max(one[name] for one in fastest) for name in fastest[0]},
+        joints={
+            name: [
+                float(min(one.joints[name].min() for one in every)),
+                float(max(one.joints[name].max() for one in every)),
+            ]
+            for name in every[0].joints
+        },
+        air_kg=max(float(one.air_kg[-1]) for one in every),
         std_errors=errors,
         separations=list(separations),
         words=words,
