@@ -30,7 +30,8 @@ from pneu_sysid.diagnose import Diagnosis, diagnose
 from pneu_sysid.learn import add_effect, refit_effects
 from pneu_sysid.problem import make_problem, record_for
 from pneu_sysid.records import Recording
-from pneu_sysid.results import CompareResult, Step
+from pneu_sysid.results.compare import CompareResult
+from pneu_sysid.results.learn import Step
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "data" / "closed_chambers"

@@ -19,7 +19,7 @@ from pneu_sysid.diagnose import Diagnosis, diagnose
 from pneu_sysid.fit import FitOutcome, fit_rig
 from pneu_sysid.problem import record_for
 from pneu_sysid.records import Recording
-from pneu_sysid.results import CompareResult
+from pneu_sysid.results.compare import CompareResult
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "data" / "ventilator"

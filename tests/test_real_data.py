@@ -16,7 +16,7 @@ from pneu_sysid.diagnose import diagnose, result_of_diagnosis
 from pneu_sysid.learn import add_effect
 from pneu_sysid.problem import make_problem, record_for
 from pneu_sysid.records import Recording, Signal
-from pneu_sysid.results import result_of, write_json
+from pneu_sysid.results.files import result_of, write_json
 from pneu_sysid.seals.identify import common_terms
 from pneu_sysid.seals.words import base_and_growth, statements_of
 

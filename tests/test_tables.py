@@ -25,18 +25,17 @@ from pneu_sysid.commands import (
     step_table,
 )
 from pneu_sysid.compare import compare_table, recordings_table
-from pneu_sysid.results import (
+from pneu_sysid.results.compare import (
     CompareResult,
-    FitResult,
-    FittedParameter,
     ModelError,
     Numerics,
     Regime,
     Series,
-    Step,
     Stretch,
     TapError,
 )
+from pneu_sysid.results.fit import FitResult, FittedParameter
+from pneu_sysid.results.learn import Step
 
 ROOT = Path(__file__).parent.parent
 WIDTH = 80

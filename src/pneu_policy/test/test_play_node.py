@@ -20,7 +20,7 @@ from pneu_graph.nodes import common
 from pneu_policy.nodes.play import PlayNode
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sysid.design.plan import Bounds, Expected, Plan, Volts
-from pneu_sysid.results import write_json
+from pneu_sysid.results.files import write_json
 
 __all__ = ["domain", "graph"]  # fixtures
 

@@ -16,7 +16,7 @@ from pneu_sysid.evidence import blocks_of
 from pneu_sysid.nuisance import nuisance_of
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
-from pneu_sysid.results import Numerics
+from pneu_sysid.results.compare import Numerics
 from pneu_sysid.sites import all_sites
 from pneu_sysid.spectrum import lines_of
 from pneu_sysid.standing import Standing, standing_of

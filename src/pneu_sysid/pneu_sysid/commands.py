@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from pneu_sysid.diagnose import Diagnosis
     from pneu_sysid.fit import FitOutcome
     from pneu_sysid.records import Recording
-    from pneu_sysid.results import FitResult, Head, Step
+    from pneu_sysid.results.fit import FitResult
+    from pneu_sysid.results.head import Head
+    from pneu_sysid.results.learn import Step
 
 BagPaths = Annotated[
     list[Path],
@@ -331,13 +333,8 @@ def fit_result(
     """
     from pneu_sysid.design.judge import promised_errors
     from pneu_sysid.parameter_units import unit_of_parameter
-    from pneu_sysid.results import (
-        Correlation,
-        FitResult,
-        FitShortfall,
-        FittedParameter,
-        pneu_version,
-    )
+    from pneu_sysid.results.files import pneu_version
+    from pneu_sysid.results.fit import Correlation, FitResult, FitShortfall, FittedParameter
     from pneu_sysid.sensor_units import encoder_units
     from pneu_sysid.uncertainty import pairs_above
 
@@ -564,7 +561,8 @@ def add(
     from pneu_sysid.heading import heading
     from pneu_sysid.learn import add_effect
     from pneu_sysid.problem import make_problem
-    from pneu_sysid.results import LearnResult, write_json
+    from pneu_sysid.results.files import write_json
+    from pneu_sysid.results.learn import LearnResult
     from pneu_sysid.sensor_units import encoder_units
 
     console = _console()
@@ -685,7 +683,7 @@ def learn(
     from pneu_sysid.learn import result_of_learning
     from pneu_sysid.problem import make_problem
     from pneu_sysid.report import write_report
-    from pneu_sysid.results import write_json
+    from pneu_sysid.results.files import write_json
     from pneu_sysid.sensor_units import encoder_units
 
     console = _console()
@@ -761,7 +759,7 @@ def friction(
     """Name the friction of a cylinder's seals, from force, position and pressure of drag tests."""
     from pneu_sim.rig import save_rig
     from pneu_sysid.pictures import check_figure
-    from pneu_sysid.results import write_json
+    from pneu_sysid.results.files import write_json
     from pneu_sysid.seals.figures import draw_friction
     from pneu_sysid.seals.identify import identify, with_friction
     from pneu_sysid.seals.reading import DragTest, read_drag
@@ -808,7 +806,7 @@ def _finish(
     **sections: object,
 ) -> None:
     from pneu_sysid.report import write_report
-    from pneu_sysid.results import write_json
+    from pneu_sysid.results.files import write_json
 
     if json_path is not None:
         write_json(json_path, result)

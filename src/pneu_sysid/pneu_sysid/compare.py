@@ -30,7 +30,7 @@ from pneu_sim.simulate import TICK_S, Prediction
 from pneu_sysid.problem import Problem, Rollouts, make_problem
 from pneu_sysid.records import Recording, begins_of
 from pneu_sysid.regimes import FEWEST, Operation, frequency_shares, operation
-from pneu_sysid.results import (
+from pneu_sysid.results.compare import (
     CompareResult,
     EncoderError,
     EncoderRegime,
@@ -41,9 +41,9 @@ from pneu_sysid.results import (
     Series,
     Stretch,
     TapError,
-    pneu_version,
     regime_order,
 )
+from pneu_sysid.results.files import pneu_version
 from pneu_sysid.sensor_units import Unit, apart, encoder_units, shared, unit_of
 from pneu_sysid.shift import Shift, estimate_shift
 from pneu_sysid.thresholds import Thresholds

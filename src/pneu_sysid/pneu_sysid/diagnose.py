@@ -22,13 +22,9 @@ from pneu_sysid.parameter_units import strength_unit
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.refits import Refit, refit, settled, well_placed
-from pneu_sysid.results import (
-    Candidate,
-    Dependence,
-    DiagnoseResult,
-    Numerics,
-    Verdict,
-)
+from pneu_sysid.results.base import Verdict
+from pneu_sysid.results.compare import Numerics
+from pneu_sysid.results.diagnose import Candidate, Dependence, DiagnoseResult
 from pneu_sysid.sensor_units import apart
 from pneu_sysid.standing import Standing, against_noise, since_calibration, standing_of
 from pneu_sysid.thresholds import Thresholds

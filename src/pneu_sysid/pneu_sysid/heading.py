@@ -6,7 +6,7 @@ from typing import Any
 
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.problem import Problem
-from pneu_sysid.results import pneu_version
+from pneu_sysid.results.files import pneu_version
 from pneu_sysid.sensor_units import apart, encoder_units
 
 

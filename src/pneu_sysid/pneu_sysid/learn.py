@@ -28,7 +28,9 @@ from pneu_sysid.parameters import default_parameters
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.refits import effect_variables, refit_effects
-from pneu_sysid.results import Experiment, LearnResult, Step, Verdict, write_json
+from pneu_sysid.results.base import Verdict
+from pneu_sysid.results.files import write_json
+from pneu_sysid.results.learn import Experiment, LearnResult, Step
 from pneu_sysid.sensor_units import apart
 from pneu_sysid.sites import all_sites
 from pneu_sysid.thresholds import Thresholds

@@ -22,7 +22,7 @@ from pneu_sim.simulate import TICK_S, initial_field
 from pneu_sim.valve import evenly_open
 from pneu_sysid.motion import motion_sets
 from pneu_sysid.problem import Problem, Rollouts
-from pneu_sysid.results import RegimeKind
+from pneu_sysid.results.compare import RegimeKind
 from pneu_sysid.sensor_units import encoder_units
 from pneu_sysid.ticks import STILL, Ticks
 

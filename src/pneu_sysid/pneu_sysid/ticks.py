@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pneu_sysid.results import RegimeKind
+from pneu_sysid.results.compare import RegimeKind
 
 Mask = NDArray[np.bool_]
 

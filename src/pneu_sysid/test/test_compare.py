@@ -23,7 +23,8 @@ from pneu_sim.simulator import Simulator
 from pneu_sysid.compare import SERIES_POINTS, compare, compare_table
 from pneu_sysid.records import Finding, Recording, Signal, even_recording
 from pneu_sysid.report import write_report
-from pneu_sysid.results import CompareResult, Regime, RegimeKind, result_of, write_json
+from pneu_sysid.results.compare import CompareResult, Regime, RegimeKind
+from pneu_sysid.results.files import result_of, write_json
 from pneu_sysid.shift import estimate_shift
 
 RATE_HZ = 500.0

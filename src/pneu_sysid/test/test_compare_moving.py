@@ -23,7 +23,10 @@ from pneu_sysid.gross import refuse_gross_errors
 from pneu_sysid.problem import make_problem
 from pneu_sysid.records import Recording, even_recording
 from pneu_sysid.report import write_report
-from pneu_sysid.results import CompareResult, FitResult, LearnResult, Step, result_of, write_json
+from pneu_sysid.results.compare import CompareResult
+from pneu_sysid.results.files import result_of, write_json
+from pneu_sysid.results.fit import FitResult
+from pneu_sysid.results.learn import LearnResult, Step
 from pneu_sysid.spectrum import lines_of
 from pneu_sysid.thresholds import Thresholds
 

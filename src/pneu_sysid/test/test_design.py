@@ -31,7 +31,7 @@ from pneu_sysid.design.tracking import track
 from pneu_sysid.design.waves import KINDS, STEP_S, draw_piece, joined
 from pneu_sysid.fit import as_fitted
 from pneu_sysid.gauss_newton import left_out_moves
-from pneu_sysid.results import write_json
+from pneu_sysid.results.files import write_json
 
 ROOT = Path(__file__).resolve().parents[3]
 FITTED = one_tap(0.1)

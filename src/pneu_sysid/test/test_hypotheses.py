@@ -7,7 +7,9 @@ from tests.one_tap import one_tap
 from pneu_common.errors import InputError
 from pneu_sysid.design.hypotheses import MOST, hypotheses_of
 from pneu_sysid.design.promise import pairs_of
-from pneu_sysid.results import Candidate, DiagnoseResult, Numerics, pneu_version
+from pneu_sysid.results.compare import Numerics
+from pneu_sysid.results.diagnose import Candidate, DiagnoseResult
+from pneu_sysid.results.files import pneu_version
 
 RIG = one_tap(0.1)  # its tube is 1.5 m long
 

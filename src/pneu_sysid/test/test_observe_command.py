@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from pneu_common.cli import COMMANDS_GROUP, build_app
 from pneu_sysid.observed.follow import Followed
 from pneu_sysid.observed.summary import said_of
-from pneu_sysid.results import read_json
+from pneu_sysid.results.files import read_json
 
 HOUSE = Path(__file__).resolve().parents[3]
 LAG = HOUSE / "data" / "bags" / "a_tap_lag"

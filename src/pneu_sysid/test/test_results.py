@@ -12,14 +12,10 @@ import numpy as np
 import pytest
 
 from pneu_common.errors import InputError
-from pneu_sysid.result_page import json_markdown
-from pneu_sysid.results import (
-    RESULTS,
-    LearnResult,
-    regime_order,
-    result_of,
-    write_json,
-)
+from pneu_sysid.results.compare import regime_order
+from pneu_sysid.results.files import RESULTS, result_of, write_json
+from pneu_sysid.results.learn import LearnResult
+from pneu_sysid.results.page import json_markdown
 
 HOUSE = Path(__file__).parents[3]
 
@@ -47,7 +43,7 @@ def learned(**changes: Any) -> dict[str, Any]:
 
 def test_page_is_current() -> None:
     page = (HOUSE / "docs" / "json.md").read_text(encoding="utf-8")
-    assert page == json_markdown(), "run python -m pneu_sysid.result_page > docs/json.md"
+    assert page == json_markdown(), "run python -m pneu_sysid.results.page > docs/json.md"
 
 
 def test_every_key_has_a_meaning() -> None:

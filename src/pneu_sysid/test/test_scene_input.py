@@ -21,8 +21,8 @@ from pneu_sysid.contacts.fit import fit_scene
 from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.read import read_track, read_tracks
 from pneu_sysid.contacts.scene import load_scene, save_scene
-from pneu_sysid.results import result_of
-from pneu_sysid.scene_results import SceneCompareResult, SceneFitResult
+from pneu_sysid.results.files import result_of
+from pneu_sysid.results.scenes import SceneCompareResult, SceneFitResult
 
 HOUSE = Path(__file__).resolve().parents[3]
 HEAD = "x,y,z,qw,qx,qy,qz"

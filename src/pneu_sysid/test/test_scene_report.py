@@ -14,7 +14,7 @@ from pneu_sysid.contacts.foresee import Foreseen, foresee
 from pneu_sysid.contacts.report import write_scene_report
 from pneu_sysid.contacts.scene import Value, load_scene
 from pneu_sysid.contacts.track import Series, Track
-from pneu_sysid.scene_results import (
+from pneu_sysid.results.scenes import (
     SceneCandidate,
     SceneDiagnoseResult,
     SceneLearnResult,

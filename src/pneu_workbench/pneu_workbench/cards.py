@@ -9,7 +9,8 @@ from nicegui import ui
 
 from pneu_common.errors import InputError
 from pneu_sysid.report.quantities import number, percent, with_error
-from pneu_sysid.results import Candidate, CompareResult
+from pneu_sysid.results.compare import CompareResult
+from pneu_sysid.results.diagnose import Candidate
 from pneu_sysid.tasks.expect import expected_words
 from pneu_sysid.tasks.regime_masks import Key
 from pneu_workbench.chart import SHOWN

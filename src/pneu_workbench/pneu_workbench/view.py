@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.results import Candidate, CompareResult, DiagnoseResult, regime_order
+from pneu_sysid.results.compare import CompareResult, regime_order
+from pneu_sysid.results.diagnose import Candidate, DiagnoseResult
 from pneu_sysid.tasks.expect import EXPECTED
 from pneu_sysid.tasks.regime_masks import Key, RegimeMasks
 from pneu_sysid.tasks.signals import SIGNALS, Signals, Trace

@@ -22,7 +22,7 @@ from pneu_common.files import write_whole
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.report import write_report
-from pneu_sysid.results import CompareResult
+from pneu_sysid.results.compare import CompareResult
 from pneu_sysid.tasks.process import TaskProcess
 from pneu_sysid.tasks.request import Outcome, Request
 from pneu_sysid.tasks.signals import SIGNALS

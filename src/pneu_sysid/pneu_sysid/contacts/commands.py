@@ -27,8 +27,8 @@ from pneu_sysid.contacts.read import read_tracks
 from pneu_sysid.contacts.report import write_scene_report
 from pneu_sysid.contacts.scene import Loaded, Value, load_scene, save_scene
 from pneu_sysid.contacts.track import Track
-from pneu_sysid.results import write_json
-from pneu_sysid.scene_results import (
+from pneu_sysid.results.files import write_json
+from pneu_sysid.results.scenes import (
     SceneCompareResult,
     SceneDiagnoseResult,
     SceneFitResult,

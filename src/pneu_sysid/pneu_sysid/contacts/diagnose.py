@@ -21,7 +21,7 @@ from pneu_sysid.contacts.scene import Loaded, Value
 from pneu_sysid.contacts.sureness import falls_of, lead_of, trimmed
 from pneu_sysid.contacts.together import SceneFit
 from pneu_sysid.contacts.track import Track
-from pneu_sysid.result_base import Verdict
+from pneu_sysid.results.base import Verdict
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

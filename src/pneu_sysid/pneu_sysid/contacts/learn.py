@@ -11,7 +11,7 @@ from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.scene import Loaded, Value, save_scene
 from pneu_sysid.contacts.sureness import per_knot
 from pneu_sysid.contacts.track import Track
-from pneu_sysid.result_base import Verdict
+from pneu_sysid.results.base import Verdict
 
 MOST_EFFECTS = 3
 

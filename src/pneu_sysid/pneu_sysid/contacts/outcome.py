@@ -15,8 +15,8 @@ from pneu_sysid.contacts.learn import SceneLearned
 from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.scene import Loaded
 from pneu_sysid.contacts.track import Track
-from pneu_sysid.results import pneu_version
-from pneu_sysid.scene_results import (
+from pneu_sysid.results.files import pneu_version
+from pneu_sysid.results.scenes import (
     Misread,
     SceneCandidate,
     SceneCompareResult,

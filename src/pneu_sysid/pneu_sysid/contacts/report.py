@@ -12,7 +12,7 @@ from pneu_sysid.report import quantities as q
 from pneu_sysid.report import write_page
 from pneu_sysid.report.markup import Markup, join, table, tag
 from pneu_sysid.report.sections.verdict import WORDS
-from pneu_sysid.scene_results import (
+from pneu_sysid.results.scenes import (
     SceneDiagnoseResult,
     SceneFitResult,
     SceneHead,

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pneu_sysid.design.live import LiveRig
     from pneu_sysid.design.loop import Budget, Loop
     from pneu_sysid.design.plan import Plan
-    from pneu_sysid.results import Experiment
+    from pneu_sysid.results.learn import Experiment
 
 KINDS = "designed, steps, multisine, sweep, decay, reversal, tracking"
 
@@ -82,7 +82,7 @@ def excite(
     from pneu_sysid.design.limits import limits_of
     from pneu_sysid.design.parameters import open_parameters, parameters_to_learn
     from pneu_sysid.design.waves import CHOICES as WAVES
-    from pneu_sysid.results import write_json
+    from pneu_sysid.results.files import write_json
 
     if kind != "designed" and kind not in WAVES:
         raise InputError(f"--kind: found {kind!r}, allowed are {KINDS}")

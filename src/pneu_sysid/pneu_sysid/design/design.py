@@ -32,7 +32,7 @@ from pneu_sysid.design.tracking import track
 from pneu_sysid.design.waves import KINDS, STEP_S, Choice, draw_piece, joined, shut
 from pneu_sysid.fit import as_fitted
 from pneu_sysid.problem import make_problem
-from pneu_sysid.results import pneu_version
+from pneu_sysid.results.files import pneu_version
 from pneu_sysid.thresholds import Thresholds
 
 Floats = NDArray[np.float64]

@@ -8,7 +8,8 @@ from pneu_common.errors import InputError
 from pneu_sim.effects import find_effect
 from pneu_sim.effects.base import POSITION
 from pneu_sim.rig.schema import AttachedEffect, Rig
-from pneu_sysid.results import Candidate, DiagnoseResult, read_json
+from pneu_sysid.results.diagnose import Candidate, DiagnoseResult
+from pneu_sysid.results.files import read_json
 from pneu_sysid.sites import Site
 
 MOST = 4

@@ -8,7 +8,7 @@ from pneu_sysid.design.plan import Plan
 from pneu_sysid.diagnose import Diagnosis
 from pneu_sysid.evidence import lead
 from pneu_sysid.refits import Refit
-from pneu_sysid.results import Experiment, ToldApart
+from pneu_sysid.results.learn import Experiment, ToldApart
 
 
 def judged(file: str, plan: Plan, found: Diagnosis) -> Experiment:

@@ -17,8 +17,9 @@ from pneu_sysid.design.plan import Plan
 from pneu_sysid.diagnose import Diagnosis, diagnose_apart, result_of_diagnosis
 from pneu_sysid.problem import record_for
 from pneu_sysid.records import Recording
-from pneu_sysid.result_base import Verdict
-from pneu_sysid.results import Experiment, write_json
+from pneu_sysid.results.base import Verdict
+from pneu_sysid.results.files import write_json
+from pneu_sysid.results.learn import Experiment
 
 Progress = Callable[[str, float], None]
 Ended = Literal["name", "nothing_missing", "unknown", "inseparable", "budget"]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from pneu_sim.signals import Signal
-from pneu_sysid.result_base import Number, Perhaps, Result
+from pneu_sysid.results.base import Number, Perhaps, Result
 
 Floats = NDArray[np.float64]
 

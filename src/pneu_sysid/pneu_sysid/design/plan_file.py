@@ -9,7 +9,7 @@ import numpy as np
 from pneu_common.errors import InputError
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.design.plan import Plan
-from pneu_sysid.results import read_json
+from pneu_sysid.results.files import read_json
 
 
 def load_plan(path: Path) -> Plan:

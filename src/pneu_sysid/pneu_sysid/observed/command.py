@@ -17,7 +17,7 @@ from pneu_common.tables import Column, NamedTable
 
 if TYPE_CHECKING:
     from pneu_sysid.observed.follow import Followed
-    from pneu_sysid.results import ObserveResult, Said
+    from pneu_sysid.results.observe import ObserveResult, Said
 
 
 def observe(
@@ -94,7 +94,7 @@ def observe(
     from pneu_sysid.observed.summary import summary_of
     from pneu_sysid.pictures import check_figure
     from pneu_sysid.problem import record_for
-    from pneu_sysid.results import write_json
+    from pneu_sysid.results.files import write_json
 
     for path in (output, figure, json_path):
         check_output(path, force)

@@ -9,7 +9,7 @@ import numpy as np
 from pneu_common.files import whole
 from pneu_sysid.observed.follow import Followed
 from pneu_sysid.observed.summary import NINETY
-from pneu_sysid.results import ObserveResult
+from pneu_sysid.results.observe import ObserveResult
 from pneu_sysid.sensor_units import unit_of
 
 MOST = 3.0

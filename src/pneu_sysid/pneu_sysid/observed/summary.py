@@ -8,7 +8,8 @@ import numpy as np
 
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.observed.follow import Followed
-from pneu_sysid.results import Drifting, ObservedSensor, ObserveResult, Said, pneu_version
+from pneu_sysid.results.files import pneu_version
+from pneu_sysid.results.observe import Drifting, ObservedSensor, ObserveResult, Said
 from pneu_sysid.sensor_units import encoder_units
 
 BEGIN_S = 1.0

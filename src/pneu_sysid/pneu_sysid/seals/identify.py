@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pneu_sim.rig.cylinder import Friction
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.result_base import Verdict
+from pneu_sysid.results.base import Verdict
 from pneu_sysid.seals.cells import Pieces, pieces_of
 from pneu_sysid.seals.estimate import (
     ALONG,

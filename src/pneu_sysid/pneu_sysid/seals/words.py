@@ -5,13 +5,13 @@ import numpy as np
 
 from pneu_common.tables import Column, NamedTable
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.results import (
+from pneu_sysid.results.files import pneu_version
+from pneu_sysid.results.friction import (
     FrictionLaw,
     FrictionLevel,
     FrictionResult,
     FrictionStep,
     FrictionStrength,
-    pneu_version,
 )
 from pneu_sysid.seals.estimate import Estimate
 from pneu_sysid.seals.identify import UNEXPLAINED, Identified, common_terms, friction_at, score

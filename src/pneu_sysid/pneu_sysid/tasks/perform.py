@@ -24,7 +24,7 @@ from pneu_sysid.problem import Problem, make_problem, record_for
 from pneu_sysid.records import Recording
 from pneu_sysid.regimes import operation
 from pneu_sysid.report import write_report
-from pneu_sysid.results import write_json
+from pneu_sysid.results.files import write_json
 from pneu_sysid.tasks.expect import EXPECTED, RUNS, RunClock, expected_s
 from pneu_sysid.tasks.regime_masks import REGIMES, regime_masks, save_regimes
 from pneu_sysid.tasks.request import Outcome, Request, Tell, check

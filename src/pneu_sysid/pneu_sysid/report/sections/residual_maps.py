@@ -7,7 +7,7 @@ from pneu_sysid.report import quantities as q
 from pneu_sysid.report.contents import Contents, Result, ratio, regimes_of, unique
 from pneu_sysid.report.heat import heat_class, legend
 from pneu_sysid.report.markup import Markup, join, tag
-from pneu_sysid.results import regime_order
+from pneu_sysid.results.compare import regime_order
 from pneu_sysid.sensor_units import Unit
 
 ID = "residual-maps"

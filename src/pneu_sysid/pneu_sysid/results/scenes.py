@@ -5,7 +5,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from pneu_sysid.result_base import Number, Perhaps, Result, Verdict
+from pneu_sysid.results.base import Number, Perhaps, Result, Verdict
 
 
 class SceneHead(Result):

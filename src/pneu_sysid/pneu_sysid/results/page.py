@@ -4,8 +4,8 @@
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from pneu_sysid.result_base import Result
-from pneu_sysid.results import RESULTS
+from pneu_sysid.results.base import Result
+from pneu_sysid.results.files import RESULTS
 
 _PAGE = """\
 # JSON results
@@ -23,7 +23,7 @@ one is added.
 Residuals are measured minus model everywhere: `bias_pa` is positive where the sensor reads above
 the model. `lag_s` is positive where the measurement is later than the model.
 
-This page is made by `python -m pneu_sysid.result_page`.
+This page is made by `python -m pneu_sysid.results.page`.
 """
 
 
