@@ -17,13 +17,9 @@ from pneu_policy.judge.results import rich_table
 from pneu_policy.learn.command import _table as runs_table
 from pneu_sim.effects import registry
 from pneu_sim.rig.schema import FitParameter, Rig
-from pneu_sysid.commands import (
-    _error_table,
-    _fitted_table,
-    _parameter_list,
-    diagnosis_table,
-    step_table,
-)
+from pneu_sysid.command.diagnose import diagnosis_table
+from pneu_sysid.command.fit import fitted_table, parameter_list
+from pneu_sysid.command.tables import error_table, step_table
 from pneu_sysid.compare import compare_table, recordings_table
 from pneu_sysid.results.compare import (
     CompareResult,
@@ -183,14 +179,14 @@ def test_fit():
         held_out_rmse_pa={},
         history=[],
     )
-    text = drawn(_fitted_table("rig fitted to r", result))
+    text = drawn(fitted_table("rig fitted to r", result))
     check(text, [*PATHS, *(f"{PATHS[0]} in {name}" for name in RECORDINGS), "m^3/(s Pa)"])
     assert "1.2345e-08" in text and "1.2e-11" in text
     rig = Rig.model_construct(effects=[])
     listed = [FitParameter(path=path, lower=1.234e-9, upper=1.234e-7) for path in PATHS]
-    check(drawn(_parameter_list(rig, listed)), [*PATHS, "m^3/(s Pa)"])
+    check(drawn(parameter_list(rig, listed)), [*PATHS, "m^3/(s Pa)"])
     errors = {name: {tap: 123456.0 for tap in TAPS} for name in ("noise", "fitted", "held out")}
-    check(drawn(_error_table("error per tap", errors, {})), [*TAPS, "held out, Pa"])
+    check(drawn(error_table("error per tap", errors, {})), [*TAPS, "held out, Pa"])
 
 
 def test_diagnose():

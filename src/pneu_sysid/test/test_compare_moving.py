@@ -16,7 +16,7 @@ from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Calibration, Rig
 from pneu_sim.simulate import KNOTS
 from pneu_sim.simulator import Simulator
-from pneu_sysid.commands import _error_table, step_table
+from pneu_sysid.command.tables import error_table, step_table
 from pneu_sysid.compare import compare, compare_table
 from pneu_sysid.dependence import dependences
 from pneu_sysid.gross import refuse_gross_errors
@@ -234,7 +234,7 @@ def test_reports_and_tables_of_fit_and_learn_have_the_angle_in_its_unit(tmp_path
     out = io.StringIO()
     console = Console(file=out, width=120)
     console.print(step_table(steps, fit.encoders))
-    console.print(_error_table("error", {"fitted": fit.rmse_of}, fit.encoders))
+    console.print(error_table("error", {"fitted": fit.rmse_of}, fit.encoders))
     text = out.getvalue()
     for words in ("end, Pa", "elbow, mrad", "2345", "7.89", "0.46", "321"):
         assert words in text, words

@@ -15,7 +15,7 @@ from pneu_sim.effects import registry
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.plausible import RANGES
 from pneu_sim.rig.schema import AttachedEffect, Calibration, FitParameter, Rig
-from pneu_sysid.commands import fit_result
+from pneu_sysid.command.fit_result import fit_result
 from pneu_sysid.parameter_units import (
     ENCODER,
     JOINT,

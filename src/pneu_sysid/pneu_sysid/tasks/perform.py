@@ -14,7 +14,8 @@ import numpy as np
 from pneu_common.files import write_whole
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.commands import fit_result, read_findings
+from pneu_sysid.command.fit_result import fit_result
+from pneu_sysid.command.given import read_findings
 from pneu_sysid.compare import compare
 from pneu_sysid.diagnose import diagnose_apart, result_of_diagnosis
 from pneu_sysid.fit import fit_rig
