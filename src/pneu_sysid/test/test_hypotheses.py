@@ -50,12 +50,14 @@ def test_one_that_may_be_elsewhere_is_tried_there_too():
     found = hypotheses_of(RIG, result(volume, longer), "d.json")
     # at the one end it is as good as where it was found
     assert [h.label for h in found] == [
-        "dead_volume@tube:0.10", "dead_volume@tube:1.50", "length_error@tube",
+        "dead_volume@tube:0.10", "dead_volume@tube:0.38", "dead_volume@tube:0.75",
+        "dead_volume@tube:1.12", "dead_volume@tube:1.50", "length_error@tube",
     ]  # fmt: skip
-    assert [h.rig.effects[-1].parameters.get("position_m") for h in found] == [0.1, 1.5, None]
+    places = [h.rig.effects[-1].parameters.get("position_m") for h in found]
+    assert places == [0.1, 0.375, 0.75, 1.125, 1.5, None]
     assert found[1].rig.effects[-1].parameters["volume_m3"] == 4e-7
     # one and the same at two places need not be told apart
-    assert pairs_of(found) == [(0, 2), (1, 2)]
+    assert pairs_of(found) == [(k, 5) for k in range(5)]
 
 
 def test_one_that_is_where_it_was_found_is_tried_there_alone():

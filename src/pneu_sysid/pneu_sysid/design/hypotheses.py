@@ -4,6 +4,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from pneu_common.errors import InputError
 from pneu_sim.effects import find_effect
 from pneu_sim.effects.base import POSITION
@@ -17,11 +19,12 @@ MOST = 4
 NEAR = 0.7
 """Candidates count that explain this share of what the best one does: what is just told from it in
 one recording may be its look-alike in another."""
-
-
 ELSEWHERE = 0.15
 """Where a candidate may be farther along its pipe than this share of it, it is tried there too: two
 that are told apart where a recording happens to put them need not be where they are."""
+PLACES = 5
+"""So many places are tried of where it may be, from end to end: a volume a quarter of the way along
+a tube is more like a longer tube than a volume at either end."""
 
 
 @dataclass(frozen=True)
@@ -88,11 +91,12 @@ def _elsewhere(rig: Rig, candidate: Candidate) -> list[Candidate]:
     if candidate.places_m is None or candidate.place not in rig.pipes:
         return []
     far = ELSEWHERE * rig.pipes[candidate.place].length_m
+    low, high = candidate.places_m
     return [
         candidate.model_copy(
             update={"position_m": at, "parameters": {**candidate.parameters, POSITION: at}}
         )
-        for at in candidate.places_m
+        for at in np.linspace(low, high, PLACES).tolist()
         if abs(at - (candidate.position_m or 0.0)) > far
     ]
 
