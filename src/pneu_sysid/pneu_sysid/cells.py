@@ -40,13 +40,14 @@ MOST = 2.0
 """Deviations of what cells may get wrong, beyond which it is something else that smears fronts."""
 
 
-def weights_of(doubt: Floats) -> Floats:
+def weights_of(doubt: Floats, remains: float = REMAINS) -> Floats:
     """What readings count beside those of which cells get nothing wrong, of the same shape.
 
     Args:
         doubt: What cells may get wrong of each, in noise deviations.
+        remains: Share of that which no amount of it explains.
     """
-    return np.asarray(1.0 / np.sqrt(1.0 + np.square(REMAINS * doubt)))
+    return np.asarray(1.0 / np.sqrt(1.0 + np.square(remains * doubt)))
 
 
 def without_doubt(r: Floats, doubt: Floats) -> Floats:

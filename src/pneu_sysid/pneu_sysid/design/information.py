@@ -28,6 +28,10 @@ from pneu_sysid.thresholds import Thresholds
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+UNFORESEEN = 1.0
+"""Share of what cells get wrong that is not foreseen, as the rig is not known: all. A reading of
+which they get more wrong than the noise tells a fit little that it can trust; plans that lived on
+such fronts (40 to 80 deviations) led fits into the error of their own cells."""
 RIDGE = 1e-9
 """Of the largest inner product: what is known no better than to rounding counts for nothing."""
 
@@ -238,8 +242,9 @@ def information_of(
         columns[:, :, c] = np.nan_to_num(diff.reshape(problem.stretches, -1))
     longer = (problem.dx_m or rig.grid.dx_m) / rig.grid.dx_m
     doubt = own_share(longer) if doubtful else 1.0
-    if doubtful and not hypotheses:  # as a fit weighs its readings; a verdict has them count alike
-        columns *= weights_of(doubt * columns[:, :, doubtful].sum(axis=2))[:, :, None]
+    if doubtful and not hypotheses:  # a verdict has all readings count alike
+        wrong_of_each = doubt * columns[:, :, doubtful].sum(axis=2)
+        columns *= weights_of(wrong_of_each, UNFORESEEN)[:, :, None]
     share = np.array([lasting.get(name, 0.0) for name in problem.taps])
     per_stretch = np.stack(
         [
