@@ -47,7 +47,13 @@ PREDICTIVE = {
     "predictive_adaptive": "the same, the spread of the draws learnt",
 }
 LEARNED = ("pde", "pde_fine", "one_tap")
-VIRTUAL = {"pde_fine_virtual": "`pde_fine` with the controlled tap alone, the others virtual"}
+VIRTUAL = {
+    "pde_fine_virtual": "`pde_fine` with the controlled tap alone, the others virtual",
+    "pde_fine_observed_virtual": "the same, trained by what an observer tells by that tap",
+    "line_virtual": "a policy that sees the gas at five points of the tube, which no sensor tells"
+    " (thesis 7.3): what an observer makes of it by the controlled tap",
+}
+"""Policies of a variant, ``<variant>_virtual``."""
 CLASSICAL = ("feed_forward", "pid")
 FAULTY_SEED = 101
 FAULTY_S, FAULTY_FOR_S = 3.0, 6.0
@@ -55,7 +61,7 @@ LIMITS = ROOT / "docs" / "pressure.json"
 LIVE = ROOT / "docs" / "predictive_live.json"
 """What ``make predictive-live`` found."""
 LIVE_PLANNED = ("predictive_light", "predictive", "predictive_one_tap")
-LIVE_NAMES = (*LIVE_PLANNED, "pde_fine", "pde_fine_virtual", "feed_forward")
+LIVE_NAMES = (*LIVE_PLANNED, "pde_fine", *VIRTUAL, "feed_forward")
 
 
 def files_of(tube: str, name: str) -> list[Path]:
@@ -73,6 +79,16 @@ def files_of(tube: str, name: str) -> list[Path]:
     return [path] if path.exists() else []
 
 
+def policies_of(tube: str, name: str) -> list[Path]:
+    """Policies inside the files of a controller that runs them with virtual taps.
+
+    Args:
+        tube: Name of the tube.
+        name: Of the controller.
+    """
+    return policies(tube, name.removesuffix("_virtual")) if name in VIRTUAL else []
+
+
 def one(tube: str, name: str, kind: str, seed: int) -> dict[str, float]:
     """Figures of one run.
 
@@ -83,7 +99,8 @@ def one(tube: str, name: str, kind: str, seed: int) -> dict[str, float]:
         seed: Of the target.
     """
     files = files_of(tube, name)
-    path = OUT / f"{tube}-{name}-{kind}-{seed}-{digest_of([*files, *made_of(tube)])}.json"
+    of = digest_of([*files, *policies_of(tube, name), *made_of(tube)])
+    path = OUT / f"{tube}-{name}-{kind}-{seed}-{of}.json"
     if path.exists():
         path.touch()  # the newest counts
         return dict(json.loads(path.read_text(encoding="utf-8")))
@@ -258,14 +275,21 @@ def of_live() -> list[str]:
     told = json.loads(LIVE.read_text(encoding="utf-8"))
     machine = told["machine"]
     names = [name for name in LIVE_NAMES if any(r["controller"] == name for r in told["runs"])]
+
+    def made(name: str) -> list[str]:
+        own = [r for r in told["runs"] if r["controller"] == name]
+        return list(dict.fromkeys(f"{r['tube']} {r['of']}" for r in own))
+
     lines = [
         "## Against the clock",
         "",
         "The same on the emulated lab itself, over Modbus and the live graph, judged by recordings:"
-        f" `make predictive-live`, from what is {told['of']}. Machine: processor"
-        f" {machine['processor']}, cores {machine['cores']}, {told['labs']} labs at a time. Mean"
-        " and standard deviation of the valid runs; in brackets how many of all are valid, where"
-        " some are not: the bus, the lab or plans were late in each of three tries.",
+        f" `make predictive-live`. Machine: processor {machine['processor']}, cores"
+        f" {machine['cores']}, {told['labs']} labs at a time. Mean and standard deviation of the"
+        " valid runs; in brackets how many of all are valid, where some are not: the bus, the lab"
+        " or plans were late in each of three tries. Made from:",
+        "",
+        *(f"- `{name}`: {', '.join(made(name))}" for name in names),
         "",
     ]
 

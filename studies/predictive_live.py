@@ -6,7 +6,8 @@ the node of the controller and the process that plans for it: five processes, fo
 have time enough with ``predictive_light`` only. A run for which the machine is too slow is tried
 three times and then counts as what it is, not valid. What was found goes to
 ``docs/predictive_live.json``, which the page of ``make predictive`` shows; runs that are there
-already in ``out/predictive_live`` are not run again.
+already in ``out/predictive_live`` are not run again. With ``--only`` what was found of other
+controllers stays as it was; each run names what it was made from.
 """
 
 import argparse
@@ -26,7 +27,7 @@ from pneu_policy.judge.results import Evaluation, load
 from pneu_policy.live.evaluate import evaluate_live
 from pneu_policy.live.rig import LivePlant
 from studies.digest import digest_of
-from studies.predictive import LIVE, LIVE_NAMES, files_of, made_of
+from studies.predictive import LIVE, LIVE_NAMES, files_of, made_of, policies_of
 from studies.pressure import TASKS, TUBES
 
 OUT = Path("out") / "predictive_live"
@@ -45,7 +46,8 @@ def of_lab(tube: str, name: str) -> list[dict[str, Any]]:
         What was found of each, with how often it was tried and why it is not valid.
     """
     files = files_of(tube, name)
-    folder = OUT / f"{tube}-{name}-{digest_of([*files, *made_of(tube)])}"
+    of = digest_of([*files, *policies_of(tube, name), *made_of(tube)])
+    folder = OUT / f"{tube}-{name}-{of}"
     path = folder / "evaluation.json"
     evaluation = load(path) if path.exists() else Evaluation({}, folder=folder)
     plant = LivePlant(tube, TUBES[tube].rig, TUBES[tube].sealed)
@@ -54,6 +56,7 @@ def of_lab(tube: str, name: str) -> list[dict[str, Any]]:
         {
             "tube": tube,
             "controller": name,
+            "of": of,
             "kind": run.kind,
             "seed": run.seed,
             "attempts": run.attempts,
@@ -78,6 +81,9 @@ def main(arguments: list[str] | None = None) -> int:
     asked = parser.parse_args(arguments)
     jobs = [(tube, name) for name in asked.only for tube in TUBES if files_of(tube, name)]
     found: list[dict[str, Any]] = []
+    if asked.kept.exists():
+        before = json.loads(asked.kept.read_text(encoding="utf-8"))["runs"]
+        found = [run for run in before if run["controller"] not in asked.only]
     runs = joblib.Parallel(asked.labs, return_as="generator")(
         joblib.delayed(of_lab)(*job) for job in jobs
     )
@@ -85,9 +91,7 @@ def main(arguments: list[str] | None = None) -> int:
         for n, (job, rows) in enumerate(zip(jobs, runs, strict=True), 1):
             found += rows
             told("labs", n / len(jobs), " ".join(job))
-    files = [file for tube, name in jobs for file in files_of(tube, name)]
-    of = digest_of([*files, *(path for tube in TUBES for path in made_of(tube))])
-    kept = {"of": of, "machine": timing.machine(), "labs": asked.labs, "runs": found}
+    kept = {"machine": timing.machine(), "labs": asked.labs, "runs": found}
     write_whole(asked.kept, json.dumps(kept, indent=1) + "\n")
     Console().print(f"{asked.kept} is written")
     return 0

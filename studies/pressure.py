@@ -106,10 +106,22 @@ def variants(tube: str) -> dict[str, Path]:
     }
 
 
+def through_observers(tube: str) -> dict[str, Path]:
+    """Settings of trainings by what an observer tells, for `studies.predictive`, by variant.
+
+    Args:
+        tube: Name of the tube.
+    """
+    return {
+        f"{file.stem.removeprefix(f'{tube}_')}_observed": file
+        for file in sorted((SETTINGS / "observed").glob(f"{tube}_*.yaml"))
+    }
+
+
 def train(console: Console, workers: int) -> None:
     """Trains what is not trained as its settings say, and puts it where policies are kept."""
     for tube in TUBES:
-        for variant, settings in variants(tube).items():
+        for variant, settings in (variants(tube) | through_observers(tube)).items():
             out = OUT / "training" / f"{tube}_{variant}"
             runs = expand(load_document(settings), out)
             kept = {
