@@ -3,7 +3,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -13,9 +13,6 @@ from pneu_common.outputs import check_output
 from pneu_sysid.command.given import is_scene_file, load, make_console, read, read_findings
 from pneu_sysid.command.options import EffectsPath, JsonPath, RigPath, Workers
 from pneu_sysid.command.tables import step_table
-
-if TYPE_CHECKING:
-    pass
 
 
 def add(

@@ -23,7 +23,7 @@ def make_console() -> Console:
     return console if console.is_terminal else Console(width=140, markup=False, emoji=False)
 
 
-def check_results_folder(path: Path, rig: Path, force: bool) -> None:
+def make_results_folder(path: Path, rig: Path, force: bool) -> None:
     """Makes a folder for results; refuses one that cannot be written, or holds another's files.
 
     Args:

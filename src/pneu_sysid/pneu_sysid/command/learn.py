@@ -11,10 +11,10 @@ from pneu_common.options import Force
 from pneu_common.outputs import check_output
 from pneu_common.progress import progress
 from pneu_sysid.command.given import (
-    check_results_folder,
     is_scene_file,
     load,
     make_console,
+    make_results_folder,
     read,
     read_findings,
     titled,
@@ -86,7 +86,7 @@ def learn(
     if not bags and not rig_is_live:
         raise InputError("BAG: none was given; --rig-is-live has them recorded")
     check_output(json_path, force)
-    check_results_folder(output, rig, force)
+    make_results_folder(output, rig, force)
     if is_scene_file(rig, effects):
         from pneu_sysid.contacts.commands import learn as learn_scene
 

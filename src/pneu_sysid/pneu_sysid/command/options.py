@@ -2,13 +2,9 @@
 """Options that several commands on recordings share."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-
-if TYPE_CHECKING:
-    pass
-
 
 BagPaths = Annotated[
     list[Path],

@@ -4,7 +4,7 @@
 Parameters: D-optimal, the volume of what is possible of them is made small (Fedorov 1972), on
 average over rigs as they may be (`possible`).
 Candidates: T-optimal, each stays as far as it can from what any other can make of it (Atkinson and
-Fedorov 1975, Biometrika 62(1), 57), the nearest two counting.
+Fedorov 1975, Biometrika 62(1), 57), pairs that are told apart counting.
 """
 
 import math
@@ -189,8 +189,8 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
     if not asked.hypotheses and not asked.parameters:
         raise InputError(f"rig {rig.name!r}: found no parameters to learn, and no candidates")
     # candidates are told apart with the rig that was diagnosed, numbers learnt with one for a fit
-    rig_run = with_known_noise(rig if asked.hypotheses else as_fitted(rig))
-    model = _Model(rig_run, asked, lasting_share(rig), mirrors_of(rig))
+    begun = with_known_noise(rig if asked.hypotheses else as_fitted(rig))
+    model = _Model(begun, asked, lasting_share(rig), mirrors_of(rig))
     rng = np.random.default_rng([asked.seed, 23])
     pool = _drawn(model, rng, tell)
     known = None

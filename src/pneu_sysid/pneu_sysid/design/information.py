@@ -86,13 +86,21 @@ class Information:
         Args:
             gram: (2, C, C) sum over pieces.
         """
-        at = [*self.columns.parameters, *self.columns.doubtful]
-        inner, scatter = gram[:, at][:, :, at]
-        known = block_diag(self.prior, np.eye(len(self.columns.doubtful)) / self.doubt**2)
+        (inner, scatter), known = self._fitted(gram)
         inverse = np.linalg.inv(inner + known)
         whole = inverse @ (scatter + known) @ inverse
         count = len(self.columns.parameters)
         return np.asarray(whole[:count, :count])
+
+    def _fitted(self, grams: Floats) -> tuple[Floats, Floats]:
+        """Inner products of what a fit estimates, and (F, F) what is known of it before.
+
+        Args:
+            grams: (..., C, C).
+        """
+        at = [*self.columns.parameters, *self.columns.doubtful]
+        known = block_diag(self.prior, np.eye(len(self.columns.doubtful)) / self.doubt**2)
+        return grams[..., at, :][..., at], known
 
     def found(self) -> Floats:
         """(P,) standard errors that a fit is expected to find, as shares of what was known before.
@@ -104,15 +112,13 @@ class Information:
 
         Pieces are to be the stretches.
         """
-        at = [*self.columns.parameters, *self.columns.doubtful]
-        inner, scatter = self.grams[:, 0][:, at][:, :, at], self.grams[:, 1][:, at][:, :, at]
-        known = block_diag(self.prior, np.eye(len(self.columns.doubtful)) / self.doubt**2)
-        whole = inner.sum(axis=0) + known
+        stretches, known = self._fitted(self.grams)
+        whole = stretches[:, 0].sum(axis=0) + known
         inverse = np.linalg.inv(whole)
         variance = np.diag(inverse @ known @ inverse).copy()
-        count = len(inner)
-        for own, of in zip(inner, scatter, strict=True):
-            moved = np.linalg.solve(whole - own, of @ inverse)
+        count = len(stretches)
+        for own, scatter in stretches:
+            moved = np.linalg.solve(whole - own, scatter @ inverse)
             variance += (count - 1) / count * np.maximum(np.diag(moved), 0.0)
         numbers = len(self.columns.parameters)
         least = np.diag(self.covariance(self.grams.sum(axis=0)))

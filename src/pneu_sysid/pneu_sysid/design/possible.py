@@ -36,7 +36,6 @@ def possible_rigs(
     mirrors: Mirrors,
     count: int,
     rng: np.random.Generator,
-    share: float = 1.0,
 ) -> list[Possible]:
     """Draws rigs from what is known of their numbers.
 
@@ -50,7 +49,6 @@ def possible_rigs(
         mirrors: Opening curves that are about the mirrors of others.
         count: How many.
         rng: Of the draws.
-        share: Of the standard deviations.
     """
     listed = list(parameters)
     variables = variables_of(rig, listed)
@@ -64,7 +62,7 @@ def possible_rigs(
     root = np.linalg.cholesky(precision)
     out = []
     for _ in range(count):
-        draw = middle + share * np.linalg.solve(root.T, rng.normal(size=known.size))
+        draw = middle + np.linalg.solve(root.T, rng.normal(size=known.size))
         x = np.array(
             [
                 float(np.clip(v.value + k * d, v.lower, v.upper))

@@ -66,7 +66,7 @@ class Promise:
     told: Information
 
     def errors(self, learnt: Sequence[FitParameter]) -> Floats:
-        """(P,) the same in each parameter's own unit.
+        """(P,) standard errors that a fit is to find, each in the parameter's own unit.
 
         Args:
             learnt: The parameters.
