@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studies import experiments
 from studies.exact_rigs import draw_rig, record
+from studies.experiments import plants
 
 from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
@@ -343,9 +343,9 @@ def test_the_rig_s_own_cells_have_the_last_word_near_the_noise(gain: float, take
     rig = with_noise(rig, dict.fromkeys(rig.taps, 250.0))
     wrong = AttachedEffect(effect="sensor_gain", place="end", parameters={"error": gain})
     levels = np.random.default_rng(1).choice([0.0, 2.0, 5.0, 8.0, 10.0], 38)
-    volts = {"voltage": np.repeat(levels, round(0.04 / experiments.STEP_S))}
+    volts = {"voltage": np.repeat(levels, round(0.04 / plants.STEP_S))}
     hidden = wrong if gain else None
-    recording = experiments.record(experiments.plant_of(rig, hidden), volts, "steep", 3)
+    recording = plants.record(plants.plant_of(rig, hidden), volts, "steep", 3)
     few = [p for p in parameters_of(rig) if p.path.endswith("out.position_m")]
     said: list[tuple[float, str]] = []
 

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibrations: errors of fits to designed and to random recordings, and what plans promised."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from pneu_sim.rig import load_rig
+from pneu_sim.rig.opening import opening_at
+from pneu_sim.rig.schema import Rig
+from pneu_sysid.curves import curve_ties
+from pneu_sysid.design.design import Asked, design
+from pneu_sysid.design.limits import limits_of
+from pneu_sysid.design.parameters import parameters_to_learn
+from pneu_sysid.design.waves import STEP_S
+from pneu_sysid.fit import fit_rig
+from pneu_sysid.observed.noise import with_noise
+from pneu_sysid.parameters import estimated_parameters, rig_at, variables_of
+from studies.experiments.plants import RATE_HZ, ROOT, Volts, plant_of, random_volts, record
+
+CALIBRATED = ("rigs/lab.yaml", "rigs/rig_b.yaml", "rigs/rig_j.yaml")
+LONG_S, SHORT_S = 10.0, 5.0
+SHEETS = 3
+"""Datasheets that are drawn of each rig."""
+OFF = 0.5
+"""By this share of the standard deviation that is not known numbers of a datasheet are off."""
+NOISE_PA = 250.0
+"""Of taps whose rig file says nothing of it: no sensor is without."""
+WAYS = (f"random {LONG_S:g} s", f"random {SHORT_S:g} s", f"designed {SHORT_S:g} s")
+
+
+def datasheet(rig: Rig, seed: int) -> Rig:
+    """A rig as its datasheet might have it: every number off by about what is not known of it.
+
+    Opening curves are off as a whole: they bend no more there than a fit expects curves to.
+    """
+    bare = rig.model_copy(
+        update={"calibration": None, "fit": rig.fit.model_copy(update={"parameters": []})}
+    )
+    listed, _ = estimated_parameters(bare)
+    rng = np.random.default_rng([seed, 47])
+    variables = variables_of(bare, listed)
+    std = np.array([min(v.std, v.upper - v.lower) for v in variables])
+    ties = curve_ties(bare, listed).matrix * std
+    root = np.linalg.cholesky(np.eye(std.size) + ties.T @ ties)
+    off = OFF * std * np.linalg.solve(root.T, rng.normal(size=std.size))
+    x = [float(np.clip(v.value + o, v.lower, v.upper)) for v, o in zip(variables, off, strict=True)]
+    return rig_at(bare, listed, np.array(x))
+
+
+def with_curves_of(rig: Rig, other: Rig) -> Rig:
+    """A rig whose opening curves are told at the voltages of another's.
+
+    A fit gives ports curves and points of their own, so that the same index is another voltage.
+    """
+    out = rig.model_copy(deep=True)
+    for v, valve in out.valves.items():
+        for p, port in valve.ports.items():
+            known = other.valves[v].ports[p].opening
+            if known.mirror is not None:
+                port.opening = known
+                continue
+            volts = np.array(known.voltage_v)
+            fraction = opening_at(port.opening, valve.spool.null_v, volts)
+            port.opening = known.model_copy(update={"fraction": fraction.tolist()})
+    return out
+
+
+def calibration_figures(file: str, seed: int, console: Console) -> dict[str, Any]:
+    """One datasheet: a fit to ten random seconds, to five, and to five that were designed."""
+    true = load_rig(ROOT / file)
+    true = with_noise(true, dict.fromkeys(true.taps, NOISE_PA))
+    sheet = datasheet(true, seed)
+    limits = limits_of(sheet)
+    plant = plant_of(true)
+    listed, _ = estimated_parameters(sheet)
+    variables = variables_of(sheet, listed)
+    scale = np.array([min(v.std, v.upper - v.lower) for v in variables])
+    truth = np.array([v.value for v in variables_of(true, listed)])
+    begun = time.monotonic()
+    learnt = parameters_to_learn(sheet)
+    plan = design(sheet, Asked(SHORT_S, limits, [], learnt, rate_hz=RATE_HZ, seed=seed))
+    out: dict[str, Any] = {"design_s": time.monotonic() - begun, "parameters": len(listed)}
+    volts: list[Volts] = [
+        random_volts(sheet, limits, LONG_S, 10 * seed + 1),
+        random_volts(sheet, limits, SHORT_S, 10 * seed + 2),
+        plan.volts(STEP_S),
+    ]
+    for name, series in zip(WAYS, volts, strict=True):
+        fitted = fit_rig(sheet, [record(plant, series, "recording", seed + 10)])
+        found = variables_of(with_curves_of(fitted.rig, true), listed)
+        off = np.abs(np.array([v.value for v in found]) - truth) / scale
+        out[name] = [float(np.sqrt(np.mean(off**2))), float(np.median(off))]
+        console.print(f"{file}, datasheet {seed}: {name}: {out[name][0]:.3f} of what was unknown")
+    known = {p.path: p.std_error for p in fitted.rig.fit.parameters}
+    ratios = [
+        error / expected
+        for path, expected in plan.expected.std_errors.items()
+        if (error := known.get(path)) is not None and expected and ".opening." not in path
+    ]
+    out["error_ratios"] = [float(x) for x in np.quantile(ratios, [0.1, 0.5, 0.9])]
+    return out
+
+
+def key_of(file: str, seed: int) -> str:
+    """Name of what is kept of a datasheet."""
+    return f"calibration_{Path(file).stem}_{seed}"

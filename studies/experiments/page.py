@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of what the experiments told, each row with the sources that it is of."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pneu_common.files import write_whole
+from pneu_sysid.design.hypotheses import part_of
+from studies.experiments.calibrations import CALIBRATED, OFF, SHEETS, WAYS, key_of
+from studies.experiments.pairs import PAIRS, SECONDS
+
+
+def page(path: Path, kept: Mapping[str, Mapping[str, Any]]) -> None:
+    """Writes the page.
+
+    Args:
+        path: Of the page.
+        kept: Figures and sources of what was run, by its name.
+    """
+    sources = sorted({one["sources"] for one in kept.values()})
+    lines = [
+        "# Experiments", "",
+        f"Made by `make experiments`, from the sources {', '.join(sources)}; each row names its"
+        " own.", "",
+        "## Two effects that a random recording does not tell apart", "",
+        "Plants with finer cells and another flux than the models. A random recording of"
+        f" {SECONDS:g} s leaves the two open; then a designed one of the same length, and another"
+        " random one for comparison, each diagnosed together with the first. Expected and found are"
+        " the standard errors by which the designed one alone tells the first of the two from what"
+        " comes nearest.", "",
+        "| hidden | first, random | expected | found | with the designed one | with another random"
+        " one | design [s] | sources |",
+        "|---|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    right = count = 0
+    for k, pair in enumerate(PAIRS):
+        one = kept.get(f"pair_{k}")
+        if one is None:
+            lines.append(f"| {pair.name} | not run | | | | | | |")
+            continue
+        f = one["figures"]
+        if not f["open"]:
+            told = "no random recording left it open"
+            lines.append(f"| {pair.name} | {told} | | | | | | {one['sources']} |")
+            continue
+        count += 1
+        named_right = f["both"][0] == "effect" and f["both"][1].startswith(f["hidden"])
+        right += named_right
+        top = part_of(f["first"][0])
+        expected = min(s["standard_errors"] for s in f["expected"] if part_of(s["one"]) == top)
+        found = _found(f)
+        values = ", ".join(f"{n} {v:.3g}" for n, v in f["values"].items())
+        lines.append(
+            f"| {f['hidden']} ({values}) | {', '.join(f['first'])} | {expected:.1f} | {found}"
+            f" | {'right' if named_right else 'NOT RIGHT'}: {', '.join(f['both'])}"
+            f" | {', '.join(f['random_again'])}"
+            f" | {f['design_s']:.0f} | {one['sources']} |"
+        )
+    told = f"Named rightly: {right} of {count} that were left open."
+    lines += ["", told, "", "## Calibration", ""]
+    lines += [
+        "Errors of all parameters, in what was not known of each before: root mean square, in"
+        f" brackets the median. {SHEETS} datasheets of each rig, whose numbers are off by"
+        f" {OFF:g} of that. Commands of all ways keep to the same limits of volts. Found over"
+        " expected: standard errors after the fit over what the plan foresaw, median and the middle"
+        " 80 %.", "",
+        f"| rig | datasheet | parameters | {' | '.join(WAYS)} | found over expected | design [s] |"
+        " sources |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for file in CALIBRATED:
+        every: list[list[list[float]]] = []
+        for seed in range(SHEETS):
+            one = kept.get(key_of(file, seed))
+            if one is None:
+                lines.append(f"| {file} | {seed} | not run | | | | | | |")
+                continue
+            f = one["figures"]
+            low, middle, high = f["error_ratios"]
+            told = " | ".join(f"{f[way][0]:.2f} ({f[way][1]:.3f})" for way in WAYS)
+            lines.append(
+                f"| {file} | {seed} | {f['parameters']} | {told}"
+                f" | {middle:.2f} ({low:.2f} to {high:.2f}) | {f['design_s']:.0f}"
+                f" | {one['sources']} |"
+            )
+            every.append([f[way] for way in WAYS])
+        if every:
+            told = " | ".join(f"{whole:.2f} ({middle:.3f})" for whole, middle in np.mean(every, 0))
+            lines.append(f"| {file} | mean | | {told} | | | |")
+    write_whole(path, "\n".join(lines) + "\n")
+
+
+def _found(figures: dict[str, Any]) -> str:
+    """By how much the designed recording alone told what the random one left open.
+
+    Negative where what came nearest leads.
+    """
+    leads = [
+        told["found"]
+        for told in figures["found"]
+        if told["found"] is not None and told["one"] == figures["first"][0]
+    ]
+    return f"{min(leads, key=abs):.1f}" if leads else "another was named"
