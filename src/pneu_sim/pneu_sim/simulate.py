@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pneu_common.tally import Tally
 from pneu_sim import layout as L
 from pneu_sim.device import Device, chosen
+from pneu_sim.rig.cells import middles
 from pneu_sim.rig.expand import with_cylinders
 from pneu_sim.rig.model import S_BIAS, S_GAIN, S_LAG, S_OFFSET, Model
 from pneu_sim.rig.network import reservoir_of_pipes
@@ -117,7 +118,7 @@ def initial_field(rig: Rig, plan: Plan, through_orifices: bool = True) -> Initia
         first, n = plan.pipes[name]
         points = known[name] or [(0.0, np.zeros(n_taps), rig.ambient.pressure_pa)]
         xs = np.array([point[0] for point in points])
-        centres = (np.arange(n) + 0.5) * pipe.length_m / n
+        centres = middles(pipe.length_m, n)
         for t in range(n_taps):
             weight[first : first + n, t] = np.interp(centres, xs, [p[1][t] for p in points])
         constant[first : first + n] = np.interp(centres, xs, [p[2] for p in points])

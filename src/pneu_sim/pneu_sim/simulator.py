@@ -11,6 +11,7 @@ from pneu_common.errors import InputError
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.models import FromRest
 from pneu_sim.plant import Plant
+from pneu_sim.rig.cells import middles
 from pneu_sim.rig.schema import Rig
 from pneu_sim.stepping import unstable
 
@@ -166,7 +167,7 @@ class Simulator:
         if self._single:
             table = {name: value[:, 0] for name, value in table.items()}
         n = rho.shape[0]
-        return {"x_m": (np.arange(n) + 0.5) * length / n, **table}
+        return {"x_m": middles(length, n), **table}
 
     def run(
         self,

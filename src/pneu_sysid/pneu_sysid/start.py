@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim.gas import AIR
+from pneu_sim.rig.cells import middles
 from pneu_sim.rig.network import volume_of_tap, volumes_of
 from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Rig
@@ -185,12 +186,10 @@ def carried(start: Start, before: Plan, now: Plan) -> Start:
         out = np.empty(now.slots)
         for name, (first, n) in now.pipes.items():
             old_first, old_n = before.pipes[name]
+            old = values[old_first : old_first + old_n]
+            new = np.interp(middles(1.0, n), middles(1.0, old_n), old)
             # the ghost slots at both ends go with the outermost cells
-            x = (np.arange(-1, n + 1) + 0.5) / n
-            old_x = (np.arange(old_n) + 0.5) / old_n
-            out[first - 1 : first + n + 1] = np.interp(
-                x, old_x, values[old_first : old_first + old_n]
-            )
+            out[first - 1 : first + n + 1] = np.pad(new, 1, mode="edge")
         return out
 
     warm = None if start.temperature is None else along(start.temperature)

@@ -25,6 +25,7 @@ from pneu_sim import topics
 from pneu_sim.observe.observer import Innovation, Observer
 from pneu_sim.observe.settings import LEAK_S, LOAD_S, Drift, ObserverSettings
 from pneu_sim.rig import load_rig
+from pneu_sim.rig.cells import middles
 
 LONGEST_S = 0.1
 """After so long without readings the state is found anew, s."""
@@ -242,7 +243,7 @@ class ObserverNode(Node):
             cells, length = len(density), self._rig.pipes[name].length_m
             state = LineState(
                 line=name,
-                position_m=((np.arange(cells) + 0.5) * length / cells).tolist(),
+                position_m=middles(length, cells).tolist(),
                 density_kg_m3=density.tolist(),
                 velocity_m_s=velocity.tolist(),
                 pressure_pa=pressure.tolist(),

@@ -17,6 +17,7 @@ from pneu_sim.observe.drifts import centred
 from pneu_sim.observe.nearness import distances, gaspari_cohn
 from pneu_sim.observe.settings import ObserverSettings
 from pneu_sim.plant import Plant
+from pneu_sim.rig.cells import middles
 
 Floats = NDArray[np.float64]
 
@@ -59,7 +60,7 @@ def begin(
             for tap, value in known.items()
             if rig.taps[tap].pipe == name
         )
-        at = (np.arange(n) + 0.5) / n
+        at = middles(1.0, n)
         if own:
             length = rig.pipes[name].length_m
             where, level = np.array(own).T

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pneu_sim import layout as L
 from pneu_sim.full_solver import FullSolver
-from pneu_sim.rig.cells import spread
+from pneu_sim.rig.cells import middles, spread
 from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Leak, Rig
 
@@ -66,6 +66,5 @@ def _rows(plan: Plan, rig: Rig, name: str, row_of: dict[int, int]) -> list[tuple
     """Rows of the leak in the middle of a pipe, and its share in each."""
     first, n = plan.pipes[name]
     length_m = rig.pipes[name].length_m
-    centres = (np.arange(n) + 0.5) * length_m / n
-    found = spread(0.5 * length_m, centres)
+    found = spread(0.5 * length_m, middles(length_m, n))
     return [(row_of[first + i], share) for i, share in found]

@@ -6,6 +6,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from pneu_sim.rig.cells import middles
 from pneu_sim.rig.expand import with_cylinders
 from pneu_sim.rig.network import end_nodes
 from pneu_sim.rig.plan import Plan
@@ -67,7 +68,7 @@ def distances(rig: Rig, plan: Plan) -> tuple[Floats, Floats]:
                         node[b] = min(node.get(b, math.inf), node[a] + length)
         for pipe, (first, n) in plan.pipes.items():
             length = whole.pipes[pipe].length_m
-            at = (np.arange(n) + 0.5) * length / n
+            at = middles(length, n)
             begin, end = ends[pipe]
             far = np.full(n, math.inf)
             if tap.pipe == pipe:

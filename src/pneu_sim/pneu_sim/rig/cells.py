@@ -12,6 +12,16 @@ from pneu_sim.rig.schema import Pipe
 Floats = NDArray[np.float64]
 
 
+def middles(length_m: float, count: int) -> Floats:
+    """(count,) middles of a pipe's cells, all alike, m.
+
+    Args:
+        length_m: Length of the pipe, m; 1 for shares of it.
+        count: How many cells it has.
+    """
+    return np.asarray((np.arange(count) + 0.5) * length_m / count)
+
+
 def areas(pipe: Pipe, faces: Floats) -> tuple[Floats, Floats]:
     """Mean area of each cell and area of each face of a pipe, before neighbours are compared.
 
