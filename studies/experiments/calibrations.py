@@ -28,7 +28,8 @@ SHEETS = 3
 OFF = 0.5
 """By this share of the standard deviation that is not known numbers of a datasheet are off."""
 NOISE_PA = 250.0
-"""Of taps whose rig file says nothing of it: no sensor is without."""
+ENCODER = {"noise": 1e-4, "quantum": 3.8e-4}
+"""Of taps and encoders (14 bits, rad) of which the rig file says nothing: no sensor is without."""
 WAYS = (f"random {LONG_S:g} s", f"random {SHORT_S:g} s", f"designed {SHORT_S:g} s")
 
 
@@ -49,6 +50,15 @@ def datasheet(rig: Rig, seed: int) -> Rig:
     off = OFF * std * np.linalg.solve(root.T, rng.normal(size=std.size))
     x = [float(np.clip(v.value + o, v.lower, v.upper)) for v, o in zip(variables, off, strict=True)]
     return rig_at(bare, listed, np.array(x))
+
+
+def with_encoders(rig: Rig) -> Rig:
+    """A rig all of whose encoders have noise and counts."""
+    encoders = {
+        name: one if one.noise or one.quantum else one.model_copy(update=ENCODER)
+        for name, one in rig.encoders.items()
+    }
+    return rig.model_copy(update={"encoders": encoders})
 
 
 def with_curves_of(rig: Rig, other: Rig) -> Rig:
@@ -72,7 +82,7 @@ def with_curves_of(rig: Rig, other: Rig) -> Rig:
 def calibration_figures(file: str, seed: int, console: Console) -> dict[str, Any]:
     """One datasheet: a fit to ten random seconds, to five, and to five that were designed."""
     true = load_rig(ROOT / file)
-    true = with_noise(true, dict.fromkeys(true.taps, NOISE_PA))
+    true = with_encoders(with_noise(true, dict.fromkeys(true.taps, NOISE_PA)))
     sheet = datasheet(true, seed)
     limits = limits_of(sheet)
     plant = plant_of(true)

@@ -23,8 +23,9 @@ FEW = 8
 are tried: a position along a pipe has kinks, past which a slope tells nothing."""
 DAMPINGS = (1e-6, 1e-3, 1e-1, 1e1)
 LAST_DAMPINGS = (1e2, 1e3, 1e4)
-FINER_DAMPINGS = (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 1e1)
-"""Of more variables; all of them are tried at first, then ..."""
+FINER_DAMPINGS = (1e-8, 1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 1e1)
+"""Of more variables; all of them are tried at first, then ... The least one is little even beside
+what is known beforehand of combinations that data hardly show, a millionth is not."""
 BELOW, BESIDE = 2, 4
 """... so many about the last best, beginning so far below it."""
 AS_FORECAST = 0.9
@@ -33,6 +34,13 @@ PROBE = 0.1
 """The residual is looked at after this part of a step, to see how it bends."""
 MOST_BENT = 0.75
 """Twice the bend is at most this part of the step; a longer bend is not to be trusted."""
+CANCELS = 0.03
+"""Columns of a Jacobian are wrong by some hundredths: a combination of variables whose columns
+cancel to less than this share tells more of those errors than of itself, ..."""
+MOST_ALONG = 16
+"""... and so many of them, the weakest, are looked along for themselves."""
+LAST_LOOKS = 3
+"""Steps at most that are taken at the end along these alone."""
 SECANT_WORTH = 0.05
 """A step that takes away so much of the cost is followed by one with the same Jacobian."""
 MOST_FORECAST = 2.0
@@ -144,6 +152,52 @@ def jacobian(
     return here, np.stack([(there[k] - here) / h for k, h in enumerate(steps)], axis=-1)
 
 
+def looked_along(
+    residuals: Residuals, x: Floats, j: Floats, variables: Sequence[Variable]
+) -> Floats:
+    """A Jacobian that is right along the combinations of variables that residuals hardly show.
+
+    Where a rig that is larger as a whole has the same pressures, the columns of all its sizes
+    cancel but for their own errors: differences over a finite step, secants. That looks like
+    information, a hundred times what there is: the prior no longer holds such a combination, and
+    its standard error is told far too small. So central differences are taken along these.
+
+    Args:
+        residuals: Batched residual function.
+        x: (P,) point.
+        j: (n_clusters, m, P) Jacobian there.
+        variables: What is known beforehand, bounds and steps.
+    """
+    known = np.array([min(v.std, v.upper - v.lower) for v in variables])
+    step = np.array([v.step for v in variables])
+    room = np.array([min(v.upper - a, a - v.lower) for v, a in zip(variables, x, strict=True)])
+    free = np.flatnonzero(room >= step)
+    if free.size < 2:
+        return j
+    columns = j.reshape(-1, x.size)[:, free] * known[free]
+    norms = np.linalg.norm(columns, axis=0)
+    squares, ways = np.linalg.eigh(columns.T @ columns)
+    alone = np.sqrt(np.sum((norms[:, None] * ways) ** 2, axis=0))
+    weak = np.flatnonzero(np.sqrt(np.maximum(squares, 0.0)) < CANCELS * alone)[:MOST_ALONG]
+    if not weak.size:
+        return j
+    moves = np.zeros((weak.size, x.size))
+    moves[:, free] = ways[:, weak].T
+    # no variable farther than in a difference of its own
+    length = np.min(step / np.maximum(np.abs(moves) * known, 1e-300), axis=1)
+    ends = [
+        x + sign * t * move * known
+        for move, t in zip(moves, length, strict=True)
+        for sign in (1.0, -1.0)
+    ]
+    found = residuals(ends)
+    out = j.copy()
+    for k, (move, t) in enumerate(zip(moves, length, strict=True)):
+        missed = (found[2 * k] - found[2 * k + 1]) / (2.0 * t) - j @ (move * known)
+        out += missed[..., None] * (move / known)
+    return out
+
+
 def _weights(r: Floats, robust: bool) -> Floats:
     """Square roots of the Huber weights."""
     if not robust:
@@ -175,6 +229,7 @@ def minimise(
     ties: tuple[Floats, Floats] | None = None,
     secants: int = 0,
     slope: Floats | None = None,
+    along: bool = False,
 ) -> Estimate:
     """Minimises the sum of squared residuals plus a Gaussian prior, within bounds.
 
@@ -196,6 +251,8 @@ def minimise(
             is computed.
         slope: (n_clusters, m, P) Jacobian to begin with, of nearly the same problem; None computes
             it.
+        along: Whether what residuals hardly show is looked along (`looked_along`), wherever the
+            Jacobian is computed and at the end.
 
     Returns:
         The estimate.
@@ -231,10 +288,13 @@ def minimise(
         r, j = jacobian(residuals, x, variables)
     else:
         r, j = residuals([x])[0], slope
+    if along:
+        j = looked_along(residuals, x, j, variables)
     history.append(total(r, x))
     begun = _cost(r, robust)
     left, reused = iterations - 1, 0
     fresh, rescaled = slope is None, False
+    looks = 0
     while True:
         w = _weights(r, robust)
         if fresh or not rescaled:
@@ -270,14 +330,18 @@ def minimise(
             history.append(costs[best])
             if progress is not None:
                 progress(len(history) - 1, costs[best])
-        if gain < tolerance and (fresh or gain > 0.0):
-            break
         if gain > SECANT_WORTH and reused < secants:
             fresh, reused = False, reused + 1
             continue
-        if left < 1:
-            break
+        if left < 1 or (gain < tolerance and (fresh or gain > 0.0)):
+            # along a valley the cost falls by little, but by more than chance
+            if not along or looks == LAST_LOOKS or (looks and gain * cost < scale**2):
+                break
+            j, looks = looked_along(residuals, x, j, variables), looks + 1
+            continue
         r, j = jacobian(residuals, x, variables, r)
+        if along:
+            j = looked_along(residuals, x, j, variables)
         fresh, left, reused = True, left - 1, 0
     gained = 1.0 - _cost(r, robust) / max(begun, 1e-300)
     last = linearised(_weights(r, robust))

@@ -57,6 +57,10 @@ TRIED_S = 0.3
 """Over this time the ways in which a recording may begin are tried."""
 FEWEST_TRIED = 6
 """... or over this many readings of the slowest tap."""
+FINEST = 1e-4
+"""Share of the largest reading to which no sensor is trusted to tell a model of this kind wrong:
+cells alone get more wrong. An encoder without noise, simulated or of 20 bits, would count a hundred
+times what any pressure does, and a fit from a datasheet would end 50 times the noise off."""
 LOOKS = 2
 """Times that the beginning is looked for: once from the room's temperature, once around it."""
 LATER = 3.0
@@ -398,9 +402,8 @@ class Problem:
                 if good.sum() > 2 * FEWEST_TRIED:
                     found.append(noise_floor(course.time_s[t, good], left[good]))
             if found and (least := min(f.sigma_pa for f in found)) < self.noise_pa[t]:
-                self.noise_pa[t] = max(
-                    least, 1e-6 * float(np.nanmax(np.abs(self.measured[..., t])))
-                )
+                largest = float(np.nanmax(np.abs(self.measured[..., t])))
+                self.noise_pa[t] = max(least, FINEST * largest)
             if found and not all(f.motion for f in found):
                 self.noise_words.pop(self.taps[t], None)
         self._in_doubt.clear()
@@ -666,9 +669,8 @@ def _set_noise(problem: Problem, rig: Rig) -> None:
                     problem._in_doubt.append(t)
                     problem.noise_words[name] = found[0].sentence
             else:
-                noise = 1e-6 * scale if name in rig.encoders else 1.0
-        # A silent sensor (simulated, or coarser than its noise) still cannot resolve below this.
-        problem.noise_pa[t] = max(noise, 1e-6 * scale)
+                noise = 0.0 if name in rig.encoders else 1.0
+        problem.noise_pa[t] = max(noise, FINEST * scale)
 
 
 def _scale(recordings: list[Recording], sensors: list[str]) -> float:

@@ -446,6 +446,7 @@ def take(
         ties=curve_ties(rig, parameters, mirrors, bends)[:2],
         secants=SECANTS,
         slope=slope,
+        along=problem.doubt_pa is not None,
     )
     after = rig_at(rig, parameters, estimate.values)
     return after, estimate, bends_told(estimate, variables, curve_ties(after, parameters, mirrors))

@@ -147,7 +147,11 @@ class _Model:
         return foresee(self.rig, volts, self.asked.rate_hz, self.asked.workers, progress)
 
     def tells(
-        self, seen: Foreseen, edges: Floats | None = None, progress: Ran | None = None
+        self,
+        seen: Foreseen,
+        edges: Floats | None = None,
+        progress: Ran | None = None,
+        along: bool = False,
     ) -> Information:
         """What the pieces between edges tell; without edges, each stretch that a fit has of it."""
         problem = make_problem(self.rig, seen.recording, workers=self.asked.workers)
@@ -155,7 +159,7 @@ class _Model:
             problem = problem.coarsened(self.rig, LONGER_CELLS)
         return information_of(
             problem, self.rig, self.asked.hypotheses, self.asked.parameters, edges, self.lasting,
-            self.mirrors, progress,
+            self.mirrors, progress, along,
         )  # fmt: skip
 
 
@@ -199,7 +203,9 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
     others = _others(model, pool, AVERAGED + PROMISED)
     chosen_by, judges = others[:AVERAGED] or [model], others[AVERAGED:] or [model]
     best = _played(model, chosen_by, pool, known, rng, tell)
-    promises = [Promise(seen, m.tells(seen)) for m in judges for seen in [m.foresee(best.volts)]]
+    promises = [
+        Promise(seen, m.tells(seen, along=True)) for m in judges for seen in [m.foresee(best.volts)]
+    ]
     labels = [one.label for one in asked.hypotheses]
     separations, most = [], []
     promised = promises[0].told

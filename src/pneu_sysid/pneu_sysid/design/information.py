@@ -19,7 +19,7 @@ from pneu_sysid.cells import own_share, weights_of
 from pneu_sysid.curves import Mirrors, curve_ties
 from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.evidence import blocks_of
-from pneu_sysid.gauss_newton import Variable
+from pneu_sysid.gauss_newton import Variable, looked_along
 from pneu_sysid.parameters import one_each, rig_at, variables_of
 from pneu_sysid.problem import Problem
 from pneu_sysid.refits import effect_variables
@@ -188,6 +188,7 @@ def information_of(
     lasting: Mapping[str, float],
     mirrors: Mirrors | None = None,
     progress: Callable[[float], None] | None = None,
+    along: bool = False,
 ) -> Information:
     """What each piece of a recording that is foreseen tells.
 
@@ -201,6 +202,8 @@ def information_of(
             `foreseen.lasting_share`.
         mirrors: Opening curves that are about the mirrors of others.
         progress: Called with the fraction done.
+        along: Whether what the recording hardly shows of the numbers is looked along, as a fit
+            does (`gauss_newton.looked_along`).
     """
     listed = one_each(list(parameters), [r.name for r in problem.recordings])
     variables = variables_of(rig, listed) if listed else []
@@ -246,6 +249,16 @@ def information_of(
         diff = (readings[there] - readings[here]) / (problem.noise_pa * step)
         diff[missing] = 0.0
         columns[:, :, c] = np.nan_to_num(diff.reshape(problem.stretches, -1))
+    if along and numbers:
+
+        def readings_at(points: Sequence[Floats]) -> Floats:
+            there = [rig_at(rig, listed, y) for y in points]
+            found = problem.simulate(there, None, strict=False).readings / problem.noise_pa
+            return np.nan_to_num(np.where(missing, 0.0, found)).reshape(len(points), *shape)
+
+        shape = (problem.stretches, missing[0].size)
+        j = looked_along(readings_at, x, columns[:, :, numbers] / known, variables)
+        columns[:, :, numbers] = j * known
     longer = (problem.dx_m or rig.grid.dx_m) / rig.grid.dx_m
     doubt = own_share(longer) if doubtful else 1.0
     if doubtful and not hypotheses:  # a verdict has all readings count alike
