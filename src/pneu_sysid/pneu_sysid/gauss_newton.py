@@ -34,11 +34,13 @@ PROBE = 0.1
 """The residual is looked at after this part of a step, to see how it bends."""
 MOST_BENT = 0.75
 """Twice the bend is at most this part of the step; a longer bend is not to be trusted."""
-CANCELS = 0.03
+CANCELS = 0.05
 """Columns of a Jacobian are wrong by some hundredths: a combination of variables whose columns
 cancel to less than this share tells more of those errors than of itself, ..."""
 MOST_ALONG = 16
-"""... and so many of them, the weakest, are looked along for themselves."""
+"""... and so many of them, the weakest, are looked along for themselves, ..."""
+ROUNDS = 2
+"""... so often: what is weakest is seen better once that is better known."""
 LAST_LOOKS = 3
 """Steps at most that are taken at the end along these alone."""
 SECANT_WORTH = 0.05
@@ -172,30 +174,34 @@ def looked_along(
     step = np.array([v.step for v in variables])
     room = np.array([min(v.upper - a, a - v.lower) for v, a in zip(variables, x, strict=True)])
     free = np.flatnonzero(room >= step)
-    if free.size < 2:
-        return j
-    columns = j.reshape(-1, x.size)[:, free] * known[free]
-    norms = np.linalg.norm(columns, axis=0)
+    for _ in range(ROUNDS):
+        weak = _weak(j.reshape(-1, x.size)[:, free] * known[free])
+        if not weak.size:
+            break
+        moves = np.zeros((weak.shape[1], x.size))
+        moves[:, free] = weak.T
+        # no variable farther than in a difference of its own
+        lengths = np.min(step / np.maximum(np.abs(moves) * known, 1e-300), axis=1)
+        ends = [
+            x + sign * length * move * known
+            for move, length in zip(moves, lengths, strict=True)
+            for sign in (1.0, -1.0)
+        ]
+        found = residuals(ends)
+        changes = (found[::2] - found[1::2]) / (2.0 * lengths[:, None, None])
+        missed = changes - np.einsum("smp,kp->ksm", j, moves * known)
+        j = j + np.einsum("ksm,kp->smp", missed, moves / known)
+    return j
+
+
+def _weak(columns: Floats) -> Floats:
+    """(P, K) orthonormal combinations of columns that nearly cancel, the weakest first."""
+    if columns.shape[1] < 2:
+        return np.zeros((columns.shape[1], 0))
     squares, ways = np.linalg.eigh(columns.T @ columns)
-    alone = np.sqrt(np.sum((norms[:, None] * ways) ** 2, axis=0))
-    weak = np.flatnonzero(np.sqrt(np.maximum(squares, 0.0)) < CANCELS * alone)[:MOST_ALONG]
-    if not weak.size:
-        return j
-    moves = np.zeros((weak.size, x.size))
-    moves[:, free] = ways[:, weak].T
-    # no variable farther than in a difference of its own
-    length = np.min(step / np.maximum(np.abs(moves) * known, 1e-300), axis=1)
-    ends = [
-        x + sign * t * move * known
-        for move, t in zip(moves, length, strict=True)
-        for sign in (1.0, -1.0)
-    ]
-    found = residuals(ends)
-    out = j.copy()
-    for k, (move, t) in enumerate(zip(moves, length, strict=True)):
-        missed = (found[2 * k] - found[2 * k + 1]) / (2.0 * t) - j @ (move * known)
-        out += missed[..., None] * (move / known)
-    return out
+    alone = np.linalg.norm(np.linalg.norm(columns, axis=0)[:, None] * ways, axis=0)
+    cancel = np.sqrt(np.maximum(squares, 0.0)) < CANCELS * alone
+    return np.asarray(ways[:, np.flatnonzero(cancel)[:MOST_ALONG]])
 
 
 def _weights(r: Floats, robust: bool) -> Floats:

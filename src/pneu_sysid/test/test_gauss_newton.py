@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pneu_sysid import gauss_newton
-from pneu_sysid.gauss_newton import Variable, jacobian, minimise
+from pneu_sysid.gauss_newton import Residuals, Variable, jacobian, looked_along, minimise
 
 Floats = NDArray[np.float64]
 
@@ -236,3 +236,52 @@ def test_what_is_known_at_a_point_is_not_computed_again() -> None:
     assert asked == [3, 2]
     np.testing.assert_array_equal(again, r)
     np.testing.assert_array_equal(same, slope)
+
+
+SIZES = 12
+
+
+def ratios(seed: int) -> tuple[Residuals, list[Variable]]:
+    """Readings that only ratios of sizes show, and sizes that begin a third too large, all of them.
+
+    Differences are over steps so long that columns are wrong by hundredths.
+    """
+    rng = np.random.default_rng(seed)
+    signal = rng.normal(size=(CLUSTERS, SAMPLES, SIZES)) * 1000.0
+    noise = rng.normal(size=(CLUSTERS, SAMPLES))
+
+    def predicted(x: Floats) -> Floats:
+        return np.asarray(signal @ np.exp(x - np.roll(x, 1)))
+
+    def residuals(points: Sequence[Floats]) -> Floats:
+        return np.stack([predicted(np.zeros(SIZES)) + noise - predicted(x) for x in points])
+
+    std = np.where(np.arange(SIZES) < 2, 0.02, 0.2)
+    return residuals, [
+        Variable(f"size{k}", 0.3, -2.0, 2.0, 0.02, std=s, centre=0.0) for k, s in enumerate(std)
+    ]
+
+
+@pytest.mark.parametrize("along", [True, False])
+def test_a_valley_is_gone_along_and_its_width_told(along: bool) -> None:
+    """What is known beforehand of all sizes together holds them, as nothing else does."""
+    residuals, variables = ratios(5)
+    found = minimise(residuals, variables, secants=2, along=along)
+    width = float(np.sum([v.std**-2 for v in variables]) ** -0.5)
+    together = float(np.mean(found.values))
+    error = float(np.sqrt(np.mean(found.covariance)))
+    assert (abs(together) < 0.1 * width) == along
+    assert (0.8 * width < error < 1.3 * width) == along
+
+
+def test_what_is_shown_is_not_looked_along() -> None:
+    """Where nothing cancels the Jacobian is as it was, and costs no more."""
+    a, y = problem(6, np.array([1.0, -2.0, 0.5]))
+    variables = [Variable(f"x{k}", 0.0, -10.0, 10.0, 1e-3, std=1.0) for k in range(3)]
+    x = np.zeros(3)
+
+    def never(points: Sequence[Floats]) -> Floats:
+        raise AssertionError(f"{len(points)} runs")
+
+    _, j = jacobian(linear(a, y), x, variables)
+    assert looked_along(never, x, j, variables) is j
