@@ -40,7 +40,7 @@ cancel to less than this share tells more of those errors than of itself, ..."""
 MOST_ALONG = 16
 """... and so many of them, the weakest, are looked along for themselves, ..."""
 ROUNDS = 2
-"""... so often: what is weakest is seen better once that is better known."""
+"""... so often at most: what is weakest is seen better once that is better known."""
 LAST_LOOKS = 3
 """Steps at most that are taken at the end along these alone."""
 SECANT_WORTH = 0.05
@@ -191,6 +191,8 @@ def looked_along(
         changes = (found[::2] - found[1::2]) / (2.0 * lengths[:, None, None])
         missed = changes - np.einsum("smp,kp->ksm", j, moves * known)
         j = j + np.einsum("ksm,kp->smp", missed, moves / known)
+        if np.einsum("ksm,ksm->k", missed, missed).max() < 1.0:
+            break  # less than what is known beforehand
     return j
 
 
