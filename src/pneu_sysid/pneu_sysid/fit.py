@@ -39,6 +39,7 @@ from pneu_sysid.stages import (
     only_noise,
     problem_of,
     residual_function,
+    runs_of,
     settled,
     start_of,
     steps_of,
@@ -65,6 +66,7 @@ DRIFTED = 2.0
 at again from there ..."""
 STEPS_THERE = 4
 """... in so many steps at most; from a valley of the drawn rigs that was 13 % off three led out."""
+ALONG = "all, along what is hardly shown"
 OWN_CELLS = "all, on the rig's own cells"
 STEPS_OWN = 3
 """Steps on the rig's own cells at most: each may cost sixteen on long ones."""
@@ -233,7 +235,8 @@ def fit_rig(
         now = last.rig
         job.work.finish(step)
     assert last is not None
-    return _outcome(job, every, held, _on_own_cells(job, _at_known_scale(job, last)))
+    last = _along_what_hardly_shows(job, _at_known_scale(job, last))
+    return _outcome(job, every, held, _on_own_cells(job, last))
 
 
 def parameters_of(rig: Rig) -> list[FitParameter]:
@@ -400,6 +403,7 @@ def _taken(
         slope,
         job.mirrors,
         None if before is None else before.bends,
+        step.along,
     )
     return _Taken(
         step,
@@ -437,6 +441,19 @@ def _at_known_scale(job: _Job, last: _Taken) -> _Taken:
     count = int(np.isfinite(last.problem.measured[job.used(last.problem)]).sum())
     mean_square = max(1.0, min(here_left, there_left) / max(count, 1))
     return there if there_left - here_left < mean_square * (here_off - there_off) else last
+
+
+def _along_what_hardly_shows(job: _Job, last: _Taken) -> _Taken:
+    """The calibration, after steps along the combinations that the recordings hardly show.
+
+    Steps before have left these where they were by chance, and take them for known.
+    """
+    if not last.step.corrected:
+        return last
+    step = replace(last.step, words=ALONG, iterations=1, along=True)
+    weight = weight_of(last.rig, step, sum(r.end_s for r in job.recordings))
+    job.work.add(step, weight, runs_of(step, len(last.fitted), 0))
+    return _taken(job, last.rig, step, last.fitted, None)
 
 
 def _on_own_cells(job: _Job, last: _Taken) -> _Taken:

@@ -41,8 +41,8 @@ MOST_ALONG = 16
 """... and so many of them, the weakest, are looked along for themselves, ..."""
 ROUNDS = 2
 """... so often at most: what is weakest is seen better once that is better known."""
-LAST_LOOKS = 3
-"""Steps at most that are taken at the end along these alone."""
+LAST_LOOKS = 6
+"""At the end they are looked along so often at most, a step each, as long as that gains."""
 SECANT_WORTH = 0.05
 """A step that takes away so much of the cost is followed by one with the same Jacobian."""
 MOST_FORECAST = 2.0

@@ -84,6 +84,7 @@ class Step:
         tries: Whether what spools may be is tried first.
         limits: Whether limits of spools are tried first, which the step before makes possible.
         again: Whether it is left out once nothing more is gained, or no limit is found.
+        along: Whether what the recordings hardly show is looked along (`looked_along`).
     """
 
     words: str
@@ -96,6 +97,7 @@ class Step:
     tries: bool = False
     limits: bool = False
     again: bool = False
+    along: bool = False
 
 
 def steps_of(rig: Rig, approach: bool, iterations: int) -> list[Step]:
@@ -421,6 +423,7 @@ def take(
     slope: Floats | None = None,
     mirrors: Mirrors | None = None,
     bends: Bends | None = None,
+    along: bool = False,
 ) -> tuple[Rig, Estimate, Bends]:
     """Takes one step: the rig after it, the estimate, and how much opening curves bend by it.
 
@@ -436,6 +439,7 @@ def take(
         slope: Jacobian to begin with, where it is known.
         mirrors: Opening curves that are about the mirrors of others.
         bends: How much opening curves bend, as far as that is known.
+        along: Whether what the recordings hardly show is looked along.
     """
     variables = centred(rig, parameters, centres)
     estimate = minimise(
@@ -446,7 +450,7 @@ def take(
         ties=curve_ties(rig, parameters, mirrors, bends)[:2],
         secants=SECANTS,
         slope=slope,
-        along=problem.doubt_pa is not None,
+        along=along,
     )
     after = rig_at(rig, parameters, estimate.values)
     return after, estimate, bends_told(estimate, variables, curve_ties(after, parameters, mirrors))
