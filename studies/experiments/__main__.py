@@ -62,9 +62,11 @@ def main() -> int:
     asked = parser.parse_args()
     console, sources = Console(width=140), sources_digest()
     jobs = jobs_of(asked.stages, console)
-    for name in jobs if asked.only is None else asked.only:
+    names = list(jobs) if asked.only is None else asked.only
+    for name in names:
         if name not in jobs:
             parser.error(f"--only: found {name!r}, allowed are {', '.join(jobs)}")
+    for name in names:
         if kept_in(asked.kept).get(name, {}).get("sources") == sources:
             continue
         with progress(name):

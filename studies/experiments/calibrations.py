@@ -44,7 +44,7 @@ def datasheet(rig: Rig, seed: int) -> Rig:
     listed, _ = estimated_parameters(bare)
     rng = np.random.default_rng([seed, 47])
     variables = variables_of(bare, listed)
-    std = np.array([min(v.std, v.upper - v.lower) for v in variables])
+    std = np.array([v.known_std for v in variables])
     ties = curve_ties(bare, listed).matrix * std
     root = np.linalg.cholesky(np.eye(std.size) + ties.T @ ties)
     off = OFF * std * np.linalg.solve(root.T, rng.normal(size=std.size))
@@ -88,7 +88,7 @@ def calibration_figures(file: str, seed: int, console: Console) -> dict[str, Any
     plant = plant_of(true)
     listed, _ = estimated_parameters(sheet)
     variables = variables_of(sheet, listed)
-    scale = np.array([min(v.std, v.upper - v.lower) for v in variables])
+    scale = np.array([v.known_std for v in variables])
     truth = np.array([v.value for v in variables_of(true, listed)])
     begun = time.monotonic()
     learnt = parameters_to_learn(sheet)

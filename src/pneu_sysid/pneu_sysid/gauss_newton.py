@@ -73,6 +73,11 @@ class Variable:
     std: float = np.inf
     centre: float | None = None
 
+    @property
+    def known_std(self) -> float:
+        """How well it is known beforehand: the prior's deviation, the range where that is less."""
+        return min(self.std, self.upper - self.lower)
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -170,7 +175,7 @@ def looked_along(
         j: (n_clusters, m, P) Jacobian there.
         variables: What is known beforehand, bounds and steps.
     """
-    known = np.array([min(v.std, v.upper - v.lower) for v in variables])
+    known = np.array([v.known_std for v in variables])
     step = np.array([v.step for v in variables])
     room = np.array([min(v.upper - a, a - v.lower) for v, a in zip(variables, x, strict=True)])
     free = np.flatnonzero(room >= step)

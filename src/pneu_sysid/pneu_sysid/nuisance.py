@@ -78,7 +78,7 @@ def nuisance_of(rig: Rig, problem: Problem) -> Nuisance | None:
 
     _, j = jacobian(residuals, x, variables)  # type: ignore[arg-type]
     # In units of what was not known of each beforehand.
-    j = j * np.array([min(v.std, v.upper - v.lower) for v in variables])
+    j = j * np.array([v.known_std for v in variables])
     # A parameter whose prior range moves the prediction by less than the noise hides nothing.
     felt = np.linalg.norm(j.reshape(-1, x.size), axis=0)
     return Nuisance(j[..., felt > 1.0]) if (felt > 1.0).any() else None

@@ -207,7 +207,7 @@ def information_of(
     """
     listed = one_each(list(parameters), [r.name for r in problem.recordings])
     variables = variables_of(rig, listed) if listed else []
-    known = np.array([min(v.std, v.upper - v.lower) for v in variables])
+    known = np.array([v.known_std for v in variables])
     x = np.array([v.value for v in variables])
     rigs, of = [rig], []  # (rig at the other end, step) by column
     change: list[int] = []

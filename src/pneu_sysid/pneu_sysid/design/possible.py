@@ -75,7 +75,7 @@ def possible_rigs(
 
 def _known(parameter: FitParameter, variable: Variable) -> float:
     """How well a number is known, in its own variable."""
-    std = min(variable.std, variable.upper - variable.lower)
+    std = variable.known_std
     if parameter.std_error is None:
         return std
     by = float(np.exp(variable.value)) if parameter.log else 1.0
