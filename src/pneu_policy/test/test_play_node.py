@@ -4,6 +4,7 @@
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from tests.live_graph import wait_and_see, wait_for  # isort: skip
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from pneu_msgs.msg import ValveCommand
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import FluidPressure
 
 from pneu_common.errors import InputError
@@ -20,6 +22,7 @@ from pneu_graph.nodes import common
 from pneu_policy.nodes.play import PlayNode
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sysid.design.plan import Bounds, Expected, Plan, Volts
+from pneu_sysid.design.played import BROKEN_OFF, UNTIMELY
 from pneu_sysid.results.files import write_json
 
 __all__ = ["domain", "graph"]  # fixtures
@@ -54,20 +57,23 @@ def files(tmp_path):
 class Plant:
     """A tap that is read, and a bridge that tells whether it follows."""
 
-    def __init__(self, graph):
+    def __init__(self, graph, timer=True):
         self.readings, self.level = True, None
         self.probe = graph.probe
         self.pressure = self.probe.create_publisher(FluidPressure, "taps/end/pressure", 10)
         self.told = self.probe.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.commands = graph.listen(ValveCommand, "valve/command", common.COMMAND_QOS)
-        self.probe.create_timer(0.01, self.tick, clock=common.steady_clock())
+        if timer:
+            self.probe.create_timer(0.01, self.tick, clock=common.steady_clock())
+
+    def read(self, stamp):
+        message = FluidPressure(fluid_pressure=2e5)
+        message.header.stamp = stamp
+        self.pressure.publish(message)
 
     def tick(self):
-        now = self.probe.get_clock().now().to_msg()
         if self.readings:
-            message = FluidPressure(fluid_pressure=2e5)
-            message.header.stamp = now
-            self.pressure.publish(message)
+            self.read(self.probe.get_clock().now().to_msg())
         if self.level is not None:
             status = DiagnosticStatus(name="valve_bridge: safety", message="as the test has it")
             status.level = bytes([self.level])
@@ -110,6 +116,7 @@ def test_it_gives_up_where_it_cannot_begin(graph, files):
     plant.level = 2
     wait_for(node.done.done)
     assert node.done.result() is False
+    assert node.status == BROKEN_OFF
     assert plant.volts() in ([], [SAFE_V])
 
 
@@ -124,9 +131,33 @@ def test_what_is_wrong_breaks_it_off_for_good(graph, files, what):
         plant.readings = False
     wait_for(node.done.done)
     assert node.done.result() is False
+    assert node.status == (BROKEN_OFF if what == "the bridge trips" else UNTIMELY)
     wait_for(lambda: plant.volts()[-1] == SAFE_V)
     plant.level, plant.readings = 0, True  # all is well again: it does not go on
     assert not wait_and_see(lambda: plant.volts()[-1] != SAFE_V, 1.0)
+
+
+@pytest.mark.parametrize(("window_s", "played"), [(10.0, True), (0.1, False)])
+def test_a_clock_that_stands_still_for_a_moment_is_waited_for(graph, files, window_s, played):
+    """The rig of such a clock stands still too; how long a moment is can be told."""
+    node = play(graph, files, use_sim_time=True, clock_window_s=window_s)
+    plant = Plant(graph, timer=False)
+    clock = graph.probe.create_publisher(Clock, "/clock", 10)
+    wait_for(lambda: clock.get_subscription_count() and plant.pressure.get_subscription_count())
+    ticks, stood = 0, False
+    while not node.done.done() and ticks < 5000:
+        ticks += 1
+        stamp = common.to_stamp(10**11 + ticks * 4_000_000)
+        clock.publish(Clock(clock=stamp))
+        plant.read(stamp)
+        time.sleep(0.004)
+        if not stood and 6.0 in plant.volts():
+            stood = True
+            time.sleep(1.0)
+    assert stood
+    assert node.done.done() and node.done.result() is played
+    if not played:
+        assert node.status == UNTIMELY
 
 
 @pytest.mark.parametrize(

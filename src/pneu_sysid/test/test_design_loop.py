@@ -16,8 +16,9 @@ from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.run import add_noise, run_from_rest
 from pneu_sysid.design.limits import limits_of
 from pneu_sysid.design.live import LiveRig, play
-from pneu_sysid.design.loop import Budget, run
+from pneu_sysid.design.loop import PLAYS, Budget, run
 from pneu_sysid.design.plan_file import load_plan
+from pneu_sysid.design.played import UntimelyError
 from pneu_sysid.design.waves import STEP_S
 from pneu_sysid.records import Recording, even_recording
 from pneu_sysid.records.write import write_bag
@@ -73,6 +74,35 @@ def test_from_nothing_to_a_name(tmp_path):
     assert state.found.finalists[0].site.part == ("leak", "tube")
     assert plant.played[0] == "steps" and set(plant.played[1:]) <= {"separate"}
     assert len(state.bags) == len(plant.played) == len(state.experiments)
+
+
+def test_a_plan_that_only_time_broke_off_is_played_again(tmp_path):
+    healthy = AttachedEffect(
+        effect="leak", place="tube", parameters={"area_m2": 0.0, "position_m": 1.4}
+    )
+    plant, late, bags = Plant(RIG, healthy), 2, []
+
+    def player(plan, plan_file, rig_file, bag, where, tell) -> None:
+        bags.append(bag.name)
+        if len(bags) <= late:
+            bag.mkdir()  # what was recorded is kept
+            raise UntimelyError("clock runs wrong")
+        plant(plan, plan_file, rig_file, bag, where, tell)
+
+    save_rig(RIG, tmp_path / "rig.yaml")
+    words = RIG, tmp_path / "rig.yaml", [], tmp_path, Budget(1, 4.0, limits_of(RIG), RATE_HZ)
+    state = run(*words, LiveRig(), None, player)
+    assert bags == ["experiment_1", "experiment_1_play_2", "experiment_1_play_3"]
+    assert state.bags == [tmp_path / bags[-1]]
+    assert state.played_again == ["clock runs wrong"] * 2
+    assert len(state.experiments) == 1
+    bags.clear()
+    late = 100
+    (tmp_path / "other").mkdir()
+    words = RIG, tmp_path / "rig.yaml", [], tmp_path / "other", words[-1]
+    with pytest.raises(UntimelyError, match="clock runs wrong"):
+        run(*words, LiveRig(), None, player)
+    assert len(bags) == PLAYS
 
 
 @pytest.mark.long

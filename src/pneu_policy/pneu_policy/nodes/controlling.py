@@ -46,8 +46,6 @@ AT_REST_V = 0.2
 LEAP_S = 0.5
 """Simulated time that goes on by more at once has jumped, s."""
 MOST_SEEN = 64
-CLOCK_WINDOW_S = 0.1
-"""The rate of simulated time is looked at over so long, s."""
 
 
 @dataclass
@@ -126,6 +124,12 @@ class ControllingParameters(Parameters):
         20.0,
         "By so much simulated time may pass faster or slower than real time.",
         within=(1.0, 1e6),
+        read_only=True,
+    )
+    clock_window_s: float = parameter(
+        0.1,
+        "The rate of simulated time is looked at over so long, s of the machine's time.",
+        within=(0.01, 60.0),
         read_only=True,
     )
     autostart: bool = parameter(False, "Configure and activate at start.", read_only=True)
@@ -498,13 +502,13 @@ class ControllingNode(LifecycleNode):
     def _clock_rate(self, now_ns: int) -> float:
         """How much faster the clock of ages runs than the steady one, lately; 1 if not known."""
         steady_ns = int(self._steady.now().nanoseconds)
-        seen = self._clock_seen
-        if not seen or steady_ns - seen[-1][0] > 1e9 * CLOCK_WINDOW_S / MOST_SEEN:
+        seen, window_ns = self._clock_seen, 1e9 * self._params.clock_window_s
+        if not seen or steady_ns - seen[-1][0] > window_ns / MOST_SEEN:
             seen.append((steady_ns, now_ns))
         passed_ns = steady_ns - seen[0][0]
-        if passed_ns < 1e9 * CLOCK_WINDOW_S:
+        if passed_ns < window_ns:
             return 1.0
-        while len(seen) > 1 and steady_ns - seen[1][0] >= 1e9 * CLOCK_WINDOW_S:
+        while len(seen) > 1 and steady_ns - seen[1][0] >= window_ns:
             seen.popleft()
         return (now_ns - seen[0][1]) / max(steady_ns - seen[0][0], 1)
 

@@ -4,7 +4,8 @@
 It begins when every sensor of the rig is heard and, where a bridge is there, the bridge follows its
 commands. A plan that was broken off tells nothing that it promised, so anything wrong after that
 ends it for good: a sensor that falls silent, a bridge that trips or is stopped. Its last word is
-the safe voltage; its exit status is 0 where all was played, else 1.
+the safe voltage; its exit status is 0 where all was played, else another, which says whether only
+time failed it, as on a busy machine, so that the plan may be played again (`design/played.py`).
 """
 
 import math
@@ -18,10 +19,17 @@ from rclpy.task import Future
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes.parameters import parameter
-from pneu_policy.nodes.controlling import ControllingNode, ControllingParameters
+from pneu_policy.nodes.controlling import (
+    NO_CLOCK,
+    NO_READING,
+    OLD_READING,
+    ControllingNode,
+    ControllingParameters,
+)
 from pneu_policy.nodes.running import run_controller
 from pneu_sysid.design.plan import Plan
 from pneu_sysid.design.plan_file import check_plan, load_plan
+from pneu_sysid.design.played import BROKEN_OFF, UNTIMELY
 
 SAFETY = ": safety"
 """How the status of a bridge ends that says whether its commands are followed."""
@@ -49,6 +57,13 @@ class PlayParameters(ControllingParameters):
         read_only=True,
     )
     autostart: bool = parameter(True, "Configure and activate at start.", read_only=True)
+    clock_window_s: float = parameter(
+        10.0,
+        "The rate of simulated time is looked at over so long, s of the machine's time. A rig whose"
+        " clock stands still for a moment stands still too, and the plan with both.",
+        within=(0.01, 60.0),
+        read_only=True,
+    )
     rate_hz: float = parameter(500.0, "Commands per second.", within=(50.0, 2000.0), read_only=True)
     sensor_timeout_s: float = parameter(
         0.5,
@@ -72,6 +87,7 @@ class PlayNode(ControllingNode):
 
     Attributes:
         done: Set once the plan has ended, with whether all of it was played.
+        status: Exit status where it was not.
     """
 
     parameters = PlayParameters
@@ -87,6 +103,7 @@ class PlayNode(ControllingNode):
             InputError: A parameter or a file is wrong, or the plan is for another rig.
         """
         self.done: Future = Future()
+        self.status = BROKEN_OFF
         self._plan: Plan | None = None
         self._settled_ns = self._begun_ns = self._waiting_ns = math.nan
         self._why = ""
@@ -170,16 +187,17 @@ class PlayNode(ControllingNode):
 
     def _lose(self, what: str, detail: str) -> None:
         super()._lose(what, detail)
-        self._break_off(f"{what} ({detail})")
+        self._break_off(f"{what} ({detail})", untimely=what in (NO_CLOCK, NO_READING, OLD_READING))
 
     def _on_jump(self, jump: Any) -> None:
         super()._on_jump(jump)
-        self._break_off("the clock jumped")
+        self._break_off("the clock jumped", untimely=True)
 
-    def _break_off(self, why: str) -> None:
+    def _break_off(self, why: str, untimely: bool = False) -> None:
         """Ends for good what was begun; before that it is waited on."""
         if not self._playing:
             return
+        self.status = UNTIMELY if untimely else BROKEN_OFF
         since_s = 1e-9 * (self._now_ns() - self._begun_ns)
         self.get_logger().error(f"broken off after {since_s:.2f} s: {why}")
         self._volts = self._safe()

@@ -33,7 +33,7 @@ def run_controller(make: Callable[[], ControllingNode], args: list[str] | None) 
     """Runs one node until it is told to end. Bad input ends the process with one line and status 2.
 
     One with something to bring to an end, a future ``done``, ends by itself once that has a result;
-    the status is then 0 where that is true, else 1.
+    the status is then 0 where that is true, else its attribute ``status``, or 1.
 
     Args:
         make: Builds the node.
@@ -71,4 +71,4 @@ def run_controller(make: Callable[[], ControllingNode], args: list[str] | None) 
         print(" ".join(str(error).split()), file=sys.stderr)
         sys.exit(EXIT_BAD_INPUT)
     if done is not None and not (done.done() and done.result()):
-        sys.exit(1)
+        sys.exit(getattr(node, "status", 1))

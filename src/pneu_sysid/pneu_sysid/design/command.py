@@ -212,6 +212,8 @@ def experimented(
     with progress("experimenting") as tell:
         # processes that are started need not work in this folder
         state = run(rig, rig_file.resolve(), bags, out.resolve(), budget, where, tell)
+    for why in state.played_again:
+        console.print(f"{why}; played again")
     ended = state.ended.replace("_", " ")
     console.print(f"{len(state.experiments)} experiments, ended: {ended}")
     if state.words:

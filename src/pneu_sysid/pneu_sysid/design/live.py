@@ -14,6 +14,7 @@ from pneu_graph.bag.recorder_process import Recorder
 from pneu_graph.launch.guard import on_death_of_parent
 from pneu_graph.tools.executables import command_of
 from pneu_sysid.design.plan import Plan
+from pneu_sysid.design.played import UNTIMELY, UntimelyError
 
 BEGIN_S = 30.0
 """So long the recorder may take until it has written something: it hears whatever there is."""
@@ -58,6 +59,7 @@ def play(
         tell: Called with a stage and the fraction done.
 
     Raises:
+        UntimelyError: The plan was broken off for nothing but time.
         InputError: No rig is heard, or the plan was broken off; what was recorded is kept.
     """
     if bag.exists():
@@ -94,7 +96,8 @@ def play(
     if status != 0:
         kept = f"; what was recorded is kept in {bag}" if there else ""
         last = said[-1] if said else f"its node ended with status {status}"
-        raise InputError(f"{plan_file}: was not played to the end: {last}{kept}")
+        kind = UntimelyError if status == UNTIMELY else InputError
+        raise kind(f"{plan_file}: was not played to the end: {last}{kept}")
     tell(stage, 1.0)
 
 

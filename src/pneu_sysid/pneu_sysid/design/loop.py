@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -14,6 +15,7 @@ from pneu_sysid.design.limits import Limits
 from pneu_sysid.design.live import LiveRig, play
 from pneu_sysid.design.parameters import open_parameters, parameters_to_learn
 from pneu_sysid.design.plan import Plan
+from pneu_sysid.design.played import UntimelyError
 from pneu_sysid.diagnose import Diagnosis, diagnose_apart, result_of_diagnosis
 from pneu_sysid.problem import record_for
 from pneu_sysid.records import Recording
@@ -31,6 +33,8 @@ ENDED: dict[Verdict, Ended] = {
     "nothing_missing": "nothing_missing",
 }
 """Why no more is run where nothing is tied with the best candidate."""
+PLAYS = 4
+"""So often a plan is played at most that is broken off for nothing but time, on a busy machine."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,7 @@ class Loop:
         found: The last diagnosis; None before.
         ended: Why no more was run.
         words: What is to be said of that.
+        played_again: Why plans were broken off that were played again.
     """
 
     recordings: list[Recording]
@@ -73,6 +78,7 @@ class Loop:
     found: Diagnosis | None = None
     ended: Ended = "budget"
     words: str = ""
+    played_again: list[str] = field(default_factory=list)
 
 
 def run(
@@ -93,7 +99,8 @@ def run(
         rig: The rig, calibrated.
         rig_file: Its file.
         bags: Recordings that there are.
-        out: Folder that receives ``experiment_<n>.json`` and the bags ``experiment_<n>``.
+        out: Folder that receives ``experiment_<n>.json`` and the bags ``experiment_<n>``; that of a
+            plan that is played again has another name.
         budget: How much may be tried.
         where: Where the rig runs.
         progress: Called with a stage's name and the fraction done.
@@ -141,11 +148,27 @@ def run(
             plan = design(rig, replace(asked, kind="steps"), tell)
         if number == budget.experiments:
             break
-        file, bag = out / f"experiment_{number + 1}.json", out / f"experiment_{number + 1}"
+        file = out / f"experiment_{number + 1}.json"
         write_json(file, plan)
-        player(plan, file, rig_file, bag, where, tell)
+        bag = _played(partial(player, plan, file, rig_file), file, where, tell, state.played_again)
         plans.append((file, plan))
         state.bags.append(bag)
         state.recordings.append(record_for(rig, str(bag)))
     state.words = f"{budget.experiments} experiments were allowed, and candidates are left alike."
     return state
+
+
+def _played(
+    player: Callable[..., None], file: Path, where: LiveRig, tell: Progress, broken_off: list[str]
+) -> Path:
+    """Plays a plan, again where only time broke it off; the bag, and why there are others."""
+    for play_number in range(1, PLAYS + 1):
+        bag = file.with_name(file.stem + (f"_play_{play_number}" if play_number > 1 else ""))
+        try:
+            player(bag, where, tell)
+            break
+        except UntimelyError as error:
+            if play_number == PLAYS:
+                raise
+            broken_off.append(str(error))
+    return bag
