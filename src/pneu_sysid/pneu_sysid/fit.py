@@ -446,7 +446,8 @@ def _at_known_scale(job: _Job, last: _Taken) -> _Taken:
 def _along_what_hardly_shows(job: _Job, last: _Taken) -> _Taken:
     """The calibration, after steps along the combinations that the recordings hardly show.
 
-    Steps before have left these where they were by chance, and take them for known.
+    Steps before have left these where they were by chance, and take them for known. Of a lumped
+    model so few parameters are fitted that there are none: on thin-plate labs nothing changed.
     """
     if not last.step.corrected:
         return last
