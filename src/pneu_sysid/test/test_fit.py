@@ -252,6 +252,12 @@ def test_a_datasheet_becomes_a_calibration(
         return np.sqrt(np.sum(r**2, axis=(0, 1)) / np.isfinite(problem.measured).sum(axis=(0, 1)))
 
     assert (times_noise(outcome.rig) < 1.35 * times_noise(truth)).all()
+    # and on finer cells than either was run on both foretell the same
+    finer = make_problem(truth, aside).with_grid(truth.grid.dx_m / 4.0)
+    apart = finer.predict([outcome.rig])[0] - finer.predict([truth])[0]
+    off = np.nanmedian(np.abs(apart), axis=(0, 1)), np.sqrt(np.nanmean(apart**2, axis=(0, 1)))
+    assert (off[0] < finer.noise_pa / 3.0).all(), off
+    assert (off[1] < 2e-3 * np.nanmax(aside.pressures["feed"].values)).all(), off  # at steep fronts
     spool = outcome.rig.valves["valve"].spool
     assert spool.max_acceleration_v_s2 is not None or spool.max_speed_v_s is not None
     for path in (SUPPLY, EXHAUST):
