@@ -326,6 +326,7 @@ def some() -> list[FitParameter]:
     return found
 
 
+@pytest.mark.long
 def test_promises_hold_for_rigs_like_the_one_that_is_known():
     """What a plan tells of rigs that it was not made by, beside what it promises."""
     listed = some()
@@ -404,22 +405,24 @@ HOSTILE = (
 )
 
 
+@pytest.fixture(scope="module")
+def plan():
+    """A plan of random steps."""
+    asked = Asked(1.0, limits_of(FITTED), [], FITTED.fit.parameters, "steps", rate_hz=50.0)
+    return design(FITTED, asked)
+
+
 @pytest.mark.parametrize(("commands", "words"), HOSTILE)
-def test_hostile_plans_are_refused(tmp_path, commands, words):
-    plan = design(
-        FITTED, Asked(1.0, limits_of(FITTED), [], FITTED.fit.parameters, "steps", rate_hz=50.0)
-    ).as_dict()
-    plan["commands"]["voltage"] = commands
+def test_hostile_plans_are_refused(tmp_path, plan, commands, words):
+    hostile = plan.as_dict()
+    hostile["commands"]["voltage"] = commands
     path = tmp_path / "plan.json"
-    path.write_text(json.dumps(plan))
+    path.write_text(json.dumps(hostile))
     with pytest.raises(InputError, match=words):
         load_plan(path)
 
 
-def test_a_plan_for_another_rig():
-    plan = design(
-        FITTED, Asked(1.0, limits_of(FITTED), [], FITTED.fit.parameters, "sweep", rate_hz=50.0)
-    )
+def test_a_plan_for_another_rig(plan):
     other = load_rig(ROOT / "rigs" / "kokoro.yaml")
     with pytest.raises(InputError, match="plan: is for rig 'lab' with commands voltage; this is"):
         check_plan(plan, other)

@@ -4,6 +4,7 @@
 The same on a graph, with processes for all: tests/test_live_experiments.py.
 """
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,11 @@ from pneu_common.errors import InputError
 from pneu_sim.rig import save_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.run import add_noise, run_from_rest
+from pneu_sysid.design import loop
 from pneu_sysid.design.limits import limits_of
 from pneu_sysid.design.live import LiveRig, play
 from pneu_sysid.design.loop import PLAYS, Budget, run
+from pneu_sysid.design.plan import Bounds, Expected, Plan
 from pneu_sysid.design.plan_file import load_plan
 from pneu_sysid.design.played import UntimelyError
 from pneu_sysid.design.waves import STEP_S
@@ -28,7 +31,7 @@ RATE_HZ = 100.0
 
 
 class Plant:
-    """Plays plans on a rig with what is hidden, and writes bags."""
+    """Plays plans on a rig with what is hidden, and writes bags; the first is broken off once."""
 
     def __init__(self, rig: Rig, hidden: AttachedEffect) -> None:
         self._rig = rig
@@ -39,6 +42,7 @@ class Plant:
             }
         )
         self.played: list[str] = []
+        self.broken_off = False
 
     def recording(self, volts: dict[str, np.ndarray], name: str) -> Recording:
         at = np.arange(len(volts["voltage"])) * STEP_S
@@ -52,6 +56,10 @@ class Plant:
 
     def __call__(self, plan, plan_file, rig_file, bag, where, tell) -> None:
         assert load_plan(plan_file) == plan
+        if not self.played and not self.broken_off:
+            self.broken_off = True
+            bag.mkdir()  # what was recorded is kept
+            raise UntimelyError("late")
         write_bag(bag, self._rig, self.recording(plan.volts(STEP_S), plan_file.stem))
         self.played.append(plan.kind)
 
@@ -74,34 +82,40 @@ def test_from_nothing_to_a_name(tmp_path):
     assert state.found.finalists[0].site.part == ("leak", "tube")
     assert plant.played[0] == "steps" and set(plant.played[1:]) <= {"separate"}
     assert len(state.bags) == len(plant.played) == len(state.experiments)
+    assert state.bags[0].name == "experiment_1_play_2"
+    assert state.played_again == ["late"]
 
 
-def test_a_plan_that_only_time_broke_off_is_played_again(tmp_path):
-    healthy = AttachedEffect(
-        effect="leak", place="tube", parameters={"area_m2": 0.0, "position_m": 1.4}
-    )
-    plant, late, bags = Plant(RIG, healthy), 2, []
+def test_a_plan_that_only_time_broke_off_is_played_again(tmp_path, monkeypatch):
+    """Four times at most; after what else breaks it off a person has to look."""
+    limits = Bounds(low_v={}, high_v={}, slew_v_s=1.0, highest_pa=1.0, lowest_pa=0.0)
+    told = Expected(highest_pa={}, lowest_pa={}, fastest_pa_s={}, air_kg=None)
+    plan = Plan(
+        pneu_version="0", rig="lab", kind="steps", seconds=1.0, seed=0, commands={}, limits=limits,
+        expected=told,
+    )  # fmt: skip
+    monkeypatch.setattr(loop, "design", lambda *asked: plan)
+    bags: list[str] = []
 
     def player(plan, plan_file, rig_file, bag, where, tell) -> None:
         bags.append(bag.name)
-        if len(bags) <= late:
-            bag.mkdir()  # what was recorded is kept
-            raise UntimelyError("clock runs wrong")
-        plant(plan, plan_file, rig_file, bag, where, tell)
+        bag.mkdir()  # what was recorded is kept
+        raise next(ends)
+
+    def played(folder: str) -> None:
+        (tmp_path / folder).mkdir()
+        budget = Budget(1, 4.0, limits_of(RIG), RATE_HZ)
+        run(RIG, tmp_path / "rig.yaml", [], tmp_path / folder, budget, LiveRig(), None, player)
 
     save_rig(RIG, tmp_path / "rig.yaml")
-    words = RIG, tmp_path / "rig.yaml", [], tmp_path, Budget(1, 4.0, limits_of(RIG), RATE_HZ)
-    state = run(*words, LiveRig(), None, player)
+    ends = iter([UntimelyError("late"), UntimelyError("late"), InputError("tripped")])
+    with pytest.raises(InputError, match="tripped"):
+        played("tripped")
     assert bags == ["experiment_1", "experiment_1_play_2", "experiment_1_play_3"]
-    assert state.bags == [tmp_path / bags[-1]]
-    assert state.played_again == ["clock runs wrong"] * 2
-    assert len(state.experiments) == 1
     bags.clear()
-    late = 100
-    (tmp_path / "other").mkdir()
-    words = RIG, tmp_path / "rig.yaml", [], tmp_path / "other", words[-1]
-    with pytest.raises(UntimelyError, match="clock runs wrong"):
-        run(*words, LiveRig(), None, player)
+    ends = itertools.repeat(UntimelyError("late"))
+    with pytest.raises(UntimelyError, match="late"):
+        played("late")
     assert len(bags) == PLAYS
 
 

@@ -344,7 +344,14 @@ def test_the_first_part_of_a_recording() -> None:
     assert recording.until(10.0) is recording
 
 
-@pytest.mark.parametrize(("gain", "taken"), [(0.0, False), (6e-4, True), (1e-2, False)])
+@pytest.mark.parametrize(
+    ("gain", "taken"),
+    [
+        pytest.param(0.0, False, marks=pytest.mark.long),
+        (6e-4, True),
+        pytest.param(1e-2, False, marks=pytest.mark.long),
+    ],
+)
 def test_the_rig_s_own_cells_have_the_last_word_near_the_noise(gain: float, taken: bool) -> None:
     """Where more is left, something is missing; where nothing is, long cells have done."""
     rig = load_rig(ROOT / "rigs/rig_b.yaml")
@@ -366,6 +373,7 @@ def test_the_rig_s_own_cells_have_the_last_word_near_the_noise(gain: float, take
     assert told == sorted(told) and told[-1] <= 1.0
 
 
+@pytest.mark.long
 def test_an_encoder_without_noise_does_not_outweigh_the_pressures() -> None:
     """What its model's cells get wrong of a joint would else be what flows are fitted to."""
     true = load_rig(ROOT / "rigs/rig_j.yaml")
