@@ -296,9 +296,22 @@ def settled(estimate: Estimate) -> bool:
     Args:
         estimate: The estimation.
     """
+    return estimate.gained < SETTLED and estimate.ahead < _near(estimate)
+
+
+def gained_little(estimate: Estimate) -> bool:
+    """Whether the last estimation has gained no more than `settled` lets be gained yet.
+
+    Args:
+        estimate: The estimation.
+    """
+    return estimate.history[0] - estimate.history[-1] < _near(estimate)
+
+
+def _near(estimate: Estimate) -> float:
+    """Cost of the distance at which parameters are near (``NEAR``)."""
     # half the square of the distance in standard errors, of data that count for less than samples
-    near = 0.5 * estimate.values.size * (NEAR * estimate.weight) ** 2
-    return estimate.gained < SETTLED and estimate.ahead < near
+    return 0.5 * estimate.values.size * (NEAR * estimate.weight) ** 2
 
 
 def at_noise(estimate: Estimate, problem: Problem, used: Mask) -> bool:
