@@ -20,7 +20,7 @@ from pneu_sim.signals import Signal
 from pneu_sim.valve import positions_along
 from pneu_sysid.curves import EXPONENT_APART, WIDEST, curve_ties, mirrors_of, with_own_curves
 from pneu_sysid.design.limits import limits_of
-from pneu_sysid.fit import OWN_CELLS, FitOutcome, fit_rig, parameters_of
+from pneu_sysid.fit import OWN_CELLS, SHORTER_CELLS, FitOutcome, fit_rig, parameters_of
 from pneu_sysid.observed.noise import with_noise
 from pneu_sysid.parameters import (
     calibrated_parameters,
@@ -368,7 +368,9 @@ def test_the_rig_s_own_cells_have_the_last_word_near_the_noise(gain: float, take
         said.append((done or 0.0, note))
 
     fit_rig(rig, [recording], few, progress=tell)
-    assert (OWN_CELLS in {note for _, note in said}) == taken
+    notes = {note for _, note in said}
+    assert (OWN_CELLS in notes) == taken
+    assert (SHORTER_CELLS in notes) == (gain < 1e-3)
     told = [done for done, _ in said if done]
     assert told == sorted(told) and told[-1] <= 1.0
 
