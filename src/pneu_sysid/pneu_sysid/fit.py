@@ -420,6 +420,13 @@ def _taken(
     )
 
 
+def _taken_besides(job: _Job, last: _Taken, step: Step) -> _Taken:
+    """Takes a step that nobody knew of beforehand, from where the last one ended."""
+    weight = weight_of(last.rig, step, sum(r.end_s for r in job.recordings))
+    job.work.add(step, weight, runs_of(step, len(last.fitted), 0))
+    return _taken(job, last.rig, step, last.fitted, None)
+
+
 def _alike(one: Step, other: Step) -> bool:
     """Whether a Jacobian of one step serves another."""
     return (one.dx_m, one.pull_s) == (other.dx_m, other.pull_s)
@@ -456,9 +463,7 @@ def _along_what_hardly_shows(job: _Job, last: _Taken) -> _Taken:
     if not last.step.corrected:
         return last
     step = replace(last.step, words=ALONG, iterations=1, along=True)
-    weight = weight_of(last.rig, step, sum(r.end_s for r in job.recordings))
-    job.work.add(step, weight, runs_of(step, len(last.fitted), 0))
-    return _taken(job, last.rig, step, last.fitted, None)
+    return _taken_besides(job, last, step)
 
 
 def _on_shorter_cells(job: _Job, last: _Taken) -> _Taken:
@@ -466,8 +471,8 @@ def _on_shorter_cells(job: _Job, last: _Taken) -> _Taken:
 
     What long cells make of a parameter is not what the rig's own do: steps on them end where their
     slopes, not its own, are at right angles to what is left. The sum of squares hardly shows that:
-    on a drawn rig it was 2.4 of its standard deviations above its mean, with three parameters off
-    by three to seven of their own.
+    of a plan for rig B it was 2.4 of its standard deviations above its mean, with three parameters
+    off by three to seven of their own.
     """
     dx_m = max(last.rig.grid.dx_m, 0.5 * last.step.dx_m)
     # of a model that lacks something more is wrong than what cells make of it
@@ -475,10 +480,8 @@ def _on_shorter_cells(job: _Job, last: _Taken) -> _Taken:
     if not last.step.corrected or last.step.dx_m <= dx_m or not near:
         return last
     step = replace(last.step, words=SHORTER_CELLS, dx_m=dx_m, corrected=dx_m > last.rig.grid.dx_m)
-    weight = weight_of(last.rig, step, sum(r.end_s for r in job.recordings))
     for _ in range(STEPS_SHORTER):
-        job.work.add(step, weight, runs_of(step, len(last.fitted), 0))
-        last = _taken(job, last.rig, step, last.fitted, None)
+        last = _taken_besides(job, last, step)
         if gained_little(last.estimate):
             break
     return last
@@ -496,10 +499,8 @@ def _on_own_cells(job: _Job, last: _Taken) -> _Taken:
     if last.step.dx_m <= dx_m or not near or only_noise(last.estimate, last.problem, used):
         return last
     step = replace(last.step, words=OWN_CELLS, dx_m=dx_m, corrected=False)
-    weight = weight_of(last.rig, step, sum(r.end_s for r in job.recordings))
     for _ in range(STEPS_OWN):
-        job.work.add(step, weight, len(last.fitted))
-        last = _taken(job, last.rig, step, last.fitted, None)
+        last = _taken_besides(job, last, step)
         if last.estimate.gained < TELLS_MORE:
             break
     return last

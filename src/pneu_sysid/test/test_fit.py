@@ -353,7 +353,7 @@ def test_the_first_part_of_a_recording() -> None:
     ],
 )
 def test_the_rig_s_own_cells_have_the_last_word_near_the_noise(gain: float, taken: bool) -> None:
-    """Where more is left, something is missing; where nothing is, long cells have done."""
+    """Where more is left, something is missing; where nothing is, shorter cells have done."""
     rig = load_rig(ROOT / "rigs/rig_b.yaml")
     rig = with_noise(rig, dict.fromkeys(rig.taps, 250.0))
     wrong = AttachedEffect(effect="sensor_gain", place="end", parameters={"error": gain})
