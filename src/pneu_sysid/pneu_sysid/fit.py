@@ -12,8 +12,10 @@ from pneu_common.progress import Tell
 from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import Calibration, FitParameter, Rig
 from pneu_sysid.cells import error_of_cells, words_on_cells
-from pneu_sysid.curves import Bends, Mirrors, mirrors_of, with_own_curves
+from pneu_sysid.curves import mirrors_of, with_own_curves
+from pneu_sysid.fit_step import Job, Key, Taken, key_of, taken
 from pneu_sysid.gauss_newton import Estimate, jacobian
+from pneu_sysid.last_steps import ended
 from pneu_sysid.parameters import (
     estimated_parameters,
     joined,
@@ -23,28 +25,21 @@ from pneu_sysid.parameters import (
 )
 from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
-from pneu_sysid.scale import off_scale, rescaled
 from pneu_sysid.sensor_units import apart
 from pneu_sysid.shortfall import ENOUGH, Shortfall, effects_that_help, shortfall_of
 from pneu_sysid.spool_position import fit_spools
 from pneu_sysid.spool_starts import try_limits, try_spools
 from pneu_sysid.stages import (
-    WORKS,
     Step,
     Work,
     at_noise,
     brought_back,
-    centred,
-    gained_little,
     is_slow,
-    only_noise,
     problem_of,
     residual_function,
-    runs_of,
     settled,
     start_of,
     steps_of,
-    take,
     weight_of,
 )
 from pneu_sysid.uncertainty import Known, known_of, warnings_of
@@ -62,20 +57,6 @@ SPOOL_NUMBERS = (
     "max_acceleration_v_s2",
 )
 """Numbers of a spool that its measured position tells."""
-DRIFTED = 2.0
-"""Sizes that are, all together, so many standard deviations from what was known of them are looked
-at again from there ..."""
-STEPS_THERE = 4
-"""... in so many steps at most; from a valley of the drawn rigs that was 13 % off three led out."""
-ALONG = "all, along what is hardly shown"
-SHORTER_CELLS = "all, on shorter cells"
-STEPS_SHORTER = 4
-"""Steps on cells half as long as those before at most: each may cost four on these."""
-OWN_CELLS = "all, on the rig's own cells"
-STEPS_OWN = 3
-"""Steps on the rig's own cells at most: each may cost sixteen on long ones."""
-TELLS_MORE = 0.01
-"""A step on them that gained less of the cost has shown that long ones will do."""
 FAR_OFF = 0.5
 """A parameter that is not seen and is off by so many standard deviations of what was known of it is
 brought back."""
@@ -196,18 +177,18 @@ def fit_rig(
             f" {rig.model} model of this rig has none by default"
         )
     steps = steps_of(drawn, approach, iterations)
-    job = _Job(
+    job = Job(
         recordings=recordings,
         given=bool(given),
         hold_out=hold_out,
         robust=robust,
         workers=workers,
         work=_work(drawn, steps, recordings, len(every), progress),
-        centres=dict(zip(map(_key, every), _inner(every, start_of(drawn, every)), strict=True)),
+        centres=dict(zip(map(key_of, every), _inner(every, start_of(drawn, every)), strict=True)),
         measured=measured,
         mirrors=mirrors_of(rig),
     )
-    last: _Taken | None = None
+    last: Taken | None = None
     now = drawn
     unseen: set[Key] = set()
     for step in steps:
@@ -225,22 +206,21 @@ def fit_rig(
             for p in every
             if p.path not in held
             and p.path not in measured
-            and _key(p) not in unseen
+            and key_of(p) not in unseen
             and (not step.slow or job.given or is_slow(p))
         ]
         if not fitted:
             if last is None:
                 continue  # of what is to be fitted nothing is slow
             fitted = last.fitted
-        last = _taken(job, now, step, fitted, last)
+        last = taken(job, now, step, fitted, last)
         if not step.slow:
             last, hidden = _brought_back(job, last, _unseen(last.fitted, last.estimate))
             unseen |= hidden
         now = last.rig
         job.work.finish(step)
     assert last is not None
-    last = _along_what_hardly_shows(job, _at_known_scale(job, last))
-    return _outcome(job, every, held, _on_own_cells(job, _on_shorter_cells(job, last)))
+    return _outcome(job, every, held, ended(job, last))
 
 
 def parameters_of(rig: Rig) -> list[FitParameter]:
@@ -263,65 +243,6 @@ def as_fitted(rig: Rig) -> Rig:
     if rig.fit.parameters or not kind_of(rig).along_lines:
         return rig
     return with_own_curves(rig)
-
-
-Key = tuple[str, str | None]
-
-
-@dataclass(frozen=True)
-class _Job:
-    """What does not change from step to step of a fit.
-
-    Attributes:
-        recordings: The recordings.
-        given: Whether the list of parameters was given.
-        hold_out: Whether a part is kept aside.
-        robust: Whether outliers weigh less.
-        workers: Threads of a batch.
-        work: How much is done.
-        centres: Centre of the prior of each parameter; those that come up on the way are added.
-        measured: Standard errors of the numbers of spools that were fitted to their positions.
-        mirrors: Opening curves that the file calls mirrors of others.
-    """
-
-    recordings: list[Recording]
-    given: bool
-    hold_out: bool
-    robust: bool
-    workers: int | None
-    work: Work
-    centres: dict[Key, float]
-    measured: dict[str, float | None]
-    mirrors: Mirrors
-
-    def used(self, problem: Problem) -> Mask:
-        """(n_stretches,) stretches that are fitted."""
-        return ~problem.held_out if self.hold_out else np.ones(problem.stretches, dtype=bool)
-
-
-@dataclass(frozen=True)
-class _Taken:
-    """A step that was taken.
-
-    Attributes:
-        step: The step.
-        rig: The rig after it.
-        fitted: The parameters that were fitted.
-        problem: Its problem.
-        estimate: Its estimate.
-        fresh: Whether it began with a Jacobian of its own.
-        bends: How much opening curves bend by it; None where it cannot tell, as valves may be off.
-        back: Whether parameters were brought back to where they were before all.
-    """
-
-    step: Step
-    rig: Rig
-    fitted: list[FitParameter]
-    problem: Problem
-    estimate: Estimate
-    fresh: bool
-    bends: Bends | None = None
-    back: bool = False
 
 
 def _list_of(
@@ -360,7 +281,7 @@ def _work(
 
 
 def _tried(
-    job: _Job, rig: Rig, step: Step, every: list[FitParameter], last: _Taken | None
+    job: Job, rig: Rig, step: Step, every: list[FitParameter], last: Taken | None
 ) -> tuple[Rig, list[FitParameter]]:
     """The rig with spools that were tried before a step, and the list of parameters it then has."""
     if job.given or not (step.tries or step.limits):
@@ -378,167 +299,21 @@ def _tried(
         rig = try_spools(rig, problem, done, told)
     every, _ = _list_of(rig, [], job.recordings)
     for p, value in zip(every, _inner(every, start_of(rig, every)), strict=True):
-        job.centres.setdefault(_key(p), value)
+        job.centres.setdefault(key_of(p), value)
     return rig, every
-
-
-def _taken(
-    job: _Job,
-    rig: Rig,
-    step: Step,
-    fitted: list[FitParameter],
-    before: _Taken | None,
-) -> _Taken:
-    """Takes a step."""
-    told = job.work.begin(step)
-    problem = problem_of(rig, job.recordings, step, job.workers)
-    slope = None
-    if before is not None and before.estimate.gained > WORKS and _alike(before.step, step):
-        slope = _slope(before, fitted, problem, job.used(problem))
-    now, estimate, bends = take(
-        rig,
-        problem,
-        fitted,
-        job.centres,
-        job.used(problem),
-        step.iterations,
-        job.robust,
-        told,
-        slope,
-        job.mirrors,
-        None if before is None else before.bends,
-        step.along,
-    )
-    return _Taken(
-        step,
-        now,
-        fitted,
-        problem,
-        estimate,
-        fresh=slope is None,
-        bends=None if step.part else bends,
-    )
-
-
-def _taken_besides(job: _Job, last: _Taken, step: Step) -> _Taken:
-    """Takes a step that nobody knew of beforehand, from where the last one ended."""
-    weight = weight_of(last.rig, step, sum(r.end_s for r in job.recordings))
-    job.work.add(step, weight, runs_of(step, len(last.fitted), 0))
-    return _taken(job, last.rig, step, last.fitted, None)
-
-
-def _alike(one: Step, other: Step) -> bool:
-    """Whether a Jacobian of one step serves another."""
-    return (one.dx_m, one.pull_s) == (other.dx_m, other.pull_s)
-
-
-def _at_known_scale(job: _Job, last: _Taken) -> _Taken:
-    """The calibration, or a better one that begins where sizes are as known beforehand.
-
-    Only where they have drifted from there together.
-    """
-    centres = [job.centres[_key(p)] for p in last.fitted]
-    shift, deviations = off_scale(last.fitted, last.estimate.values, centres)
-    if not kind_of(last.rig).along_lines or abs(deviations) < DRIFTED:
-        return last
-    now = rig_at(last.rig, last.fitted, rescaled(last.fitted, last.estimate.values, shift))
-    for _ in range(STEPS_THERE):
-        there = _taken(job, now, last.step, last.fitted, None)
-        now = there.rig
-        if settled(there.estimate):
-            break
-    (here_left, here_off), (there_left, there_off) = _worth(job, last), _worth(job, there)
-    # a model that is not at the noise anyway says less against what was known beforehand
-    count = int(np.isfinite(last.problem.measured[job.used(last.problem)]).sum())
-    mean_square = max(1.0, min(here_left, there_left) / max(count, 1))
-    return there if there_left - here_left < mean_square * (here_off - there_off) else last
-
-
-def _along_what_hardly_shows(job: _Job, last: _Taken) -> _Taken:
-    """The calibration, after steps along the combinations that the recordings hardly show.
-
-    Steps before have left these where they were by chance, and take them for known. Of a lumped
-    model so few parameters are fitted that there are none: on thin-plate labs nothing changed.
-    """
-    if not last.step.corrected:
-        return last
-    step = replace(last.step, words=ALONG, iterations=1, along=True)
-    return _taken_besides(job, last, step)
-
-
-def _on_shorter_cells(job: _Job, last: _Taken) -> _Taken:
-    """The calibration, after steps on cells half as long, until they gain less than is known.
-
-    What long cells make of a parameter is not what the rig's own do: steps on them end where their
-    slopes, not its own, are at right angles to what is left. The sum of squares hardly shows that:
-    of a plan for rig B it was 2.4 of its standard deviations above its mean, with three parameters
-    off by three to seven of their own.
-    """
-    dx_m = max(last.rig.grid.dx_m, 0.5 * last.step.dx_m)
-    # of a model that lacks something more is wrong than what cells make of it
-    near = at_noise(last.estimate, last.problem, job.used(last.problem))
-    if not last.step.corrected or last.step.dx_m <= dx_m or not near:
-        return last
-    step = replace(last.step, words=SHORTER_CELLS, dx_m=dx_m, corrected=dx_m > last.rig.grid.dx_m)
-    for _ in range(STEPS_SHORTER):
-        last = _taken_besides(job, last, step)
-        if gained_little(last.estimate):
-            break
-    return last
-
-
-def _on_own_cells(job: _Job, last: _Taken) -> _Taken:
-    """The calibration, after steps on the rig's own cells where others leave a bit beyond noise.
-
-    With steep fronts they end elsewhere (see above): on a drawn rig 1 cm for the places of taps,
-    and squares of 12980, of 11880 on its own cells.
-    """
-    used, dx_m = job.used(last.problem), last.rig.grid.dx_m
-    # of a model that lacks something more is wrong than what cells make of it
-    near = at_noise(last.estimate, last.problem, used)
-    if last.step.dx_m <= dx_m or not near or only_noise(last.estimate, last.problem, used):
-        return last
-    step = replace(last.step, words=OWN_CELLS, dx_m=dx_m, corrected=False)
-    for _ in range(STEPS_OWN):
-        last = _taken_besides(job, last, step)
-        if last.estimate.gained < TELLS_MORE:
-            break
-    return last
-
-
-def _worth(job: _Job, taken: _Taken) -> tuple[float, float]:
-    """Squared residual on the rig's own cells, and squared distance from what was known before."""
-    step = replace(taken.step, dx_m=taken.rig.grid.dx_m, corrected=False)
-    problem = problem_of(taken.rig, job.recordings, step, job.workers)
-    r = problem.residual(problem.predict([taken.rig])[0])[job.used(problem)]
-    variables = centred(taken.rig, taken.fitted, job.centres)
-    apart = [(v.value - (v.centre or 0.0)) / v.std for v in variables if np.isfinite(v.std)]
-    return float(np.sum(r**2)), float(np.sum(np.square(apart)))
-
-
-def _slope(
-    before: _Taken, fitted: list[FitParameter], problem: Problem, used: Mask
-) -> Floats | None:
-    """The Jacobian of the step before, where it is one of these parameters and readings."""
-    columns = {_key(p): k for k, p in enumerate(before.fitted)}
-    j = before.estimate.jacobian
-    shape = (int(used.sum()), problem.horizon * len(problem.taps))
-    if j.shape[:2] != shape or any(_key(p) not in columns for p in fitted):
-        return None
-    return j[..., [columns[_key(p)] for p in fitted]]
 
 
 def _unseen(fitted: list[FitParameter], estimate: Estimate) -> set[Key]:
     """Parameters whose whole uncertainty would not move the predictions by one noise deviation."""
     norms = np.sqrt(np.einsum("smp,smp->p", estimate.jacobian, estimate.jacobian))
     return {
-        _key(p)
+        key_of(p)
         for p, norm, value in zip(fitted, norms, estimate.values, strict=True)
         if norm * _spread(p, float(value)) < 1.0
     }
 
 
-def _brought_back(job: _Job, last: _Taken, hidden: set[Key]) -> tuple[_Taken, set[Key]]:
+def _brought_back(job: Job, last: Taken, hidden: set[Key]) -> tuple[Taken, set[Key]]:
     """Brings back what was driven to where nothing shows it (`brought_back`).
 
     Args:
@@ -552,16 +327,16 @@ def _brought_back(job: _Job, last: _Taken, hidden: set[Key]) -> tuple[_Taken, se
     far: list[FitParameter] = []
     off: list[float] = []
     for p, value in zip(last.fitted, last.estimate.values.tolist(), strict=True):
-        deviations = (value - job.centres[_key(p)]) / _spread(p, value)
-        if _key(p) in hidden and abs(deviations) > FAR_OFF:
+        deviations = (value - job.centres[key_of(p)]) / _spread(p, value)
+        if key_of(p) in hidden and abs(deviations) > FAR_OFF:
             far.append(p)
             off.append(deviations)
     if not far:
         return last, hidden
-    centres = [job.centres[_key(p)] for p in far]
+    centres = [job.centres[key_of(p)] for p in far]
     used = job.used(last.problem)
     rig, seen = brought_back(last.rig, last.problem, used, far, centres, off)
-    return replace(last, rig=rig, back=rig is not last.rig), hidden - {_key(p) for p in seen}
+    return replace(last, rig=rig, back=rig is not last.rig), hidden - {key_of(p) for p in seen}
 
 
 def _spread(p: FitParameter, value: float) -> float:
@@ -572,7 +347,7 @@ def _spread(p: FitParameter, value: float) -> float:
     return p.upper - p.lower if p.std is None else min(p.upper - p.lower, p.std)
 
 
-def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken) -> FitOutcome:
+def _outcome(job: Job, every: list[FitParameter], held: list[str], last: Taken) -> FitOutcome:
     """Looks at the fitted rig on its own cells, and says what is known of it."""
     job.work.words = "looking at the result"
     now, fitted = last.rig, last.fitted
@@ -625,12 +400,11 @@ def _outcome(job: _Job, every: list[FitParameter], held: list[str], last: _Taken
             ),
         }
     )
+    began = [(p, job.centres[key_of(p)]) for p in every]
     return FitOutcome(
         rig=now,
         parameters=listed,
-        start=[
-            float(np.exp(job.centres[_key(p)])) if p.log else job.centres[_key(p)] for p in every
-        ],
+        start=[float(np.exp(c)) if p.log else c for p, c in began],
         values=start_of(now, listed),
         known=known,
         fitted=fitted,
@@ -656,7 +430,7 @@ def _cells_wrong(
 
 
 def _times_noise(
-    problem: Problem, rmse: dict[str, float], cells: dict[str, float], last: _Taken, job: _Job
+    problem: Problem, rmse: dict[str, float], cells: dict[str, float], last: Taken, job: Job
 ) -> dict[str, float]:
     """Times the noise per tap that is to be expected where nothing was fitted.
 
@@ -675,7 +449,7 @@ def _times_noise(
 
 
 def _held_change(
-    rig: Rig, every: list[FitParameter], held: list[str], last: _Taken, job: _Job
+    rig: Rig, every: list[FitParameter], held: list[str], last: Taken, job: Job
 ) -> Floats | None:
     """(K, n_stretches used, m) change of the residual per deviation of each parameter held."""
     kept = [p for p in every if p.path in held]
@@ -706,10 +480,6 @@ def _strangers(problem: Problem, readings: Floats) -> list[str]:
         for name, value in times.items()
         if value > STRANGE * least
     ]
-
-
-def _key(p: FitParameter) -> Key:
-    return p.path, p.recording
 
 
 def _inner(parameters: list[FitParameter], values: list[float]) -> list[float]:

@@ -20,7 +20,8 @@ from pneu_sim.signals import Signal
 from pneu_sim.valve import positions_along
 from pneu_sysid.curves import EXPONENT_APART, WIDEST, curve_ties, mirrors_of, with_own_curves
 from pneu_sysid.design.limits import limits_of
-from pneu_sysid.fit import OWN_CELLS, SHORTER_CELLS, FitOutcome, fit_rig, parameters_of
+from pneu_sysid.fit import FitOutcome, fit_rig, parameters_of
+from pneu_sysid.last_steps import OWN_CELLS, SHORTER_CELLS
 from pneu_sysid.observed.noise import with_noise
 from pneu_sysid.parameters import (
     calibrated_parameters,
