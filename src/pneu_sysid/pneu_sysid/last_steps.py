@@ -13,7 +13,7 @@ from pneu_sim.models import kind_of
 from pneu_sysid.fit_step import Job, Taken, key_of, taken, taken_besides
 from pneu_sysid.parameters import rig_at
 from pneu_sysid.scale import off_scale, rescaled
-from pneu_sysid.stages import at_noise, centred, gained_little, only_noise, problem_of, settled
+from pneu_sysid.stages import at_noise, centred, gained_little, problem_of, settled
 
 DRIFTED = 2.0
 """Sizes that are, all together, so many standard deviations from what was known of them are looked
@@ -21,14 +21,10 @@ at again from there ..."""
 STEPS_THERE = 4
 """... in so many steps at most; from a valley of the drawn rigs that was 13 % off three led out."""
 ALONG = "all, along what is hardly shown"
-SHORTER_CELLS = "all, on shorter cells"
-STEPS_SHORTER = 4
-"""Steps on cells half as long as those before at most: each may cost four on these."""
 OWN_CELLS = "all, on the rig's own cells"
-STEPS_OWN = 3
-"""Steps on the rig's own cells at most: each may cost sixteen on long ones."""
-TELLS_MORE = 0.01
-"""A step on them that gained less of the cost has shown that long ones will do."""
+STEPS_OWN = 2
+"""Steps on the rig's own cells at most, but for a last one: each may cost sixteen on long ones."""
+ALONG_OWN_CELLS = f"{OWN_CELLS}, along what is hardly shown"
 
 
 def ended(job: Job, last: Taken) -> Taken:
@@ -39,7 +35,7 @@ def ended(job: Job, last: Taken) -> Taken:
         last: The step before.
     """
     last = _along_what_hardly_shows(job, _at_known_scale(job, last))
-    return _on_own_cells(job, _on_shorter_cells(job, last))
+    return _on_own_cells(job, last)
 
 
 def _at_known_scale(job: Job, last: Taken) -> Taken:
@@ -76,44 +72,26 @@ def _along_what_hardly_shows(job: Job, last: Taken) -> Taken:
     return taken_besides(job, last, step)
 
 
-def _on_shorter_cells(job: Job, last: Taken) -> Taken:
-    """The calibration, after steps on cells half as long, until they gain less than is known.
+def _on_own_cells(job: Job, last: Taken) -> Taken:
+    """The calibration, after steps on the rig's own cells where it is near the noise.
 
     What long cells make of a parameter is not what the rig's own do: steps on them end where their
     slopes, not its own, are at right angles to what is left. The sum of squares hardly shows that:
     of a plan for rig B it was 2.4 of its standard deviations above its mean, with three parameters
-    off by three to seven of their own.
+    off by three to seven of their own. The last step looks along what the recordings hardly show,
+    where those before have wandered by the errors of their differences.
     """
-    dx_m = max(last.rig.grid.dx_m, 0.5 * last.step.dx_m)
+    dx_m = last.rig.grid.dx_m
     # of a model that lacks something more is wrong than what cells make of it
     near = at_noise(last.estimate, last.problem, job.used(last.problem))
     if not last.step.corrected or last.step.dx_m <= dx_m or not near:
         return last
-    step = replace(last.step, words=SHORTER_CELLS, dx_m=dx_m, corrected=dx_m > last.rig.grid.dx_m)
-    for _ in range(STEPS_SHORTER):
+    step = replace(last.step, words=OWN_CELLS, dx_m=dx_m, corrected=False, along=False)
+    for _ in range(STEPS_OWN):
         last = taken_besides(job, last, step)
         if gained_little(last.estimate):
             break
-    return last
-
-
-def _on_own_cells(job: Job, last: Taken) -> Taken:
-    """The calibration, after steps on the rig's own cells where others leave a bit beyond noise.
-
-    With steep fronts they end elsewhere (see above): on a drawn rig 1 cm for the places of taps,
-    and squares of 12980, of 11880 on its own cells.
-    """
-    used, dx_m = job.used(last.problem), last.rig.grid.dx_m
-    # of a model that lacks something more is wrong than what cells make of it
-    near = at_noise(last.estimate, last.problem, used)
-    if last.step.dx_m <= dx_m or not near or only_noise(last.estimate, last.problem, used):
-        return last
-    step = replace(last.step, words=OWN_CELLS, dx_m=dx_m, corrected=False)
-    for _ in range(STEPS_OWN):
-        last = taken_besides(job, last, step)
-        if last.estimate.gained < TELLS_MORE:
-            break
-    return last
+    return taken_besides(job, last, replace(step, words=ALONG_OWN_CELLS, along=True))
 
 
 def _worth(job: Job, taken: Taken) -> tuple[float, float]:

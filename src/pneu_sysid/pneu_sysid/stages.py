@@ -43,8 +43,6 @@ SECANTS = 2
 """Steps with a Jacobian corrected by secants, for each that is computed."""
 SLOW_PULL_S = 0.06
 """Over so short a time a prediction is nearly linear in what flows."""
-NOISE_SCATTERS = 3.0
-"""By so many of its standard deviations the square of noise alone may be above its mean."""
 COARSEST = 4.0
 """Cells of the first steps are at most this much longer than the rig's."""
 FEWEST_CELLS = 20
@@ -323,19 +321,6 @@ def at_noise(estimate: Estimate, problem: Problem, used: Mask) -> bool:
         used: (n_stretches,) stretches that it used.
     """
     return float(np.sum(estimate.residual**2)) < AT_NOISE**2 * _readings(problem, used)
-
-
-def only_noise(estimate: Estimate, problem: Problem, used: Mask) -> bool:
-    """Whether nothing but noise is left.
-
-    Args:
-        estimate: The estimation.
-        problem: Its problem.
-        used: (n_stretches,) stretches that it used.
-    """
-    count = _readings(problem, used)
-    most = count + NOISE_SCATTERS * float(np.sqrt(2.0 * count))
-    return float(np.sum(estimate.residual**2)) < most
 
 
 def _readings(problem: Problem, used: Mask) -> int:

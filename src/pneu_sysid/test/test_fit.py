@@ -21,7 +21,7 @@ from pneu_sim.valve import positions_along
 from pneu_sysid.curves import EXPONENT_APART, WIDEST, curve_ties, mirrors_of, with_own_curves
 from pneu_sysid.design.limits import limits_of
 from pneu_sysid.fit import FitOutcome, fit_rig, parameters_of
-from pneu_sysid.last_steps import OWN_CELLS, SHORTER_CELLS
+from pneu_sysid.last_steps import OWN_CELLS
 from pneu_sysid.observed.noise import with_noise
 from pneu_sysid.parameters import (
     calibrated_parameters,
@@ -348,13 +348,13 @@ def test_the_first_part_of_a_recording() -> None:
 @pytest.mark.parametrize(
     ("gain", "taken"),
     [
-        pytest.param(0.0, False, marks=pytest.mark.long),
+        pytest.param(0.0, True, marks=pytest.mark.long),
         (6e-4, True),
         pytest.param(1e-2, False, marks=pytest.mark.long),
     ],
 )
 def test_the_rig_s_own_cells_have_the_last_word_near_the_noise(gain: float, taken: bool) -> None:
-    """Where more is left, something is missing; where nothing is, shorter cells have done."""
+    """Where more is left, something is missing."""
     rig = load_rig(ROOT / "rigs/rig_b.yaml")
     rig = with_noise(rig, dict.fromkeys(rig.taps, 250.0))
     wrong = AttachedEffect(effect="sensor_gain", place="end", parameters={"error": gain})
@@ -371,7 +371,6 @@ def test_the_rig_s_own_cells_have_the_last_word_near_the_noise(gain: float, take
     fit_rig(rig, [recording], few, progress=tell)
     notes = {note for _, note in said}
     assert (OWN_CELLS in notes) == taken
-    assert (SHORTER_CELLS in notes) == (gain < 1e-3)
     told = [done for done, _ in said if done]
     assert told == sorted(told) and told[-1] <= 1.0
 
