@@ -25,7 +25,7 @@ from pneu_sim.rig.opening import opening_at
 from pneu_sim.rig.parameters import get_parameter
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.fit import FitOutcome, fit_rig
-from pneu_sysid.problem import make_problem, record_for
+from pneu_sysid.problem import Problem, make_problem, record_for
 from pneu_sysid.records import Recording
 from studies.bags import rig_file
 from studies.calibration_rigs import JOINT_DX_M, PLANT_DX_M, SHAPES, draw_case
@@ -73,6 +73,7 @@ class Calibrated:
         cpu_seconds: Processor time, s.
         memory_mb: Most memory that the process had, MB.
         aside: Times the noise per tap on the recording kept aside.
+        mended: The same, what the rig's cells get wrong made good: what the parameters leave.
     """
 
     outcome: FitOutcome
@@ -80,6 +81,7 @@ class Calibrated:
     cpu_seconds: float
     memory_mb: float
     aside: list[float]
+    mended: list[float]
 
 
 @dataclass(frozen=True)
@@ -111,10 +113,17 @@ def calibrated(rig: Rig, recordings: list[Recording]) -> Calibrated:
     seconds, cpu_seconds = time.monotonic() - begun, time.process_time() - cpu
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     problem = make_problem(outcome.rig, recordings[1])
-    r = problem.residual(problem.predict([outcome.rig])[0])
+    aside, mended = (
+        _times_noise(one, outcome.rig) for one in (problem, problem.mended(outcome.rig))
+    )
+    return Calibrated(outcome, seconds, cpu_seconds, memory_mb, aside, mended)
+
+
+def _times_noise(problem: Problem, rig: Rig) -> list[float]:
+    """What a rig leaves of each tap, times its noise."""
+    r = problem.residual(problem.predict([rig])[0])
     count = np.isfinite(problem.measured).sum(axis=(0, 1))
-    aside = np.sqrt(np.sum(r**2, axis=(0, 1)) / count)
-    return Calibrated(outcome, seconds, cpu_seconds, memory_mb, aside.tolist())
+    return np.sqrt(np.sum(r**2, axis=(0, 1)) / count).tolist()
 
 
 def of_drawn(shape: str, seed: int) -> tuple[str, Calibrated, list[Estimated]]:
@@ -191,13 +200,14 @@ def row_of(name: str, done: Calibrated) -> str:
     """A line of the table."""
     noise = done.outcome.rig.calibration.noise  # type: ignore[union-attr]
     here = " ".join(f"{v / noise[t]:.2f}" for t, v in done.outcome.rmse.items())
-    aside = " ".join(f"{v:.2f}" for v in done.aside)
+    aside, mended = (" ".join(f"{v:.2f}" for v in of) for of in (done.aside, done.mended))
     short = "" if done.outcome.shortfall is None else ", ".join(done.outcome.shortfall.by_tap)
-    met = max(done.aside) <= MOST_TIMES_NOISE or bool(short)
+    met = max(done.mended) <= MOST_TIMES_NOISE or bool(short)
     seen = int(done.outcome.known.seen.sum())
     return (
         f"| {name} | {done.seconds:.0f} | {done.cpu_seconds:.0f} | {done.memory_mb:.0f} |"
-        f" {seen} of {len(done.outcome.parameters)} | {here} | {aside} | {short or 'no'} |"
+        f" {seen} of {len(done.outcome.parameters)} | {here} | {aside} | {mended} |"
+        f" {short or 'no'} |"
         f" {'yes' if met else 'NO'} |"
     )
 
@@ -273,12 +283,13 @@ def _write(rows: list[str], table: list[str], lists: list[str], folders: list[Pa
         + (f" and the bags {', '.join(bags)}." if bags else "."),
         "",
         f"Marks: at most {MOST_TIMES_NOISE:g} times the noise on every tap of the recording kept"
-        " aside, or the calibration says that it stops short;"
+        " aside, what the rig's cells get wrong made good (no number is fitted to that), or the"
+        " calibration says that it stops short;"
         f" {MOST_SECONDS:g} s on two quiet cores. Missed by {missed} of {len(rows)} rigs.",
         "",
         "| rig | s | processor s | MB | parameters shown | times noise, fitted | kept aside |"
-        " stops short at | mark |",
-        "|---" * 9 + "|",
+        " cells made good | stops short at | mark |",
+        "|---" * 10 + "|",
         *rows,
         "",
         "## What the standard errors are worth",

@@ -22,7 +22,7 @@ from rich.console import Console
 from pneu_common.files import write_whole
 from pneu_common.progress import progress
 from studies.digest import sources_digest
-from studies.experiments.calibrations import CALIBRATED, SHEETS, calibration_figures, key_of
+from studies.experiments.calibrations import CALIBRATED, calibration_figures, key_of
 from studies.experiments.page import page
 from studies.experiments.pairs import PAIRS, pair_figures
 from studies.experiments.plants import ROOT
@@ -44,8 +44,8 @@ def jobs_of(stages: list[str], console: Console) -> dict[str, Callable[[], dict[
         for k, pair in enumerate(PAIRS):
             jobs[f"pair_{k}"] = lambda pair=pair: pair_figures(pair, console)
     if "calibrations" in stages:
-        for file in CALIBRATED:
-            for seed in range(SHEETS):
+        for file, sheets in CALIBRATED.items():
+            for seed in range(sheets):
                 jobs[key_of(file, seed)] = lambda file=file, seed=seed: calibration_figures(
                     file, seed, console
                 )

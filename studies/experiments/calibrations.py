@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibrations: errors of fits to designed and to random recordings, and what plans promised."""
 
+import math
 import time
 from pathlib import Path
 from typing import Any
@@ -21,12 +22,14 @@ from pneu_sysid.observed.noise import with_noise
 from pneu_sysid.parameters import estimated_parameters, rig_at, variables_of
 from studies.experiments.plants import RATE_HZ, ROOT, Volts, plant_of, random_volts, record
 
-CALIBRATED = ("rigs/lab.yaml", "rigs/rig_b.yaml", "rigs/rig_j.yaml")
+CALIBRATED = {"rigs/lab.yaml": 3, "rigs/rig_b.yaml": 6, "rigs/rig_j.yaml": 3}
+"""Rigs, and how many datasheets are drawn of each: where three leave to chance which recording errs
+less, more."""
 LONG_S, SHORT_S = 10.0, 5.0
-SHEETS = 3
-"""Datasheets that are drawn of each rig."""
 OFF = 0.5
 """By this share of the standard deviation that is not known numbers of a datasheet are off."""
+NINETY = 1.645
+"""Half the width of a 90 % interval, in standard errors."""
 NOISE_PA = 250.0
 ENCODER = {"noise": 1e-4, "quantum": 3.8e-4}
 """Of taps and encoders (14 bits, rad) of which the rig file says nothing: no sensor is without."""
@@ -79,6 +82,34 @@ def with_curves_of(rig: Rig, other: Rig) -> Rig:
     return out
 
 
+def told_of(rig: Rig, known: Rig, truth: Rig) -> tuple[float, float]:
+    """What a fit tells of its own errors, but for opening curves, which have points of their own.
+
+    Args:
+        rig: Fitted rig.
+        known: What was known before.
+        truth: The rig that it was fitted to.
+
+    Returns:
+        Root mean square of the standard errors, in what was not known before, which is also what is
+        left of a number that was not shown; and the share of 90 % intervals that hold the truth.
+    """
+    listed = [p for p in estimated_parameters(known)[0] if ".opening." not in p.path]
+    errors = {p.path: p.std_error for p in rig.fit.parameters}
+    told, held = [], []
+    for p, before, found, true in zip(
+        listed, *(variables_of(r, listed) for r in (known, rig, truth)), strict=True
+    ):
+        error = errors.get(p.path)
+        if not error:
+            told.append(1.0)
+            continue
+        std = error / math.exp(found.value) if p.log else error
+        told.append(min(std / before.known_std, 1.0))
+        held.append(abs(found.value - true.value) < NINETY * std)
+    return math.sqrt(np.mean(np.square(told))), float(np.mean(held))
+
+
 def calibration_figures(file: str, seed: int, console: Console) -> dict[str, Any]:
     """One datasheet: a fit to ten random seconds, to five, and to five that were designed."""
     true = load_rig(ROOT / file)
@@ -104,6 +135,7 @@ def calibration_figures(file: str, seed: int, console: Console) -> dict[str, Any
         found = variables_of(with_curves_of(fitted.rig, true), listed)
         off = np.abs(np.array([v.value for v in found]) - truth) / scale
         out[name] = [float(np.sqrt(np.mean(off**2))), float(np.median(off))]
+        out[name] += told_of(fitted.rig, sheet, true)
         console.print(f"{file}, datasheet {seed}: {name}: {out[name][0]:.3f} of what was unknown")
     known = {p.path: p.std_error for p in fitted.rig.fit.parameters}
     ratios = [
