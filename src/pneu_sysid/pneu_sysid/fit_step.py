@@ -47,7 +47,11 @@ class Job:
     mirrors: Mirrors
 
     def used(self, problem: Problem) -> Mask:
-        """(n_stretches,) stretches that are fitted."""
+        """(n_stretches,) stretches that are fitted.
+
+        Args:
+            problem: The problem that they are of.
+        """
         return ~problem.held_out if self.hold_out else np.ones(problem.stretches, dtype=bool)
 
 
