@@ -24,8 +24,8 @@ from pneu_sim.rig import load_rig
 from pneu_sim.rig.opening import opening_at
 from pneu_sim.rig.parameters import get_parameter
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.fit import FitOutcome, fit_rig
-from pneu_sysid.problem import Problem, make_problem, record_for
+from pneu_sysid.fit import FitOutcome, fit_rig, sensor_times_noise
+from pneu_sysid.problem import make_problem, record_for
 from pneu_sysid.records import Recording
 from studies.bags import rig_file
 from studies.calibration_rigs import JOINT_DX_M, PLANT_DX_M, SHAPES, draw_case
@@ -113,17 +113,12 @@ def calibrated(rig: Rig, recordings: list[Recording]) -> Calibrated:
     seconds, cpu_seconds = time.monotonic() - begun, time.process_time() - cpu
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     problem = make_problem(outcome.rig, recordings[1])
+    every = np.ones(problem.stretches, dtype=bool)
     aside, mended = (
-        _times_noise(one, outcome.rig) for one in (problem, problem.mended(outcome.rig))
+        list(sensor_times_noise(one, one.predict([outcome.rig])[0], every).values())
+        for one in (problem, problem.mended(outcome.rig))
     )
     return Calibrated(outcome, seconds, cpu_seconds, memory_mb, aside, mended)
-
-
-def _times_noise(problem: Problem, rig: Rig) -> list[float]:
-    """What a rig leaves of each tap, times its noise."""
-    r = problem.residual(problem.predict([rig])[0])
-    count = np.isfinite(problem.measured).sum(axis=(0, 1))
-    return np.sqrt(np.sum(r**2, axis=(0, 1)) / count).tolist()
 
 
 def of_drawn(shape: str, seed: int) -> tuple[str, Calibrated, list[Estimated]]:

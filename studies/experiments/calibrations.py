@@ -20,6 +20,7 @@ from pneu_sysid.design.waves import STEP_S
 from pneu_sysid.fit import fit_rig
 from pneu_sysid.observed.noise import with_noise
 from pneu_sysid.parameters import estimated_parameters, rig_at, variables_of
+from studies.calibration import NINETY
 from studies.experiments.plants import RATE_HZ, ROOT, Volts, plant_of, random_volts, record
 
 CALIBRATED = {"rigs/lab.yaml": 3, "rigs/rig_b.yaml": 6, "rigs/rig_j.yaml": 3}
@@ -28,8 +29,6 @@ less, more."""
 LONG_S, SHORT_S = 10.0, 5.0
 OFF = 0.5
 """By this share of the standard deviation that is not known numbers of a datasheet are off."""
-NINETY = 1.645
-"""Half the width of a 90 % interval, in standard errors."""
 NOISE_PA = 250.0
 ENCODER = {"noise": 1e-4, "quantum": 3.8e-4}
 """Of taps and encoders (14 bits, rad) of which the rig file says nothing: no sensor is without."""

@@ -94,11 +94,11 @@ def _on_own_cells(job: Job, last: Taken) -> Taken:
     return taken_besides(job, last, replace(step, words=ALONG_OWN_CELLS, along=True))
 
 
-def _worth(job: Job, taken: Taken) -> tuple[float, float]:
+def _worth(job: Job, end: Taken) -> tuple[float, float]:
     """Squared residual on the rig's own cells, and squared distance from what was known before."""
-    step = replace(taken.step, dx_m=taken.rig.grid.dx_m, corrected=False)
-    problem = problem_of(taken.rig, job.recordings, step, job.workers)
-    r = problem.residual(problem.predict([taken.rig])[0])[job.used(problem)]
-    variables = centred(taken.rig, taken.fitted, job.centres)
+    step = replace(end.step, dx_m=end.rig.grid.dx_m, corrected=False)
+    problem = problem_of(end.rig, job.recordings, step, job.workers)
+    r = problem.residual(problem.predict([end.rig])[0])[job.used(problem)]
+    variables = centred(end.rig, end.fitted, job.centres)
     apart = [(v.value - (v.centre or 0.0)) / v.std for v in variables if np.isfinite(v.std)]
     return float(np.sum(r**2)), float(np.sum(np.square(apart)))
