@@ -28,7 +28,7 @@ from pneu_sysid.records import Recording
 from pneu_sysid.sensor_units import apart
 from pneu_sysid.shortfall import ENOUGH, Shortfall, effects_that_help, shortfall_of
 from pneu_sysid.spool_position import fit_spools
-from pneu_sysid.spool_starts import try_limits, try_spools
+from pneu_sysid.spool_starts import limits_missed, try_limits, try_spools
 from pneu_sysid.stages import (
     Step,
     Work,
@@ -213,7 +213,13 @@ def fit_rig(
             if last is None:
                 continue  # of what is to be fitted nothing is slow
             fitted = last.fitted
-        last = taken(job, now, step, fitted, last)
+        after = taken(job, now, step, fitted, last)
+        used = job.used(after.problem)
+        if last is not None and limits_missed(last.rig, after.rig, after.problem, used):
+            now, every = last.rig, _list_of(last.rig, given, recordings)[0]
+            job.work.finish(step)
+            continue
+        last = after
         if not step.slow:
             last, hidden = _brought_back(job, last, _unseen(last.fitted, last.estimate))
             unseen |= hidden

@@ -120,16 +120,24 @@ class Estimate:
     visible: NDArray[np.bool_]
     weight: float = 1.0
 
-    def amounts(self, residuals: Floats) -> Floats:
+    def amounts(self, residuals: Floats, held: NDArray[np.bool_] | None = None) -> Floats:
         """How far the variables would move for other residuals, to first order, without bounds.
 
         Args:
             residuals: (K, n_clusters, m).
+            held: (P,) which variables stay; None is none.
 
         Returns:
             (K, P): what they explain is ``jacobian`` times that.
         """
-        return np.asarray(np.einsum("smp,ksm->kp", self.jacobian, residuals) @ self.gain)
+        free = np.einsum("smp,ksm->kp", self.jacobian, residuals) @ self.gain
+        if held is None or not held.any():
+            return np.asarray(free)
+        # the gain is the inverse of what the variables are known by: holding some is conditioning
+        own = np.linalg.pinv(self.gain[np.ix_(held, held)], hermitian=True)
+        out = free - free[:, held] @ own @ self.gain[held]
+        out[:, held] = 0.0
+        return np.asarray(out)
 
 
 def jacobian(

@@ -126,6 +126,27 @@ def try_limits(
         rig, changed = max(worth, key=lambda one: one[0])[1], True
 
 
+def limits_missed(before: Rig, after: Rig, problem: Problem, used: NDArray[np.bool_]) -> bool:
+    """Whether a rig that lost limits of its spools does worse for it, now that it was fitted.
+
+    `try_limits` forecasts that to first order only.
+
+    Args:
+        before: The rig before.
+        after: The rig that lost limits, if any, fitted.
+        problem: The problem that it was fitted on.
+        used: (n_stretches,) stretches that it was fitted on.
+    """
+    had = [name for name, valve in before.valves.items() if _is_limited(valve.spool)]
+    if all(_is_limited(after.valves[name].spool) for name in had):
+        return False
+    with_limits, without = (
+        0.5 * float(np.sum(problem.residual(y)[used] ** 2))
+        for y in problem.predict([before, after])
+    )
+    return without > with_limits + CHANCE
+
+
 def _is_limited(spool: Spool) -> bool:
     """Whether a spool has a limit."""
     return spool.max_speed_v_s is not None or spool.max_acceleration_v_s2 is not None
@@ -147,14 +168,14 @@ def _without_limits(
     """
     trials = [_Trial(bandwidth, free=True) for bandwidth in SLOWER]
     rigs = _tried(rig, name, trials, 0.0)
-    costs, amounts = _costs(rig, rigs, problem, used, estimate, told)
+    # a limit that is not there makes nothing good
+    gone = np.array([p.path.startswith(f"valves.{name}.spool.max_") for p in fitted])
+    costs, amounts = _costs(rig, rigs, problem, used, estimate, told, gone)
     k = int(np.argmin(costs[1:]))
     if costs[1 + k] >= costs[0] + CHANCE:
         return None
     # with what the others make good, or the next step would lead back
-    left = [
-        (p, a) for p, a in zip(fitted, amounts[1 + k], strict=True) if "spool.max_" not in p.path
-    ]
+    left = [(p, a) for p, a, g in zip(fitted, amounts[1 + k], gone, strict=True) if not g]
     variables = variables_of(rigs[k], [p for p, _ in left])
     moved = [
         float(np.clip(v.value + a, v.lower, v.upper))
@@ -258,13 +279,17 @@ def _costs(
     used: NDArray[np.bool_],
     estimate: Estimate,
     told: Told | None,
+    gone: NDArray[np.bool_] | None = None,
 ) -> tuple[Floats, Floats]:
-    """(1 + n,) cost of the rig and of each trial after what (1 + n, P) amounts make good."""
+    """(1 + n,) cost of the rig and of each trial after what (1 + n, P) amounts make good.
+
+    ``gone`` are (P,) the variables that the rig has and its trials lack.
+    """
     rigs = [rig, *trials]
     tell = None if told is None else told(len(rigs))
     out = problem.simulate(rigs, progress=tell, strict=False).readings
     r = np.nan_to_num(problem.residual(out), nan=1e4, posinf=1e4, neginf=-1e4)
     r = r.reshape(len(rigs), problem.stretches, -1)[:, used]
-    amounts = -estimate.amounts(r)
+    amounts = -np.concatenate([estimate.amounts(r[:1]), estimate.amounts(r[1:], gone)])
     left = r + np.einsum("smp,kp->ksm", estimate.jacobian, amounts)
     return np.array([0.5 * float(np.sum(one**2)) for one in left]), amounts

@@ -206,6 +206,19 @@ def test_what_is_yet_to_be_gained_is_told() -> None:
     assert once.ahead > 0.2 * (once.cost - twice.cost) > 0.0
 
 
+@pytest.mark.parametrize("stays", [(), (1,), (0, 2), (0, 1, 2)])
+def test_variables_that_stay_leave_the_rest_to_the_others(stays: Sequence[int]) -> None:
+    truth = np.array([1.0, -2.0, 0.5])
+    a, y = problem(14, truth)
+    a[..., 2] += 0.8 * a[..., 1]  # two that are much alike
+    found = minimise(linear(a, y), [Variable(f"x{k}", 0.0, -10.0, 10.0, 1e-3) for k in range(3)])
+    r = found.residual + a @ np.array([0.1, -0.3, 0.2])
+    held = np.isin(np.arange(3), stays)
+    expected = np.zeros(3)
+    expected[~held] = np.linalg.lstsq(a.reshape(-1, 3)[:, ~held], r.ravel(), rcond=None)[0]
+    np.testing.assert_allclose(-found.amounts(r[None], held)[0], expected, rtol=1e-6, atol=1e-9)
+
+
 def test_a_jacobian_that_is_known_is_not_computed() -> None:
     a, y = problem(10, np.array([1.0, 2.0]))
     variables = [Variable(name, 0.0, -9.0, 9.0, 1e-3) for name in ("x", "y")]
