@@ -13,7 +13,7 @@ from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import Calibration, FitParameter, Rig
 from pneu_sysid.cells import error_of_cells, words_on_cells
 from pneu_sysid.curves import mirrors_of, with_own_curves
-from pneu_sysid.fit_step import Job, Key, Taken, key_of, taken
+from pneu_sysid.fit_step import Job, Key, Taken, key_of, spread_of, taken
 from pneu_sysid.gauss_newton import Estimate, jacobian
 from pneu_sysid.last_steps import ended
 from pneu_sysid.parameters import (
@@ -315,7 +315,7 @@ def _unseen(fitted: list[FitParameter], estimate: Estimate) -> set[Key]:
     return {
         key_of(p)
         for p, norm, value in zip(fitted, norms, estimate.values, strict=True)
-        if norm * _spread(p, float(value)) < 1.0
+        if norm * spread_of(p, float(value)) < 1.0
     }
 
 
@@ -333,7 +333,7 @@ def _brought_back(job: Job, last: Taken, hidden: set[Key]) -> tuple[Taken, set[K
     far: list[FitParameter] = []
     off: list[float] = []
     for p, value in zip(last.fitted, last.estimate.values.tolist(), strict=True):
-        deviations = (value - job.centres[key_of(p)]) / _spread(p, value)
+        deviations = (value - job.centres[key_of(p)]) / spread_of(p, value)
         if key_of(p) in hidden and abs(deviations) > FAR_OFF:
             far.append(p)
             off.append(deviations)
@@ -343,14 +343,6 @@ def _brought_back(job: Job, last: Taken, hidden: set[Key]) -> tuple[Taken, set[K
     used = job.used(last.problem)
     rig, seen = brought_back(last.rig, last.problem, used, far, centres, off)
     return replace(last, rig=rig, back=rig is not last.rig), hidden - {key_of(p) for p in seen}
-
-
-def _spread(p: FitParameter, value: float) -> float:
-    """How uncertain a parameter is beforehand, in the unit that it is estimated in."""
-    if p.log:
-        span = float(np.log(p.upper / p.lower))
-        return span if p.std is None else min(span, p.std / float(np.exp(value)))
-    return p.upper - p.lower if p.std is None else min(p.upper - p.lower, p.std)
 
 
 def _outcome(job: Job, every: list[FitParameter], held: list[str], last: Taken) -> FitOutcome:
@@ -467,7 +459,7 @@ def _held_change(
     )
     at = np.array([v.value for v in variables])
     _, j = jacobian(residuals, at, variables)
-    spread = [_spread(p, float(value)) for p, value in zip(kept, at, strict=True)]
+    spread = [spread_of(p, float(value)) for p, value in zip(kept, at, strict=True)]
     return np.moveaxis(j, -1, 0) * np.array(spread)[:, None, None]
 
 

@@ -163,3 +163,16 @@ def key_of(p: FitParameter) -> Key:
         p: The parameter.
     """
     return p.path, p.recording
+
+
+def spread_of(p: FitParameter, value: float) -> float:
+    """How uncertain a parameter is beforehand, in the unit that it is estimated in.
+
+    Args:
+        p: The parameter.
+        value: Where it is.
+    """
+    if p.log:
+        span = float(np.log(p.upper / p.lower))
+        return span if p.std is None else min(span, p.std / float(np.exp(value)))
+    return p.upper - p.lower if p.std is None else min(p.upper - p.lower, p.std)
