@@ -333,7 +333,7 @@ def _brought_back(job: Job, last: Taken, hidden: set[Key]) -> tuple[Taken, set[K
     far: list[FitParameter] = []
     off: list[float] = []
     for p, value in zip(last.fitted, last.estimate.values.tolist(), strict=True):
-        deviations = (value - job.centres[key_of(p)]) / spread_of(p, value)
+        deviations = job.off(p, value)
         if key_of(p) in hidden and abs(deviations) > FAR_OFF:
             far.append(p)
             off.append(deviations)

@@ -54,6 +54,15 @@ class Job:
         """
         return ~problem.held_out if self.hold_out else np.ones(problem.stretches, dtype=bool)
 
+    def off(self, p: FitParameter, value: float) -> float:
+        """By how many standard deviations of what was known of a parameter it is off that.
+
+        Args:
+            p: The parameter.
+            value: Where it is.
+        """
+        return (value - self.centres[key_of(p)]) / spread_of(p, value)
+
 
 @dataclass(frozen=True)
 class Taken:

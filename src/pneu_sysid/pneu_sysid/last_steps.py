@@ -11,7 +11,7 @@ import numpy as np
 
 from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.fit_step import Job, Taken, key_of, spread_of, taken, taken_besides
+from pneu_sysid.fit_step import Job, Taken, key_of, taken, taken_besides
 from pneu_sysid.parameters import rig_at
 from pneu_sysid.scale import off_scale, rescaled
 from pneu_sysid.stages import at_noise, centred, gained_little, problem_of, settled
@@ -62,15 +62,12 @@ def _far_ones_back(job: Job, last: Taken) -> Taken:
     On the way down, while all else was wrong, a place of a tap or a volume at an end may have
     come into a valley of its own, which steps no longer lead out of.
     """
-    far = [
-        (p, centre)
-        for p, value in zip(last.fitted, last.estimate.values.tolist(), strict=True)
-        if abs(value - (centre := job.centres[key_of(p)])) > FAR * spread_of(p, value)
-    ]
+    values = last.estimate.values.tolist()
+    far = [p for p, v in zip(last.fitted, values, strict=True) if abs(job.off(p, v)) > FAR]
     if not far:
         return last
-    values = np.array([centre for _, centre in far])
-    return _better(job, last, rig_at(last.rig, [p for p, _ in far], values))
+    centres = np.array([job.centres[key_of(p)] for p in far])
+    return _better(job, last, rig_at(last.rig, far, centres))
 
 
 def _better(job: Job, last: Taken, now: Rig) -> Taken:
