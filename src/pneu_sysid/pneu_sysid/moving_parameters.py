@@ -80,12 +80,14 @@ def _of_cylinder(base: str, cylinder: Cylinder, force: float) -> Iterator[FitPar
     """Numbers of one cylinder."""
     for side_name, side in cylinder.sides.items():
         value = side.dead_volume_m3
+        # no logarithm: of a linkage that is larger as a whole all numbers grow by a factor but
+        # these, by which the piston's way from its end differs is added to them; half a per cent is
+        # a seventh of a small one, whose logarithm bends that valley so that no step leads along
         yield FitParameter(
             path=f"{base}.{side_name}.dead_volume_m3",
             lower=value / 4.0,
             upper=value * 4.0,
             std=0.5 * value,
-            log=True,
         )
         yield FitParameter(
             path=f"{base}.{side_name}.heat_w_per_k",
