@@ -298,3 +298,28 @@ def test_what_is_shown_is_not_looked_along() -> None:
 
     _, j = jacobian(linear(a, y), x, variables)
     assert looked_along(never, x, j, variables) is j
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_a_kink_does_not_hold_up_what_is_hardly_shown(seed: int) -> None:
+    """Every damped step pays for it more than it gains; a part of the undamped one does not."""
+    rng = np.random.default_rng(seed)
+    a = rng.normal(size=(CLUSTERS, SAMPLES, 10))
+    a[..., 1] = a[..., 0] + 0.002 * rng.normal(size=(CLUSTERS, SAMPLES))  # their difference hides
+    kink, noise = rng.normal(size=(2, CLUSTERS, SAMPLES))
+    flat = np.concatenate([a, kink[..., None]], axis=-1).reshape(-1, 11)
+    noise -= (flat @ np.linalg.lstsq(flat, noise.ravel(), rcond=None)[0]).reshape(noise.shape)
+
+    def residuals(points: Sequence[Floats]) -> Floats:
+        # on either side of the kink the last variable does worse; the slope says that one does not
+        return np.stack([noise - 0.04 * kink - a @ x[:10] - abs(x[10]) * kink for x in points])
+
+    off = np.array([8.0, -8.0, *np.zeros(9)])
+    std = [4.0, 4.0, *[np.inf] * 9]
+    variables = [
+        Variable(f"x{k}", o, -10.0, 10.0, 1e-3, std=s, centre=0.0)
+        for k, (o, s) in enumerate(zip(off, std, strict=True))
+    ]
+    found = minimise(residuals, variables, iterations=8, along=True)
+    assert np.abs(found.values[:2]).max() < 0.1  # of the 8 that they were off
+    assert abs(found.values[10]) < 0.001
