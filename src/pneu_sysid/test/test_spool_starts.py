@@ -85,3 +85,25 @@ def test_a_limit_that_is_none_goes_and_the_bandwidth_comes_back(rig: Rig) -> Non
     assert (now.max_acceleration_v_s2, now.max_speed_v_s) == (None, None)
     assert now.bandwidth_hz == pytest.approx(true.bandwidth_hz, rel=0.05)
     assert now.damping == pytest.approx(true.damping, rel=0.05)
+
+
+@pytest.mark.parametrize("limited", [False, True])
+def test_while_much_else_is_wrong_a_limit_has_to_explain_much_of_it(
+    rig: Rig, limited: bool
+) -> None:
+    """One that is none does so a little, and what is fitted with it finds no way back."""
+    spool = rig.valves["valve"].spool
+    assert spool.bandwidth_hz is not None
+    spool.max_speed_v_s = spool.max_acceleration_v_s2 = None
+    wrong = rig.model_copy(deep=True)
+    wrong.valves["valve"].spool.bandwidth_hz = 1.1 * spool.bandwidth_hz
+    for pipe in wrong.pipes.values():
+        pipe.area_m2 *= 1.02
+    if limited:
+        spool.max_speed_v_s = 0.3 * 10.0 * 2.0 * math.pi * spool.bandwidth_hz
+    recording = synthetic(rig, 3.0, 5, "much else")
+    parameters = [p for p in default_parameters(wrong) if p.path.endswith("spool.damping")]
+    estimated, problem, estimate = _estimated(wrong, recording, parameters)
+    used = np.ones(problem.stretches, dtype=bool)
+    _, changed = try_limits(estimated, problem, used, estimate, parameters)
+    assert changed == limited
