@@ -226,7 +226,8 @@ def fit_rig(
         now = last.rig
         job.work.finish(step)
     assert last is not None
-    return _outcome(job, every, held, ended(job, last))
+    free = [p for p in every if p.path not in held and p.path not in measured]
+    return _outcome(job, every, held, ended(job, last, free))
 
 
 def parameters_of(rig: Rig) -> list[FitParameter]:

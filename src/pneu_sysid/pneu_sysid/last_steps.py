@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from pneu_sim.models import kind_of
-from pneu_sim.rig.schema import Rig
+from pneu_sim.rig.schema import FitParameter, Rig
 from pneu_sysid.fit_step import Job, Taken, key_of, taken, taken_besides
+from pneu_sysid.friction_starts import friction_of, try_friction
 from pneu_sysid.parameters import rig_at
 from pneu_sysid.scale import off_scale, rescaled
 from pneu_sysid.stages import at_noise, centred, gained_little, problem_of, settled
@@ -31,16 +32,29 @@ STEPS_OWN = 2
 ALONG_OWN_CELLS = f"{OWN_CELLS}, along what is hardly shown"
 
 
-def ended(job: Job, last: Taken) -> Taken:
+def ended(job: Job, last: Taken, every: list[FitParameter]) -> Taken:
     """The calibration, after its last steps.
 
     Args:
         job: What does not change.
         last: The step before.
+        every: All parameters that may be estimated, be they seen or not.
     """
     if kind_of(last.rig).along_lines:
+        last = _with_other_friction(job, last, every)
         last = _far_ones_back(job, _at_known_scale(job, last))
     return _on_own_cells(job, _along_what_hardly_shows(job, last))
+
+
+def _with_other_friction(job: Job, last: Taken, every: list[FitParameter]) -> Taken:
+    """The calibration, or a better one that begins with another friction of seals."""
+    used = job.used(last.problem)
+    now, changed = try_friction(last.rig, last.problem, used, last.estimate, last.fitted, every)
+    if not changed:
+        return last
+    seen = {key_of(p) for p in last.fitted}
+    fitted = [p for p in every if key_of(p) in seen or friction_of(p.path) in changed]
+    return _better(job, last, now, fitted)
 
 
 def _at_known_scale(job: Job, last: Taken) -> Taken:
@@ -70,10 +84,10 @@ def _far_ones_back(job: Job, last: Taken) -> Taken:
     return _better(job, last, rig_at(last.rig, far, centres))
 
 
-def _better(job: Job, last: Taken, now: Rig) -> Taken:
+def _better(job: Job, last: Taken, now: Rig, fitted: list[FitParameter] | None = None) -> Taken:
     """The calibration, or what steps from another rig lead to where that is better."""
     for _ in range(STEPS_THERE):
-        there = taken(job, now, last.step, last.fitted, None)
+        there = taken(job, now, last.step, last.fitted if fitted is None else fitted, None)
         now = there.rig
         if settled(there.estimate):
             break

@@ -6,7 +6,7 @@ than the one assumed is a valley of its own; so what a spool may be is tried bef
 """
 
 import math
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from pneu_sim.rig.schema import FitParameter, Rig, Spool
 from pneu_sysid.gauss_newton import Estimate, huber_cost
-from pneu_sysid.parameters import rig_at, variables_of
 from pneu_sysid.problem import Problem
+from pneu_sysid.trials import Told, costs_of, moved
 
 Floats = NDArray[np.float64]
-Told = Callable[[int], Callable[[float], None]]
 
 BANDWIDTHS = (0.6, 1.0, 1.6)
 """Factors on the bandwidth."""
@@ -175,18 +174,12 @@ def _without_limits(
     rigs = _tried(rig, name, trials, 0.0)
     # a limit that is not there makes nothing good
     gone = np.array([p.path.startswith(f"valves.{name}.spool.max_") for p in fitted])
-    costs, amounts = _costs(rig, rigs, problem, used, estimate, told, gone)
+    costs, amounts = costs_of(rig, rigs, problem, used, estimate, told, gone)
     k = int(np.argmin(costs[1:]))
     if costs[1 + k] >= costs[0] + CHANCE:
         return None
     # with what the others make good, or the next step would lead back
-    left = [(p, a) for p, a, g in zip(fitted, amounts[1 + k], gone, strict=True) if not g]
-    variables = variables_of(rigs[k], [p for p, _ in left])
-    moved = [
-        float(np.clip(v.value + a, v.lower, v.upper))
-        for v, (_, a) in zip(variables, left, strict=True)
-    ]
-    return rig_at(rigs[k], [p for p, _ in left], np.array(moved))
+    return moved(rigs[k], fitted, amounts[1 + k], gone)
 
 
 def _may_be_limited(spool: Spool) -> bool:
@@ -218,7 +211,7 @@ def _best_limit(
     else:
         trials = [_Trial(b, speed=s) for b in FASTER for s in SPEEDS]
         trials += [_Trial(b, acceleration=a) for b in FASTER for a in ACCELERATIONS]
-    costs, _ = _costs(rig, _tried(rig, name, trials, step_v), problem, used, estimate, told)
+    costs, _ = costs_of(rig, _tried(rig, name, trials, step_v), problem, used, estimate, told)
     k = int(np.argmin(costs[1:]))
     noise = 0.5 * float(np.isfinite(problem.measured[used]).sum())
     first = not _is_limited(spool) and costs[0] > MUCH_ELSE * noise
@@ -277,26 +270,3 @@ def _spool(given: Spool, trial: _Trial, step_v: float) -> Spool:
 def _with(rig: Rig, valve: str, spool: Spool) -> Rig:
     valves = {**rig.valves, valve: rig.valves[valve].model_copy(update={"spool": spool})}
     return rig.model_copy(update={"valves": valves})
-
-
-def _costs(
-    rig: Rig,
-    trials: list[Rig],
-    problem: Problem,
-    used: NDArray[np.bool_],
-    estimate: Estimate,
-    told: Told | None,
-    gone: NDArray[np.bool_] | None = None,
-) -> tuple[Floats, Floats]:
-    """(1 + n,) cost of the rig and of each trial after what (1 + n, P) amounts make good.
-
-    ``gone`` are (P,) the variables that the rig has and its trials lack.
-    """
-    rigs = [rig, *trials]
-    tell = None if told is None else told(len(rigs))
-    out = problem.simulate(rigs, progress=tell, strict=False).readings
-    r = np.nan_to_num(problem.residual(out), nan=1e4, posinf=1e4, neginf=-1e4)
-    r = r.reshape(len(rigs), problem.stretches, -1)[:, used]
-    amounts = -np.concatenate([estimate.amounts(r[:1]), estimate.amounts(r[1:], gone)])
-    left = r + np.einsum("smp,kp->ksm", estimate.jacobian, amounts)
-    return np.array([0.5 * float(np.sum(one**2)) for one in left]), amounts

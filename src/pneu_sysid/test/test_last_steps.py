@@ -52,7 +52,7 @@ def test_what_is_far_off_is_looked_at_anew_from_where_it_was_known_to_be(there: 
     )
     last = taken(job, with_parameters(known, VALLEY), step, few, None)
     assert get_parameter(last.rig, VOLUME) > FAR * far.std  # from where steps do not lead out
-    end = ended(job, last)
+    end = ended(job, last, few)
     ends = get_parameter(last.rig, VOLUME) if there else 0.0
     assert get_parameter(end.rig, VOLUME) == pytest.approx(ends, abs=0.3 * far.std)
     true = get_parameter(plant, EXHAUST)

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Breakaway friction that was fitted away comes back, and what is right stays."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studies.experiments import plants
+from studies.experiments.calibrations import with_encoders
+
+from pneu_sim.rig import load_rig
+from pneu_sim.rig.parameters import get_parameter, with_parameters
+from pneu_sysid.design.limits import limits_of
+from pneu_sysid.fit import parameters_of
+from pneu_sysid.friction_starts import try_friction
+from pneu_sysid.observed.noise import with_noise
+from pneu_sysid.parameters import variables_of
+from pneu_sysid.problem import make_problem
+from pneu_sysid.stages import take
+
+ROOT = Path(__file__).resolve().parents[3]
+FRICTION = "cylinders.forearm.friction"
+BREAKAWAY, SPEED = f"{FRICTION}.breakaway_n", f"{FRICTION}.stribeck_m_s"
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_breakaway_that_was_fitted_away_comes_back(lost: bool) -> None:
+    known = with_encoders(load_rig(ROOT / "rigs" / "rig_j.yaml"))
+    known = with_noise(known, dict.fromkeys(known.taps, 250.0))
+    true = with_parameters(known, {BREAKAWAY: 6.0, SPEED: 0.004})
+    volts = plants.random_volts(known, limits_of(known), 3.0, 2)
+    recording = plants.record(true, volts, "sticks", 1)
+    every = [p for p in parameters_of(known) if p.path.startswith(FRICTION)]
+    # lasting to five times the speed, breakaway is too much; without it nothing shows the speed
+    begun = with_parameters(true, {BREAKAWAY: 0.2, SPEED: 0.02}) if lost else true
+    fitted = [p for p in every if not lost or p.path != SPEED]
+    problem = make_problem(begun, [recording])
+    used = np.ones(problem.stretches, dtype=bool)
+    variables = variables_of(begun, fitted)
+    centres = {(p.path, p.recording): v.value for p, v in zip(fitted, variables, strict=True)}
+    rig, estimate, _ = take(begun, problem, fitted, centres, used, 2, False)
+    if lost:
+        assert get_parameter(rig, BREAKAWAY) < 3.0  # slopes do not lead back
+    now, changed = try_friction(rig, problem, used, estimate, fitted, every)
+    assert changed == ({"forearm"} if lost else set())
+    if lost:
+        assert 0.5 < get_parameter(now, SPEED) / 0.004 < 2.0
+        assert 0.5 < get_parameter(now, BREAKAWAY) / 6.0 < 2.0
+    else:
+        assert now is rig
