@@ -189,7 +189,7 @@ def fit_rig(
         mirrors=mirrors_of(rig),
     )
     last: Taken | None = None
-    now = drawn
+    now, begun = drawn, {key_of(p): p for p in every}
     unseen: set[Key] = set()
     for step in steps:
         if step.again and last is not None and settled(last.estimate) and not last.back:
@@ -227,6 +227,8 @@ def fit_rig(
         job.work.finish(step)
     assert last is not None
     free = [p for p in every if p.path not in held and p.path not in measured]
+    # within the bounds of the datasheet: a list made on the way has some about where it then was
+    free = [begun.get(key_of(p), p) for p in free]
     return _outcome(job, every, held, ended(job, last, free))
 
 
