@@ -226,9 +226,8 @@ def fit_rig(
         now = last.rig
         job.work.finish(step)
     assert last is not None
-    free = [p for p in every if p.path not in held and p.path not in measured]
     # within the bounds of the datasheet: a list made on the way has some about where it then was
-    free = [begun.get(key_of(p), p) for p in free]
+    free = [begun.get(key_of(p), p) for p in every if p.path not in held and p.path not in measured]
     return _outcome(job, every, held, ended(job, last, free))
 
 

@@ -14,15 +14,12 @@ from pneu_sim.rig.parameters import get_parameter, with_parameters
 from pneu_sim.rig.schema import FitParameter, Rig
 from pneu_sysid.gauss_newton import Estimate
 from pneu_sysid.problem import Problem
-from pneu_sysid.trials import costs_of, moved
+from pneu_sysid.trials import CHANCE, costs_of, moved
 
 SPEEDS = (2.0, 1.0, 0.5, 0.25, 0.125)
 """Stribeck speeds, in parts of what it was."""
 BREAKAWAYS = (0.25, 0.5, 1.0, 2.0)
 """Breakaway friction, in parts of the Coulomb friction that it comes on top of."""
-CHANCE = 15.0
-"""The best trial has to take away so much of the cost: of twenty that are no better one in twenty
-takes away 9, were the noise white (half of a chi-squared of two degrees)."""
 NUMBERS = ("breakaway_n", "stribeck_m_s")
 
 

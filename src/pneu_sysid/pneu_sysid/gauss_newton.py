@@ -34,10 +34,11 @@ PROBE = 0.1
 """The residual is looked at after this part of a step, to see how it bends."""
 MOST_BENT = 0.75
 """Twice the bend is at most this part of the step; a longer bend is not to be trusted."""
-HALF_FORECAST, PARTS = 0.5, (0.5, 0.25, 0.1)
-"""Where no step gains so much of the forecast, and none what is worth another, so much of the least
-damped one is tried: damping shortens a step along what data hardly show before it shortens what
-bends, be that a number that nothing else depends on."""
+FAR_FROM_FORECAST = 0.5
+"""Where no step gains so much of the forecast, nor what is worth another, ..."""
+PARTS = (0.5, 0.25, 0.1)
+"""... so much of the least damped one is tried: damping shortens a step along what data hardly show
+before it shortens what bends, be that a number that nothing else depends on."""
 CANCELS = 0.05
 """Columns of a Jacobian are wrong by some hundredths: a combination of variables whose columns
 cancel to less than this share tells more of those errors than of itself, ..."""
@@ -345,7 +346,7 @@ def minimise(
                 trials, found = [*trials, *bent], np.concatenate([found, residuals(bent)])
                 costs += [total(found[k], trials[k]) for k in range(len(steps), len(trials))]
             won = cost - np.nanmin(costs)
-            if x.size > FEW and won < min(tolerance * cost, HALF_FORECAST * forecast):
+            if x.size > FEW and won < min(tolerance * cost, FAR_FROM_FORECAST * forecast):
                 parts = [x + part * (trials[0] - x) for part in PARTS]
                 found = np.concatenate([found, residuals(parts)])
                 trials = [*trials, *parts]
@@ -353,7 +354,8 @@ def minimise(
             best = int(np.nanargmin(costs))
             gain = (cost - costs[best]) / max(cost, 1e-300)
             if gain > 0.0:
-                best_damping = dampings[0 if best >= 2 * len(steps) else best % len(steps)]
+                # steps, then the same bent, then parts of the least damped one
+                best_damping = dampings[best % len(steps) if best < 2 * len(steps) else 0]
                 break
         if gain > 0.0:
             j = _secant(j, found[best] - r, (trials[best] - x) / span, span)

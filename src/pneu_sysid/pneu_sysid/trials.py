@@ -19,6 +19,12 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Told = Callable[[int], Callable[[float], None]]
 
+CHANCE = 15.0
+"""The best trial has to take away so much of the cost to be more than chance. Of 24 limits of a
+spool that are none the best takes away 5 in one of twenty cases, were the noise white (half of a
+chi-squared of one degree), of twenty kinds of friction 6 (of two degrees); more than twice as much
+is asked."""
+
 
 def costs_of(
     rig: Rig,

@@ -45,6 +45,8 @@ def test_breakaway_that_was_fitted_away_comes_back(lost: bool) -> None:
         assert now is rig
         return
     assert get_parameter(rig, BREAKAWAY) < 3.0  # slopes do not lead back
-    end, _, _ = take(now, problem, every, centres, used, 4, False)
-    assert 0.003 < get_parameter(end, SPEED) < 0.007  # of 0.02
-    assert get_parameter(end, BREAKAWAY) == pytest.approx(6.0, abs=2.0)  # of 0.2
+    # the way there is open again; of these few numbers alone steps stop short of its end, where
+    # those from the truth stay (6.0 at 0.0040), with presliding at its bound
+    end = take(now, problem, every, centres, used, 4, False)[0]
+    assert 0.003 < get_parameter(end, SPEED) < 0.007
+    assert 4.0 < get_parameter(end, BREAKAWAY) < 8.0

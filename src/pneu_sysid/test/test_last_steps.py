@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studies.experiments import plants
+from tests.fit_jobs import job_of
 
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.parameters import get_parameter, with_parameters
 from pneu_sysid.design.limits import limits_of
 from pneu_sysid.fit import parameters_of
-from pneu_sysid.fit_step import Job, key_of, taken
+from pneu_sysid.fit_step import taken
 from pneu_sysid.last_steps import FAR, ended
 from pneu_sysid.observed.noise import with_noise
-from pneu_sysid.parameters import variables_of
-from pneu_sysid.stages import Step, Work
+from pneu_sysid.stages import Step
 
 ROOT = Path(__file__).resolve().parents[3]
 VOLUME = "pipes.exhaust_tube.volume_from_m3"
@@ -39,17 +39,7 @@ def test_what_is_far_off_is_looked_at_anew_from_where_it_was_known_to_be(there: 
     (far,) = [p for p in few if p.path == VOLUME]
     assert far.std is not None
     step = Step("all", known.grid.dx_m, None, 4)
-    job = Job(
-        recordings=[recording],
-        given=True,
-        hold_out=False,
-        robust=False,
-        workers=None,
-        work=Work.of_steps([(step, 1.0, len(few), 1)], lambda *told: None),
-        centres={key_of(p): v.value for p, v in zip(few, variables_of(known, few), strict=True)},
-        measured={},
-        mirrors={},
-    )
+    job = job_of(known, recording, few, step)
     last = taken(job, with_parameters(known, VALLEY), step, few, None)
     assert get_parameter(last.rig, VOLUME) > FAR * far.std  # from where steps do not lead out
     end = ended(job, last, few)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from studies.experiments import plants
 from studies.experiments.calibrations import with_encoders
+from tests.fit_jobs import job_of
 
 from pneu_sim.bodies.kokoro import Kokoro
 from pneu_sim.rig import load_rig
@@ -13,10 +14,9 @@ from pneu_sim.rig.parameters import get_parameter, with_parameters
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.design.limits import limits_of
 from pneu_sysid.fit import parameters_of
-from pneu_sysid.fit_step import Job, key_of, taken
+from pneu_sysid.fit_step import taken
 from pneu_sysid.observed.noise import with_noise
-from pneu_sysid.parameters import variables_of
-from pneu_sysid.stages import Step, Work
+from pneu_sysid.stages import Step
 
 ROOT = Path(__file__).resolve().parents[3]
 PIVOT, CRANK = "bodies.arm.slider.pivot_m", "bodies.arm.slider.crank_m"
@@ -58,17 +58,7 @@ def test_a_joint_that_is_too_large_as_a_whole_comes_back() -> None:
     recording = plants.record(known, volts, "short", 1)
     few = [p for p in parameters_of(known) if p.path.endswith((*GROW, "dead_volume_m3"))]
     step = Step("all", known.grid.dx_m, None, 4, along=True)
-    job = Job(
-        recordings=[recording],
-        given=True,
-        hold_out=False,
-        robust=False,
-        workers=None,
-        work=Work.of_steps([(step, 1.0, len(few), 1)], lambda *told: None),
-        centres={key_of(p): v.value for p, v in zip(few, variables_of(known, few), strict=True)},
-        measured={},
-        mirrors={},
-    )
+    job = job_of(known, recording, few, step)
     found = taken(job, larger(known, 1.015), step, few, None)
     errors = dict(zip([p.path for p in few], found.estimate.std_errors, strict=True))
     for path in (PIVOT, CRANK):
