@@ -13,7 +13,7 @@ from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import Calibration, FitParameter, Rig
 from pneu_sysid.cells import error_of_cells, words_on_cells
 from pneu_sysid.curves import mirrors_of, with_own_curves
-from pneu_sysid.fit_step import Job, Key, Taken, key_of, spread_of, taken
+from pneu_sysid.fit_step import Job, Key, Taken, key_of, taken
 from pneu_sysid.gauss_newton import Estimate, jacobian
 from pneu_sysid.last_steps import ended
 from pneu_sysid.parameters import (
@@ -184,12 +184,12 @@ def fit_rig(
         robust=robust,
         workers=workers,
         work=_work(drawn, steps, recordings, len(every), progress),
-        centres=dict(zip(map(key_of, every), _inner(every, start_of(drawn, every)), strict=True)),
         measured=measured,
         mirrors=mirrors_of(rig),
     )
+    every = _as_known(job, drawn, every)
     last: Taken | None = None
-    now, begun = drawn, {key_of(p): p for p in every}
+    now = drawn
     unseen: set[Key] = set()
     for step in steps:
         if step.again and last is not None and settled(last.estimate) and not last.back:
@@ -216,18 +216,18 @@ def fit_rig(
         after = taken(job, now, step, fitted, last)
         used = job.used(after.problem)
         if last is not None and limits_missed(last.rig, after.rig, after.problem, used):
-            now, every = last.rig, _list_of(last.rig, given, recordings)[0]
+            now = last.rig
+            every = _as_known(job, now, _list_of(now, given, recordings)[0])
             job.work.finish(step)
             continue
         last = after
         if not step.slow:
-            last, hidden = _brought_back(job, last, _unseen(last.fitted, last.estimate))
+            last, hidden = _brought_back(job, last, _unseen(job, last.fitted, last.estimate))
             unseen |= hidden
         now = last.rig
         job.work.finish(step)
     assert last is not None
-    # within the bounds of the datasheet: a list made on the way has some about where it then was
-    free = [begun.get(key_of(p), p) for p in every if p.path not in held and p.path not in measured]
+    free = [p for p in every if p.path not in held and p.path not in measured]
     return _outcome(job, every, held, ended(job, last, free))
 
 
@@ -306,19 +306,24 @@ def _tried(
         problem = problem_of(rig, job.recordings, step, job.workers)
         rig = try_spools(rig, problem, done, told)
     every, _ = _list_of(rig, [], job.recordings)
-    for p, value in zip(every, _inner(every, start_of(rig, every)), strict=True):
-        job.centres.setdefault(key_of(p), value)
-    return rig, every
+    return rig, _as_known(job, rig, every)
 
 
-def _unseen(fitted: list[FitParameter], estimate: Estimate) -> set[Key]:
+def _as_known(job: Job, rig: Rig, listed: list[FitParameter]) -> list[FitParameter]:
+    """Parameters with the bounds and spreads that they were first listed with.
+
+    A list made on the way has them about where the numbers then are. New ones are kept in the job.
+    """
+    for p, value in zip(listed, _inner(listed, start_of(rig, listed)), strict=True):
+        if key_of(p) not in job.known:
+            job.known[key_of(p)], job.centres[key_of(p)] = p, value
+    return [job.known[key_of(p)] for p in listed]
+
+
+def _unseen(job: Job, fitted: list[FitParameter], estimate: Estimate) -> set[Key]:
     """Parameters whose whole uncertainty would not move the predictions by one noise deviation."""
     norms = np.sqrt(np.einsum("smp,smp->p", estimate.jacobian, estimate.jacobian))
-    return {
-        key_of(p)
-        for p, norm, value in zip(fitted, norms, estimate.values, strict=True)
-        if norm * spread_of(p, float(value)) < 1.0
-    }
+    return {key_of(p) for p, norm in zip(fitted, norms, strict=True) if norm * job.spread(p) < 1.0}
 
 
 def _brought_back(job: Job, last: Taken, hidden: set[Key]) -> tuple[Taken, set[Key]]:
@@ -461,8 +466,7 @@ def _held_change(
     )
     at = np.array([v.value for v in variables])
     _, j = jacobian(residuals, at, variables)
-    spread = [spread_of(p, float(value)) for p, value in zip(kept, at, strict=True)]
-    return np.moveaxis(j, -1, 0) * np.array(spread)[:, None, None]
+    return np.moveaxis(j, -1, 0) * np.array([job.spread(p) for p in kept])[:, None, None]
 
 
 def _strangers(problem: Problem, readings: Floats) -> list[str]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a calibration goes by from step to step, and one step of it taken."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pneu_sim.rig.schema import FitParameter, Rig
 from pneu_sysid.curves import Bends, Mirrors
 from pneu_sysid.gauss_newton import Estimate
+from pneu_sysid.parameters import std_inside
 from pneu_sysid.problem import Problem
 from pneu_sysid.records import Recording
 from pneu_sysid.stages import WORKS, Step, Work, problem_of, runs_of, take, weight_of
@@ -31,9 +32,11 @@ class Job:
         robust: Whether outliers weigh less.
         workers: Threads of a batch.
         work: How much is done.
-        centres: Centre of the prior of each parameter; those that come up on the way are added.
         measured: Standard errors of the numbers of spools that were fitted to their positions.
         mirrors: Opening curves that the file calls mirrors of others.
+        known: Each parameter as it was first listed, with its bounds and its spread; those that
+            come up on the way are added.
+        centres: Centre of the prior of each, likewise.
     """
 
     recordings: list[Recording]
@@ -42,9 +45,10 @@ class Job:
     robust: bool
     workers: int | None
     work: Work
-    centres: dict[Key, float]
     measured: dict[str, float | None]
     mirrors: Mirrors
+    known: dict[Key, FitParameter] = field(default_factory=dict)
+    centres: dict[Key, float] = field(default_factory=dict)
 
     def used(self, problem: Problem) -> Mask:
         """(n_stretches,) stretches that are fitted.
@@ -61,7 +65,16 @@ class Job:
             p: The parameter.
             value: Where it is.
         """
-        return (value - self.centres[key_of(p)]) / spread_of(p, value)
+        return (value - self.centres[key_of(p)]) / self.spread(p)
+
+    def spread(self, p: FitParameter) -> float:
+        """How uncertain a parameter is beforehand, in the unit that it is estimated in.
+
+        Args:
+            p: The parameter.
+        """
+        span = float(np.log(p.upper / p.lower)) if p.log else p.upper - p.lower
+        return span if p.std is None else min(span, std_inside(p, self.centres[key_of(p)]))
 
 
 @dataclass(frozen=True)
@@ -172,16 +185,3 @@ def key_of(p: FitParameter) -> Key:
         p: The parameter.
     """
     return p.path, p.recording
-
-
-def spread_of(p: FitParameter, value: float) -> float:
-    """How uncertain a parameter is beforehand, in the unit that it is estimated in.
-
-    Args:
-        p: The parameter.
-        value: Where it is.
-    """
-    if p.log:
-        span = float(np.log(p.upper / p.lower))
-        return span if p.std is None else min(span, p.std / float(np.exp(value)))
-    return p.upper - p.lower if p.std is None else min(p.upper - p.lower, p.std)

@@ -257,7 +257,7 @@ def variables_of(rig: Rig, parameters: list[FitParameter]) -> list[Variable]:
                     lower=float(np.log(p.lower)),
                     upper=float(np.log(p.upper)),
                     step=STEP_FRACTION,
-                    std=p.std / value if p.std is not None else np.inf,
+                    std=std_inside(p, float(np.log(value))),
                 )
             )
         else:
@@ -268,10 +268,25 @@ def variables_of(rig: Rig, parameters: list[FitParameter]) -> list[Variable]:
                     lower=p.lower,
                     upper=p.upper,
                     step=STEP_FRACTION * (p.upper - p.lower),
-                    std=p.std if p.std is not None else np.inf,
+                    std=std_inside(p, value),
                 )
             )
     return out
+
+
+def std_inside(p: FitParameter, centre: float) -> float:
+    """What a parameter is uncertain by, as it is estimated: of a logarithm, relative to a centre.
+
+    Args:
+        p: The parameter.
+        centre: What was known of it beforehand; a logarithm where the parameter is logarithmic.
+
+    Returns:
+        One standard deviation; infinite where nothing was known.
+    """
+    if p.std is None:
+        return np.inf
+    return p.std / float(np.exp(centre)) if p.log else p.std
 
 
 def rig_at(rig: Rig, parameters: list[FitParameter], x: np.ndarray) -> Rig:

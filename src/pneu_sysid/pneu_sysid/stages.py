@@ -21,7 +21,7 @@ from pneu_sim.rig.schema import FitParameter, Rig
 from pneu_sysid.bends import bends_told
 from pneu_sysid.curves import Bends, Mirrors, curve_ties
 from pneu_sysid.gauss_newton import DAMPINGS, Estimate, Variable, minimise
-from pneu_sysid.parameters import rig_at, variables_of
+from pneu_sysid.parameters import rig_at, std_inside, variables_of
 from pneu_sysid.problem import Problem, make_problem, pull_of
 from pneu_sysid.records import Recording
 
@@ -403,10 +403,11 @@ def centred(
         parameters: What is estimated.
         centres: Centre by path and recording.
     """
-    return [
-        replace(v, centre=centres[p.path, p.recording])
-        for v, p in zip(variables_of(rig, parameters), parameters, strict=True)
-    ]
+    out = []
+    for v, p in zip(variables_of(rig, parameters), parameters, strict=True):
+        centre = centres[p.path, p.recording]
+        out.append(replace(v, centre=centre, std=std_inside(p, centre)))
+    return out
 
 
 def take(

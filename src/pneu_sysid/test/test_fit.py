@@ -211,7 +211,7 @@ def test_a_bound_is_told_unless_nothing_lies_beyond_it() -> None:
 
 
 @pytest.fixture(scope="module")
-def calibrated() -> tuple[Rig, Recording, FitOutcome]:
+def calibrated() -> tuple[Rig, Recording, FitOutcome, Rig]:
     """A rig with a slow spool and curves that differ, known from a datasheet, calibrated."""
     rng = np.random.default_rng(4)
     truth = with_own_curves(coarse("line", rng))
@@ -235,15 +235,15 @@ def calibrated() -> tuple[Rig, Recording, FitOutcome]:
     # what the recordings hardly show costs time here
     datasheet.fit.drop = ["pipes.*", "*.laminar_*", "*.jet_loss", "*.inlet_head", "reservoirs.*"]
     recordings = [record(truth, rng, 250.0, 6.0, moving=False, name=f"run_{k}") for k in (1, 2)]
-    return truth, recordings[1], fit_rig(datasheet, recordings[0])
+    return truth, recordings[1], fit_rig(datasheet, recordings[0]), datasheet
 
 
 @pytest.mark.long
 def test_a_datasheet_becomes_a_calibration(
-    calibrated: tuple[Rig, Recording, FitOutcome],
+    calibrated: tuple[Rig, Recording, FitOutcome, Rig],
 ) -> None:
     """It is as good as the truth on a recording kept aside, though its file knew of no limit."""
-    truth, aside, outcome = calibrated
+    truth, aside, outcome, _ = calibrated
 
     def times_noise(rig: Rig) -> np.ndarray:
         problem = make_problem(rig, aside)
@@ -291,8 +291,20 @@ def test_what_nothing_shows_where_it_was_driven_is_brought_back() -> None:
     assert rig is true
 
 
-def test_warnings_are_three_lines_at_most(calibrated: tuple[Rig, Recording, FitOutcome]) -> None:
+def test_warnings_are_three_lines_at_most(
+    calibrated: tuple[Rig, Recording, FitOutcome, Rig],
+) -> None:
     assert len(calibrated[2].warnings) <= 4  # three on parameters, one on what was not visited
+
+
+def test_what_was_known_beforehand_stays_that(
+    calibrated: tuple[Rig, Recording, FitOutcome, Rig],
+) -> None:
+    """A list made on the way, as the spool got a limit, keeps the bounds of the datasheet."""
+    _, _, outcome, datasheet = calibrated
+    found = {p.path: p.model_copy(update={"std_error": None}) for p in outcome.parameters}
+    assert any(".spool.max_" in path for path in found)
+    assert [found[p.path] for p in parameters_of(datasheet)] == parameters_of(datasheet)
 
 
 @pytest.mark.long
