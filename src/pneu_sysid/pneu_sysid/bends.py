@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sysid.curves import Bends, Ties
-from pneu_sysid.gauss_newton import Estimate, Variable
+from pneu_sysid.gauss_newton import Estimate
+from pneu_sysid.slopes import Variable
 
 Floats = NDArray[np.float64]
 

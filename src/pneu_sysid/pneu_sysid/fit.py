@@ -14,7 +14,7 @@ from pneu_sim.rig.schema import Calibration, FitParameter, Rig
 from pneu_sysid.cells import error_of_cells, words_on_cells
 from pneu_sysid.curves import mirrors_of, with_own_curves
 from pneu_sysid.fit_step import Job, Key, Taken, key_of, taken
-from pneu_sysid.gauss_newton import Estimate, jacobian
+from pneu_sysid.gauss_newton import Estimate
 from pneu_sysid.last_steps import ended
 from pneu_sysid.parameters import (
     estimated_parameters,
@@ -27,6 +27,7 @@ from pneu_sysid.problem import Problem, make_problem
 from pneu_sysid.records import Recording
 from pneu_sysid.sensor_units import apart
 from pneu_sysid.shortfall import ENOUGH, Shortfall, effects_that_help, shortfall_of
+from pneu_sysid.slopes import jacobian
 from pneu_sysid.spool_position import fit_spools
 from pneu_sysid.spool_starts import limits_missed, try_limits, try_spools
 from pneu_sysid.stages import (

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.candidates import residual_matrix
-from pneu_sysid.gauss_newton import jacobian
 from pneu_sysid.parameters import default_parameters, one_each, rig_at, variables_of
 from pneu_sysid.problem import Problem
+from pneu_sysid.slopes import jacobian
 from pneu_sysid.standing import is_own
 
 Floats = NDArray[np.float64]

@@ -9,8 +9,8 @@ from pneu_common.errors import InputError
 from pneu_sim.models import kind_of
 from pneu_sim.rig.parameters import each_that_differs, get_parameter, value_of, with_parameters
 from pneu_sim.rig.schema import CLOSED, FitParameter, Rig
-from pneu_sysid.gauss_newton import Variable
 from pneu_sysid.moving_parameters import moving_parameters
+from pneu_sysid.slopes import Variable
 
 STEP_FRACTION = 2e-3
 """Difference step as a fraction of the range (of the value, for a logarithmic parameter)."""

@@ -13,9 +13,10 @@ from pneu_sim.rig import with_parameters
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.candidates import Project, Score, residual_matrix
 from pneu_sysid.evidence import lead, share_explained
-from pneu_sysid.gauss_newton import Estimate, Variable, huber_cost, minimise
+from pneu_sysid.gauss_newton import Estimate, huber_cost, minimise
 from pneu_sysid.problem import Problem
 from pneu_sysid.sites import Site
+from pneu_sysid.slopes import Variable
 from pneu_sysid.stages import residual_function
 from pneu_sysid.thresholds import Thresholds
 

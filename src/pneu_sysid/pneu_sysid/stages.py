@@ -20,10 +20,11 @@ from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import FitParameter, Rig
 from pneu_sysid.bends import bends_told
 from pneu_sysid.curves import Bends, Mirrors, curve_ties
-from pneu_sysid.gauss_newton import DAMPINGS, Estimate, Variable, minimise
+from pneu_sysid.gauss_newton import DAMPINGS, Estimate, minimise
 from pneu_sysid.parameters import rig_at, std_inside, variables_of
 from pneu_sysid.problem import Problem, make_problem, pull_of
 from pneu_sysid.records import Recording
+from pneu_sysid.slopes import Variable
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -6,7 +6,8 @@ import pytest
 
 from pneu_sysid.bends import STRAIGHTEST, bends_told
 from pneu_sysid.curves import Bends, Ties
-from pneu_sysid.gauss_newton import Estimate, Variable, minimise
+from pneu_sysid.gauss_newton import Estimate, minimise
+from pneu_sysid.slopes import Variable
 
 POINTS, SEEN = 40, 30
 

@@ -8,7 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pneu_sysid import gauss_newton
-from pneu_sysid.gauss_newton import Residuals, Variable, jacobian, looked_along, minimise
+from pneu_sysid.gauss_newton import minimise
+from pneu_sysid.slopes import Residuals, Variable, jacobian, looked_along
 
 Floats = NDArray[np.float64]
 

@@ -19,10 +19,10 @@ from pneu_sysid.cells import own_share, weights_of
 from pneu_sysid.curves import Mirrors, curve_ties
 from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.evidence import blocks_of
-from pneu_sysid.gauss_newton import Variable, looked_along
 from pneu_sysid.parameters import one_each, rig_at, variables_of
 from pneu_sysid.problem import Problem
 from pneu_sysid.refits import effect_variables
+from pneu_sysid.slopes import Variable, looked_along
 from pneu_sysid.thresholds import Thresholds
 
 Floats = NDArray[np.float64]
@@ -203,7 +203,7 @@ def information_of(
         mirrors: Opening curves that are about the mirrors of others.
         progress: Called with the fraction done.
         along: Whether what the recording hardly shows of the numbers is looked along, as a fit
-            does (`gauss_newton.looked_along`).
+            does (`slopes.looked_along`).
     """
     listed = one_each(list(parameters), [r.name for r in problem.recordings])
     variables = variables_of(rig, listed) if listed else []

@@ -13,8 +13,8 @@ import numpy as np
 
 from pneu_sim.rig.schema import FitParameter, Rig
 from pneu_sysid.curves import Mirrors, curve_ties
-from pneu_sysid.gauss_newton import Variable
 from pneu_sysid.parameters import rig_at, variables_of
+from pneu_sysid.slopes import Variable
 
 
 @dataclass(frozen=True)

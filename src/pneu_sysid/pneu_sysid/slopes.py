@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How residuals change with each variable of an estimation, and along what they hardly show."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Residuals = Callable[[Sequence[Floats]], Floats]
+"""Maps K parameter vectors to (K, n_clusters, m) residuals in one batched call."""
+
+CANCELS = 0.05
+"""Columns of a Jacobian are wrong by some hundredths: a combination of variables whose columns
+cancel to less than this share tells more of those errors than of itself, ..."""
+MOST_ALONG = 16
+"""... and so many of them, the weakest, are looked along for themselves, ..."""
+ROUNDS = 2
+"""... so often at most: what is weakest is seen better once that is better known."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A quantity to estimate.
+
+    Attributes:
+        name: Its name.
+        value: Start value.
+        lower: Lower bound.
+        upper: Upper bound.
+        step: Difference step.
+        std: Standard deviation of the prior; inf for none.
+        centre: Centre of the prior; None is the start value.
+    """
+
+    name: str
+    value: float
+    lower: float
+    upper: float
+    step: float
+    std: float = np.inf
+    centre: float | None = None
+
+    @property
+    def known_std(self) -> float:
+        """How well it is known beforehand: the prior's deviation, the range where that is less."""
+        return min(self.std, self.upper - self.lower)
+
+
+def jacobian(
+    residuals: Residuals, x: Floats, variables: Sequence[Variable], known: Floats | None = None
+) -> tuple[Floats, Floats]:
+    """Residuals and their forward-difference Jacobian, in one batched call.
+
+    Args:
+        residuals: Batched residual function.
+        x: (P,) point.
+        variables: Steps and bounds; a step that would leave the bounds is taken the other way.
+        known: (n_clusters, m) residuals at the point, where they were computed before.
+
+    Returns:
+        (n_clusters, m) residuals and (n_clusters, m, P) Jacobian.
+    """
+    points = [x] if known is None else []
+    steps = []
+    for k, v in enumerate(variables):
+        h = v.step if x[k] + v.step <= v.upper else -v.step
+        y = x.copy()
+        y[k] += h
+        points.append(y)
+        steps.append(h)
+    r = residuals(points)
+    here, there = (r[0], r[1:]) if known is None else (known, r)
+    return here, np.stack([(there[k] - here) / h for k, h in enumerate(steps)], axis=-1)
+
+
+def looked_along(
+    residuals: Residuals, x: Floats, j: Floats, variables: Sequence[Variable]
+) -> Floats:
+    """A Jacobian that is right along the combinations of variables that residuals hardly show.
+
+    Where a rig that is larger as a whole has the same pressures, the columns of all its sizes
+    cancel but for their own errors: differences over a finite step, secants. That looks like
+    information, a hundred times what there is: the prior no longer holds such a combination, and
+    its standard error is told far too small. So central differences are taken along these.
+
+    Args:
+        residuals: Batched residual function.
+        x: (P,) point.
+        j: (n_clusters, m, P) Jacobian there.
+        variables: What is known beforehand, bounds and steps.
+    """
+    known = np.array([v.known_std for v in variables])
+    step = np.array([v.step for v in variables])
+    room = np.array([min(v.upper - a, a - v.lower) for v, a in zip(variables, x, strict=True)])
+    free = np.flatnonzero(room >= step)
+    for _ in range(ROUNDS):
+        weak = _weak(j.reshape(-1, x.size)[:, free] * known[free])
+        if not weak.size:
+            break
+        moves = np.zeros((weak.shape[1], x.size))
+        moves[:, free] = weak.T
+        # no variable farther than in a difference of its own
+        lengths = np.min(step / np.maximum(np.abs(moves) * known, 1e-300), axis=1)
+        ends = [
+            x + sign * length * move * known
+            for move, length in zip(moves, lengths, strict=True)
+            for sign in (1.0, -1.0)
+        ]
+        found = residuals(ends)
+        changes = (found[::2] - found[1::2]) / (2.0 * lengths[:, None, None])
+        missed = changes - np.einsum("smp,kp->ksm", j, moves * known)
+        j = j + np.einsum("ksm,kp->smp", missed, moves / known)
+        if np.einsum("ksm,ksm->k", missed, missed).max() < 1.0:
+            break  # less than what is known beforehand
+    return j
+
+
+def _weak(columns: Floats) -> Floats:
+    """(P, K) orthonormal combinations of columns that nearly cancel, the weakest first."""
+    if columns.shape[1] < 2:
+        return np.zeros((columns.shape[1], 0))
+    squares, ways = np.linalg.eigh(columns.T @ columns)
+    alone = np.linalg.norm(np.linalg.norm(columns, axis=0)[:, None] * ways, axis=0)
+    cancel = np.sqrt(np.maximum(squares, 0.0)) < CANCELS * alone
+    return np.asarray(ways[:, np.flatnonzero(cancel)[:MOST_ALONG]])
