@@ -52,6 +52,7 @@ class Kokoro(Body):
         "mass_kg": 0.2,
         "slider.pivot_m": 0.005,
         "slider.crank_m": 0.005,
+        "slider.closed_length_m": 0.005,
     }
     loaded: ClassVar[tuple[str, ...]] = ("theta",)
     off_centre: ClassVar[tuple[str, ...]] = ("theta",)
