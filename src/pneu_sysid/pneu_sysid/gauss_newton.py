@@ -143,6 +143,7 @@ def minimise(
     secants: int = 0,
     slope: Floats | None = None,
     along: bool = False,
+    both: bool = False,
 ) -> Estimate:
     """Minimises the sum of squared residuals plus a Gaussian prior, within bounds.
 
@@ -166,6 +167,7 @@ def minimise(
             it.
         along: Whether what residuals hardly show is looked along (`looked_along`), wherever the
             Jacobian is computed and at the end.
+        both: Whether the Jacobian is of differences to both sides, which kinks do not mislead.
 
     Returns:
         The estimate.
@@ -198,11 +200,11 @@ def minimise(
     scale, best_damping = 1.0, None
     history: list[float] = []
     if slope is None:
-        r, j = jacobian(residuals, x, variables)
+        r, j = jacobian(residuals, x, variables, both=both)
     else:
         r, j = residuals([x])[0], slope
     if along:
-        j = looked_along(residuals, x, j, variables)
+        j = looked_along(residuals, x, r, j, variables)
     history.append(total(r, x))
     begun = _cost(r, robust)
     left, reused = iterations - 1, 0
@@ -257,11 +259,11 @@ def minimise(
             # along a valley the cost falls by little, but by more than chance
             if not along or looks == LAST_LOOKS or (looks and gain * cost < scale**2):
                 break
-            j, looks = looked_along(residuals, x, j, variables), looks + 1
+            j, looks = looked_along(residuals, x, r, j, variables), looks + 1
             continue
-        r, j = jacobian(residuals, x, variables, r)
+        r, j = jacobian(residuals, x, variables, r, both)
         if along:
-            j = looked_along(residuals, x, j, variables)
+            j = looked_along(residuals, x, r, j, variables)
         fresh, left, reused = True, left - 1, 0
     gained = 1.0 - _cost(r, robust) / max(begun, 1e-300)
     last = linearised(_weights(r, robust))

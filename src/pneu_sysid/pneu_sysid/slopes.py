@@ -18,6 +18,8 @@ MOST_ALONG = 16
 """... and so many of them, the weakest, are looked along for themselves, ..."""
 ROUNDS = 2
 """... so often at most: what is weakest is seen better once that is better known."""
+KINK = 0.5
+"""A slope to one side that is less than so much of the mean of both is one beside a kink."""
 
 
 @dataclass(frozen=True)
@@ -49,45 +51,67 @@ class Variable:
 
 
 def jacobian(
-    residuals: Residuals, x: Floats, variables: Sequence[Variable], known: Floats | None = None
+    residuals: Residuals,
+    x: Floats,
+    variables: Sequence[Variable],
+    known: Floats | None = None,
+    both: bool = False,
 ) -> tuple[Floats, Floats]:
-    """Residuals and their forward-difference Jacobian, in one batched call.
+    """Residuals and their Jacobian by differences, in one batched call.
 
     Args:
         residuals: Batched residual function.
         x: (P,) point.
         variables: Steps and bounds; a step that would leave the bounds is taken the other way.
         known: (n_clusters, m) residuals at the point, where they were computed before.
+        both: Whether both sides are looked at (`_of_both`), of what is not at a bound.
 
     Returns:
         (n_clusters, m) residuals and (n_clusters, m, P) Jacobian.
     """
-    points = [x] if known is None else []
-    steps = []
+    points = [] if known is not None else [x]
+    sides: list[list[tuple[int, float]]] = []  # of each variable: which point, how far
     for k, v in enumerate(variables):
-        h = v.step if x[k] + v.step <= v.upper else -v.step
-        y = x.copy()
-        y[k] += h
-        points.append(y)
-        steps.append(h)
+        steps = [h for h in (v.step, -v.step) if v.lower <= x[k] + h <= v.upper] or [v.step]
+        sides.append([])
+        for h in steps if both else steps[:1]:
+            y = x.copy()
+            y[k] += h
+            sides[k].append((len(points), h))
+            points.append(y)
     r = residuals(points)
-    here, there = (r[0], r[1:]) if known is None else (known, r)
-    return here, np.stack([(there[k] - here) / h for k, h in enumerate(steps)], axis=-1)
+    here = r[0] if known is None else known
+    slopes = [[(r[k] - here) / h for k, h in of] for of in sides]
+    return here, np.stack([_of_both(*of) for of in slopes], axis=-1)
+
+
+def _of_both(one: Floats, other: Floats | None = None) -> Floats:
+    """A slope by those to either side.
+
+    Their mean; at a kink, such as a piston that comes to its cover, the lesser. The greater one
+    tells nothing of the way back, along which what it seems to show is not shown.
+    """
+    if other is None:
+        return one
+    mean = 0.5 * (one + other)
+    lesser = min((one, other), key=lambda side: float(np.linalg.norm(side)))
+    return lesser if np.linalg.norm(lesser) < KINK * np.linalg.norm(mean) else mean
 
 
 def looked_along(
-    residuals: Residuals, x: Floats, j: Floats, variables: Sequence[Variable]
+    residuals: Residuals, x: Floats, here: Floats, j: Floats, variables: Sequence[Variable]
 ) -> Floats:
     """A Jacobian that is right along the combinations of variables that residuals hardly show.
 
     Where a rig that is larger as a whole has the same pressures, the columns of all its sizes
     cancel but for their own errors: differences over a finite step, secants. That looks like
     information, a hundred times what there is: the prior no longer holds such a combination, and
-    its standard error is told far too small. So central differences are taken along these.
+    its standard error is told far too small. So differences to both sides are taken along these.
 
     Args:
         residuals: Batched residual function.
         x: (P,) point.
+        here: (n_clusters, m) residuals there.
         j: (n_clusters, m, P) Jacobian there.
         variables: What is known beforehand, bounds and steps.
     """
@@ -109,7 +133,12 @@ def looked_along(
             for sign in (1.0, -1.0)
         ]
         found = residuals(ends)
-        changes = (found[::2] - found[1::2]) / (2.0 * lengths[:, None, None])
+        changes = np.stack(
+            [
+                _of_both((ahead - here) / length, (here - behind) / length)
+                for ahead, behind, length in zip(found[::2], found[1::2], lengths, strict=True)
+            ]
+        )
         missed = changes - np.einsum("smp,kp->ksm", j, moves * known)
         j = j + np.einsum("ksm,kp->smp", missed, moves / known)
         if np.einsum("ksm,ksm->k", missed, missed).max() < 1.0:

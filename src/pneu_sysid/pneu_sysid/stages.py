@@ -42,6 +42,10 @@ UNSTABLE = 1e4
 """Residual, in noise deviations, that a simulation counts with once it is unstable."""
 SECANTS = 2
 """Steps with a Jacobian corrected by secants, for each that is computed."""
+WELL_KNOWN, SHORT = 0.01, 0.01
+"""Along what is hardly shown, what is known to better than such a fraction of its value has steps
+of such a part of that. These are lengths of linkages: 2e-3 of them drives a piston 0.3 mm into a
+cover that yields micrometres, and moves of two that leave it where it is no longer cancel."""
 SLOW_PULL_S = 0.06
 """Over so short a time a prediction is nearly linear in what flows."""
 COARSEST = 4.0
@@ -442,6 +446,9 @@ def take(
         along: Whether what the recordings hardly show is looked along.
     """
     variables = centred(rig, parameters, centres)
+    both = along and bool(rig.bodies)  # pistons come to covers, and joints to stops
+    if both:
+        variables = [replace(v, step=SHORT * v.std) if v.std < WELL_KNOWN else v for v in variables]
     estimate = minimise(
         residual_function(problem, used, partial(rig_at, rig, parameters), told),
         variables,
@@ -451,6 +458,7 @@ def take(
         secants=SECANTS,
         slope=slope,
         along=along,
+        both=both,
     )
     after = rig_at(rig, parameters, estimate.values)
     return after, estimate, bends_told(estimate, variables, curve_ties(after, parameters, mirrors))

@@ -297,8 +297,8 @@ def test_what_is_shown_is_not_looked_along() -> None:
     def never(points: Sequence[Floats]) -> Floats:
         raise AssertionError(f"{len(points)} runs")
 
-    _, j = jacobian(linear(a, y), x, variables)
-    assert looked_along(never, x, j, variables) is j
+    r, j = jacobian(linear(a, y), x, variables)
+    assert looked_along(never, x, r, j, variables) is j
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
@@ -324,3 +324,16 @@ def test_a_kink_does_not_hold_up_what_is_hardly_shown(seed: int) -> None:
     found = minimise(residuals, variables, iterations=8, along=True)
     assert np.abs(found.values[:2]).max() < 0.1  # of the 8 that they were off
     assert abs(found.values[10]) < 0.001
+
+
+def test_beside_a_kink_the_lesser_slope_counts_and_elsewhere_the_mean() -> None:
+    """What lies beyond a kink says nothing of the way back from it."""
+
+    def residuals(points: Sequence[Floats]) -> Floats:
+        return np.array([[[1e3 * max(x[0], 0.0) + x[0], x[1] ** 2, x[0] - x[1]]] for x in points])
+
+    variables = [Variable(name, 0.0, -1.0, 1.0, 1e-3) for name in ("stop", "bent")]
+    _, j = jacobian(residuals, np.zeros(2), variables, both=True)
+    assert j[0] == pytest.approx(np.array([[1.0, 0.0], [0.0, 0.0], [1.0, -1.0]]))
+    _, j = jacobian(residuals, np.array([0.0, 1.0]), variables, both=True)  # at its bound
+    assert j[0, 1, 1] == pytest.approx(2.0, abs=2e-3)

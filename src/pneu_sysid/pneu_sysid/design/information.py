@@ -245,19 +245,22 @@ def information_of(
         for k, at in enumerate(doubtful):
             alone = np.where(np.arange(len(problem.taps)) == k, np.nan_to_num(wrong), 0.0)
             columns[:, :, at] = alone.reshape(problem.stretches, -1)
-    for c, (there, here, step) in enumerate(of):
-        diff = (readings[there] - readings[here]) / (problem.noise_pa * step)
+    for c, (end, start, step) in enumerate(of):
+        diff = (readings[end] - readings[start]) / (problem.noise_pa * step)
         diff[missing] = 0.0
         columns[:, :, c] = np.nan_to_num(diff.reshape(problem.stretches, -1))
     if along and numbers:
 
+        def in_noise(found: Floats) -> Floats:
+            units = np.where(missing, 0.0, found / problem.noise_pa)
+            return np.nan_to_num(units).reshape(-1, problem.stretches, missing[0].size)
+
         def readings_at(points: Sequence[Floats]) -> Floats:
             there = [rig_at(rig, listed, y) for y in points]
-            found = problem.simulate(there, None, strict=False).readings / problem.noise_pa
-            return np.nan_to_num(np.where(missing, 0.0, found)).reshape(len(points), *shape)
+            return in_noise(problem.simulate(there, None, strict=False).readings)
 
-        shape = (problem.stretches, missing[0].size)
-        j = looked_along(readings_at, x, columns[:, :, numbers] / known, variables)
+        here = in_noise(readings[:1])[0]
+        j = looked_along(readings_at, x, here, columns[:, :, numbers] / known, variables)
         columns[:, :, numbers] = j * known
     longer = (problem.dx_m or rig.grid.dx_m) / rig.grid.dx_m
     doubt = own_share(longer) if doubtful else 1.0
