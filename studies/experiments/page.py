@@ -90,17 +90,14 @@ def page(path: Path, kept: Mapping[str, Mapping[str, Any]]) -> None:
             )
             every.append([f[way] for way in WAYS])
         if every:
-            size = min(len(of) for row in every for of in row)  # rows of before tell less
-            means = np.mean([[of[:size] for of in row] for row in every], axis=0)
-            told = " | ".join(_errors(*of) for of in means.tolist())
+            told = " | ".join(_errors(*of) for of in np.mean(every, axis=0).tolist())
             lines.append(f"| {file} | mean | | {told} | | | |")
     write_whole(path, "\n".join(lines) + "\n")
 
 
-def _errors(whole: float, middle: float, *told: float) -> str:
-    """Errors of a fit, and what it tells of them, where that was kept."""
-    words = " / {:.2f} {:.0%}".format(*told) if told else ""
-    return f"{whole:.2f} ({middle:.3f}){words}"
+def _errors(whole: float, middle: float, told: float, held: float) -> str:
+    """Errors of a fit, and what it tells of them."""
+    return f"{whole:.2f} ({middle:.3f}) / {told:.2f} {held:.0%}"
 
 
 def _found(figures: dict[str, Any]) -> str:
