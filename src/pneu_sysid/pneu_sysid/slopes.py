@@ -64,7 +64,7 @@ def jacobian(
         x: (P,) point.
         variables: Steps and bounds; a step that would leave the bounds is taken the other way.
         known: (n_clusters, m) residuals at the point, where they were computed before.
-        both: Whether both sides are looked at (`_of_both`), of what is not at a bound.
+        both: Whether both sides are looked at (`slope_of_both`), of what is not at a bound.
 
     Returns:
         (n_clusters, m) residuals and (n_clusters, m, P) Jacobian.
@@ -82,14 +82,18 @@ def jacobian(
     r = residuals(points)
     here = r[0] if known is None else known
     slopes = [[(r[k] - here) / h for k, h in of] for of in sides]
-    return here, np.stack([_of_both(*of) for of in slopes], axis=-1)
+    return here, np.stack([slope_of_both(*of) for of in slopes], axis=-1)
 
 
-def _of_both(one: Floats, other: Floats | None = None) -> Floats:
+def slope_of_both(one: Floats, other: Floats | None = None) -> Floats:
     """A slope by those to either side.
 
     Their mean; at a kink, such as a piston that comes to its cover, the lesser. The greater one
     tells nothing of the way back, along which what it seems to show is not shown.
+
+    Args:
+        one: Slope to one side, of any shape.
+        other: To the other; None where there is none.
     """
     if other is None:
         return one
@@ -135,7 +139,7 @@ def looked_along(
         found = residuals(ends)
         changes = np.stack(
             [
-                _of_both((ahead - here) / length, (here - behind) / length)
+                slope_of_both((ahead - here) / length, (here - behind) / length)
                 for ahead, behind, length in zip(found[::2], found[1::2], lengths, strict=True)
             ]
         )

@@ -21,7 +21,7 @@ from pneu_sim.rig.schema import FitParameter, Rig
 from pneu_sysid.bends import bends_told
 from pneu_sysid.curves import Bends, Mirrors, curve_ties
 from pneu_sysid.gauss_newton import DAMPINGS, Estimate, minimise
-from pneu_sysid.parameters import rig_at, std_inside, variables_of
+from pneu_sysid.parameters import in_short_steps, rig_at, std_inside, variables_of
 from pneu_sysid.problem import Problem, make_problem, pull_of
 from pneu_sysid.records import Recording
 from pneu_sysid.slopes import Variable
@@ -42,10 +42,6 @@ UNSTABLE = 1e4
 """Residual, in noise deviations, that a simulation counts with once it is unstable."""
 SECANTS = 2
 """Steps with a Jacobian corrected by secants, for each that is computed."""
-WELL_KNOWN, SHORT = 0.01, 0.01
-"""Along what is hardly shown, what is known to better than such a fraction of its value has steps
-of such a part of that. These are lengths of linkages: 2e-3 of them drives a piston 0.3 mm into a
-cover that yields micrometres, and moves of two that leave it where it is no longer cancel."""
 SLOW_PULL_S = 0.06
 """Over so short a time a prediction is nearly linear in what flows."""
 COARSEST = 4.0
@@ -448,7 +444,7 @@ def take(
     variables = centred(rig, parameters, centres)
     both = along and bool(rig.bodies)  # pistons come to covers, and joints to stops
     if both:
-        variables = [replace(v, step=SHORT * v.std) if v.std < WELL_KNOWN else v for v in variables]
+        variables = in_short_steps(variables, parameters)
     estimate = minimise(
         residual_function(problem, used, partial(rig_at, rig, parameters), told),
         variables,
