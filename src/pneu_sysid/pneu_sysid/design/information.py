@@ -19,10 +19,10 @@ from pneu_sysid.cells import own_share, weights_of
 from pneu_sysid.curves import Mirrors, curve_ties
 from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.evidence import blocks_of
-from pneu_sysid.parameters import in_short_steps, one_each, rig_at, variables_of
+from pneu_sysid.parameters import one_each, rig_at, variables_of
 from pneu_sysid.problem import Problem
 from pneu_sysid.refits import effect_variables
-from pneu_sysid.slopes import Variable, looked_along, slope_of_both
+from pneu_sysid.slopes import Variable, looked_along
 from pneu_sysid.thresholds import Thresholds
 
 Floats = NDArray[np.float64]
@@ -207,8 +207,6 @@ def information_of(
     """
     listed = one_each(list(parameters), [r.name for r in problem.recordings])
     variables = variables_of(rig, listed) if listed else []
-    # a piston that comes to its cover would seem to tell of linkages what it does not
-    fine = in_short_steps(variables, listed) if rig.bodies else variables
     known = np.array([v.known_std for v in variables])
     x = np.array([v.value for v in variables])
     rigs, of = [rig], []  # (rig at the other end, step) by column
@@ -230,18 +228,12 @@ def information_of(
             column += 1
         own.append(mine)
     numbers = []
-    beside: dict[int, tuple[int, int, float]] = {}  # the other side of a column, likewise
-    for k, (v, f) in enumerate(zip(variables, fine, strict=True)):
-        step = f.step if x[k] + f.step <= f.upper else -f.step
-        for h in (step, -step) if f.step < v.step else (step,):
-            y = x.copy()
-            y[k] += h
-            there = (len(rigs), 0, h / known[k])
-            if h == step:
-                of.append(there)
-            else:
-                beside[column] = there
-            rigs.append(rig_at(rig, listed, y))
+    for k, v in enumerate(variables):
+        step = v.step if x[k] + v.step <= v.upper else -v.step
+        y = x.copy()
+        y[k] += step
+        of.append((len(rigs), 0, step / known[k]))
+        rigs.append(rig_at(rig, listed, y))
         numbers.append(column)
         column += 1
     doubtful = [] if problem.grid_pa is None else [column + k for k in range(len(problem.taps))]
@@ -253,13 +245,10 @@ def information_of(
         for k, at in enumerate(doubtful):
             alone = np.where(np.arange(len(problem.taps)) == k, np.nan_to_num(wrong), 0.0)
             columns[:, :, at] = alone.reshape(problem.stretches, -1)
-    for c, side in enumerate(of):
-        sides = []
-        for end, start, step in (side, beside[c]) if c in beside else (side,):
-            diff = (readings[end] - readings[start]) / (problem.noise_pa * step)
-            diff[missing] = 0.0
-            sides.append(np.nan_to_num(diff.reshape(problem.stretches, -1)))
-        columns[:, :, c] = slope_of_both(*sides)
+    for c, (end, start, step) in enumerate(of):
+        diff = (readings[end] - readings[start]) / (problem.noise_pa * step)
+        diff[missing] = 0.0
+        columns[:, :, c] = np.nan_to_num(diff.reshape(problem.stretches, -1))
     if along and numbers:
 
         def in_noise(found: Floats) -> Floats:
@@ -271,7 +260,7 @@ def information_of(
             return in_noise(problem.simulate(there, None, strict=False).readings)
 
         here = in_noise(readings[:1])[0]
-        j = looked_along(readings_at, x, here, columns[:, :, numbers] / known, fine)
+        j = looked_along(readings_at, x, here, columns[:, :, numbers] / known, variables)
         columns[:, :, numbers] = j * known
     longer = (problem.dx_m or rig.grid.dx_m) / rig.grid.dx_m
     doubt = own_share(longer) if doubtful else 1.0
