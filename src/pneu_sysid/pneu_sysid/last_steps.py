@@ -15,7 +15,8 @@ from pneu_sysid.fit_step import Job, Taken, key_of, taken, taken_besides
 from pneu_sysid.friction_starts import friction_of, try_friction
 from pneu_sysid.parameters import rig_at
 from pneu_sysid.scale import off_scale, rescaled
-from pneu_sysid.stages import UNSTABLE, at_noise, centred, gained_little, problem_of, settled
+from pneu_sysid.stages import at_noise, centred, gained_little, problem_of, settled
+from pneu_sysid.trials import residuals_of
 
 DRIFTED = 2.0
 """Sizes that are, all together, so many standard deviations from what was known of them are looked
@@ -52,19 +53,14 @@ def _with_other_friction(job: Job, last: Taken, every: list[FitParameter]) -> Ta
     """The calibration, or a better one that begins with another friction of seals."""
     used = job.used(last.problem)
     now, changed = try_friction(last.rig, last.problem, used, last.estimate, last.fitted, every)
-    if not changed or _cost(job, last, now) > ASTRAY * _cost(job, last, last.rig):
+    if not changed:
+        return last
+    here, there = np.sum(residuals_of([last.rig, now], last.problem, used) ** 2, axis=(1, 2))
+    if there > ASTRAY * here:
         return last
     seen = {key_of(p) for p in last.fitted}
     fitted = [p for p in every if key_of(p) in seen or friction_of(p.path) in changed]
     return _better(job, last, now, fitted)
-
-
-def _cost(job: Job, last: Taken, rig: Rig) -> float:
-    """Half the sum of squares that a rig leaves on the cells of a step."""
-    problem = last.problem
-    readings = problem.simulate([rig], strict=False).readings[0]
-    r = np.nan_to_num(problem.residual(readings), nan=UNSTABLE)[job.used(problem)]
-    return 0.5 * float(np.sum(r**2))
 
 
 def _at_known_scale(job: Job, last: Taken) -> Taken:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pneu_sim.rig.schema import FitParameter, Rig, Spool
 from pneu_sysid.gauss_newton import Estimate, huber_cost
 from pneu_sysid.problem import Problem
-from pneu_sysid.trials import CHANCE, Told, costs_of, moved
+from pneu_sysid.trials import CHANCE, Told, costs_of, moved, residuals_of
 
 Floats = NDArray[np.float64]
 
@@ -141,11 +141,9 @@ def limits_missed(before: Rig, after: Rig, problem: Problem, used: NDArray[np.bo
     had = [name for name, valve in before.valves.items() if _is_limited(valve.spool)]
     if all(_is_limited(after.valves[name].spool) for name in had):
         return False
-    with_limits, without = (
-        0.5 * float(np.sum(problem.residual(y)[used] ** 2))
-        for y in problem.predict([before, after])
-    )
-    return without > with_limits + CHANCE
+    r = residuals_of([before, after], problem, used)
+    with_limits, without = 0.5 * np.sum(r**2, axis=(1, 2))
+    return bool(without > with_limits + CHANCE)
 
 
 def _is_limited(spool: Spool) -> bool:

@@ -14,6 +14,7 @@ from pneu_sim.rig.schema import FitParameter, Rig
 from pneu_sysid.gauss_newton import Estimate
 from pneu_sysid.parameters import rig_at, variables_of
 from pneu_sysid.problem import Problem
+from pneu_sysid.stages import UNSTABLE
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -50,14 +51,27 @@ def costs_of(
     Returns:
         (1 + n,) costs, and (1 + n, P) by how much the variables would move.
     """
-    rigs = [rig, *trials]
-    tell = None if told is None else told(len(rigs))
-    out = problem.simulate(rigs, progress=tell, strict=False).readings
-    r = np.nan_to_num(problem.residual(out), nan=1e4, posinf=1e4, neginf=-1e4)
-    r = r.reshape(len(rigs), problem.stretches, -1)[:, used]
+    r = residuals_of([rig, *trials], problem, used, told)
     amounts = -np.concatenate([estimate.amounts(r[:1]), estimate.amounts(r[1:], gone)])
     left = r + np.einsum("smp,kp->ksm", estimate.jacobian, amounts)
     return np.array([0.5 * float(np.sum(one**2)) for one in left]), amounts
+
+
+def residuals_of(
+    rigs: list[Rig], problem: Problem, used: NDArray[np.bool_], told: Told | None = None
+) -> Floats:
+    """(n, n_stretches used, m) residuals of rigs as they are; large where one is unstable.
+
+    Args:
+        rigs: They.
+        problem: The problem.
+        used: (n_stretches,) stretches to use.
+        told: See `costs_of`.
+    """
+    tell = None if told is None else told(len(rigs))
+    out = problem.simulate(rigs, progress=tell, strict=False).readings
+    r = np.nan_to_num(problem.residual(out), nan=UNSTABLE, posinf=UNSTABLE, neginf=-UNSTABLE)
+    return np.asarray(r.reshape(len(rigs), problem.stretches, -1)[:, used])
 
 
 def moved(rig: Rig, fitted: Sequence[FitParameter], amounts: Floats, gone: Mask) -> Rig:
