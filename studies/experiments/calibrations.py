@@ -3,17 +3,19 @@
 
 import math
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.opening import opening_at
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.curves import curve_ties
-from pneu_sysid.design.design import Asked, design
+from pneu_sysid.design.design import Asked, design, promise_of
 from pneu_sysid.design.limits import limits_of
 from pneu_sysid.design.parameters import parameters_to_learn
 from pneu_sysid.design.waves import STEP_S
@@ -22,6 +24,8 @@ from pneu_sysid.observed.noise import with_noise
 from pneu_sysid.parameters import estimated_parameters, rig_at, variables_of
 from studies.calibration import NINETY
 from studies.experiments.plants import RATE_HZ, ROOT, Volts, plant_of, random_volts, record
+
+Floats = NDArray[np.float64]
 
 CALIBRATED = {"rigs/lab.yaml": 3, "rigs/rig_b.yaml": 6, "rigs/rig_j.yaml": 3}
 """Rigs, and how many datasheets are drawn of each: where three leave to chance which recording errs
@@ -81,7 +85,7 @@ def with_curves_of(rig: Rig, other: Rig) -> Rig:
     return out
 
 
-def told_of(rig: Rig, known: Rig, truth: Rig) -> tuple[float, float]:
+def told_of(rig: Rig, known: Rig, truth: Rig) -> tuple[Floats, float]:
     """What a fit tells of its own errors, but for opening curves, which have points of their own.
 
     Args:
@@ -90,8 +94,8 @@ def told_of(rig: Rig, known: Rig, truth: Rig) -> tuple[float, float]:
         truth: The rig that it was fitted to.
 
     Returns:
-        Root mean square of the standard errors, in what was not known before, which is also what is
-        left of a number that was not shown; and the share of 90 % intervals that hold the truth.
+        (P,) standard errors, in what was not known before, which is also what is left of a number
+        that was not shown; and the share of 90 % intervals that hold the truth.
     """
     listed = [p for p in estimated_parameters(known)[0] if ".opening." not in p.path]
     errors = {p.path: p.std_error for p in rig.fit.parameters}
@@ -106,7 +110,28 @@ def told_of(rig: Rig, known: Rig, truth: Rig) -> tuple[float, float]:
         std = error / math.exp(found.value) if p.log else error
         told.append(min(std / before.known_std, 1.0))
         held.append(abs(found.value - true.value) < NINETY * std)
-    return math.sqrt(np.mean(np.square(told))), float(np.mean(held))
+    return np.array(told), float(np.mean(held))
+
+
+def ratios_of(rig: Rig, expected: Mapping[str, float | None]) -> list[float]:
+    """Standard errors of a fit over those expected, but for opening curves: quantiles.
+
+    Args:
+        rig: Fitted rig.
+        expected: By the path of each parameter.
+    """
+    found = {p.path: p.std_error for p in rig.fit.parameters}
+    ratios = [
+        error / foreseen
+        for path, foreseen in expected.items()
+        if (error := found.get(path)) and foreseen and ".opening." not in path
+    ]
+    return spread_of(np.array(ratios))
+
+
+def spread_of(ratios: Floats) -> list[float]:
+    """The middle of ratios, between the ends of the middle 80 %."""
+    return [float(x) for x in np.quantile(ratios, [0.1, 0.5, 0.9])]
 
 
 def calibration_figures(file: str, seed: int, console: Console) -> dict[str, Any]:
@@ -129,20 +154,23 @@ def calibration_figures(file: str, seed: int, console: Console) -> dict[str, Any
         random_volts(sheet, limits, SHORT_S, 10 * seed + 2),
         plan.volts(STEP_S),
     ]
+    told: dict[str, Floats] = {}
     for name, series in zip(WAYS, volts, strict=True):
         fitted = fit_rig(sheet, [record(plant, series, "recording", seed + 10)])
         found = variables_of(with_curves_of(fitted.rig, true), listed)
         off = np.abs(np.array([v.value for v in found]) - truth) / scale
         out[name] = [float(np.sqrt(np.mean(off**2))), float(np.median(off))]
-        out[name] += told_of(fitted.rig, sheet, true)
+        told[name], held = told_of(fitted.rig, sheet, true)
+        out[name] += [float(np.sqrt(np.mean(told[name] ** 2))), held]
         console.print(f"{file}, datasheet {seed}: {name}: {out[name][0]:.3f} of what was unknown")
-    known = {p.path: p.std_error for p in fitted.rig.fit.parameters}
-    ratios = [
-        error / expected
-        for path, expected in plan.expected.std_errors.items()
-        if (error := known.get(path)) is not None and expected and ".opening." not in path
-    ]
-    out["error_ratios"] = [float(x) for x in np.quantile(ratios, [0.1, 0.5, 0.9])]
+    long, _, designed = WAYS
+    out["errors_over_random"] = spread_of(told[designed] / told[long])
+    out["error_ratios"] = ratios_of(fitted.rig, plan.expected.std_errors)
+    learnt = parameters_to_learn(true)
+    itself = promise_of(true, Asked(SHORT_S, limits, [], learnt, rate_hz=RATE_HZ), volts[-1])
+    names = [v.name for v in itself.told.variables]
+    errors = dict(zip(names, itself.errors(learnt).tolist(), strict=True))
+    out["error_ratios_itself"] = ratios_of(fitted.rig, errors)
     return out
 
 

@@ -9,8 +9,10 @@ import numpy as np
 
 from pneu_common.files import write_whole
 from pneu_sysid.design.hypotheses import part_of
-from studies.experiments.calibrations import CALIBRATED, OFF, WAYS, key_of
+from studies.experiments.calibrations import CALIBRATED, LONG_S, OFF, SHORT_S, WAYS, key_of
 from studies.experiments.pairs import PAIRS, SECONDS
+
+RATIOS = ("errors_over_random", "error_ratios", "error_ratios_itself")
 
 
 def page(path: Path, kept: Mapping[str, Mapping[str, Any]]) -> None:
@@ -66,38 +68,48 @@ def page(path: Path, kept: Mapping[str, Mapping[str, Any]]) -> None:
         f" brackets the median; numbers of datasheets are off by {OFF:g} of that, and what no"
         " recording shows stays so. After the stroke what the fit tells of its own errors but for"
         " opening curves: root mean square of the standard errors, and the share of 90 % intervals"
-        " that hold the truth. Commands of all ways keep to the same limits of volts. Found over"
-        " expected: standard errors after the fit over what the plan foresaw, median and the middle"
-        " 80 %.", "",
-        f"| rig | datasheet | parameters | {' | '.join(WAYS)} | found over expected | design [s] |"
-        " sources |",
-        "|---|---|---|---|---|---|---|---|---|",
+        " that hold the truth. Commands of all ways keep to the same limits of volts. Designed over"
+        f" random: standard errors of the designed {SHORT_S:g} s over those of the random"
+        f" {LONG_S:g} s, parameter by parameter, median and the middle 80 %. Found over expected:"
+        " standard errors after the fit over what the plan foresaw of rigs as they may be by the"
+        " datasheet, likewise; then over what is foreseen of the very rig, which is not known"
+        " before.", "",
+        f"| rig | datasheet | parameters | {' | '.join(WAYS)} | designed over random | found over"
+        " expected | of the very rig | design [s] | sources |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]  # fmt: skip
     for file, sheets in CALIBRATED.items():
         every: list[list[list[float]]] = []
         for seed in range(sheets):
             one = kept.get(key_of(file, seed))
             if one is None:
-                lines.append(f"| {file} | {seed} | not run | | | | | | |")
+                lines.append(f"| {file} | {seed} | not run | | | | | | | | |")
                 continue
             f = one["figures"]
-            low, middle, high = f["error_ratios"]
             told = " | ".join(_errors(*f[way]) for way in WAYS)
+            ratios = " | ".join(_spread(f.get(name)) for name in RATIOS)
             lines.append(
-                f"| {file} | {seed} | {f['parameters']} | {told}"
-                f" | {middle:.2f} ({low:.2f} to {high:.2f}) | {f['design_s']:.0f}"
-                f" | {one['sources']} |"
+                f"| {file} | {seed} | {f['parameters']} | {told} | {ratios}"
+                f" | {f['design_s']:.0f} | {one['sources']} |"
             )
             every.append([f[way] for way in WAYS])
         if every:
             told = " | ".join(_errors(*of) for of in np.mean(every, axis=0).tolist())
-            lines.append(f"| {file} | mean | | {told} | | | |")
+            lines.append(f"| {file} | mean | | {told} | | | | | |")
     write_whole(path, "\n".join(lines) + "\n")
 
 
 def _errors(whole: float, middle: float, told: float, held: float) -> str:
     """Errors of a fit, and what it tells of them."""
     return f"{whole:.2f} ({middle:.3f}) / {told:.2f} {held:.0%}"
+
+
+def _spread(of: list[float] | None) -> str:
+    """Ratios, their middle and the ends of the middle 80 %."""
+    if of is None:
+        return "not looked at"
+    low, middle, high = of
+    return f"{middle:.2f} ({low:.2f} to {high:.2f})"
 
 
 def _found(figures: dict[str, Any]) -> str:

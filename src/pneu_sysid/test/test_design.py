@@ -353,6 +353,8 @@ def test_limits_that_hold_for_the_rig_as_it_is_known_and_not_for_others_like_it(
     (words,) = [w for w in plan.expected.words if w.startswith("In ")]
     assert re.match(r"In [1-5] of 5 rigs as this one may be by what is known of it", words)
     assert plan.expected.highest_pa["end"] > highest
+    (least, greatest) = plan.expected.std_errors_range[SOME[0]]
+    assert 0.0 < least <= (plan.expected.std_errors[SOME[0]] or 0.0) <= greatest
 
 
 def test_promises_are_of_the_same_points_of_curves():

@@ -179,10 +179,14 @@ def tables(plan: "Plan") -> list[NamedTable]:
             table.add_row(s.one, s.other, errors, f"{s.needed:g}")
         out.append(table)
     if expected.std_errors:
-        columns = [Column("parameter"), Column("error", "number")]
-        table = NamedTable("Expected standard errors", columns)
+        columns = [
+            Column("parameter"), Column("error", "number"), Column("least", "number"),
+            Column("greatest", "number"),
+        ]  # fmt: skip
+        table = NamedTable("Expected standard errors, of rigs as this one may be", columns)
         for name, error in expected.std_errors.items():
-            table.add_row(name, "-" if error is None else f"{error:.3g}")
+            found = [error, *expected.std_errors_range.get(name, [error, error])]
+            table.add_row(name, *("-" if x is None else f"{x:.3g}" for x in found))
         out.append(table)
     return out
 

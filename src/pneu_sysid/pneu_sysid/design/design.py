@@ -192,9 +192,7 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
     tell = progress or (lambda stage, done: None)
     if not asked.hypotheses and not asked.parameters:
         raise InputError(f"rig {rig.name!r}: found no parameters to learn, and no candidates")
-    # candidates are told apart with the rig that was diagnosed, numbers learnt with one for a fit
-    begun = with_known_noise(rig if asked.hypotheses else as_fitted(rig))
-    model = _Model(begun, asked, lasting_share(rig), mirrors_of(rig))
+    model = _model(rig, asked)
     rng = np.random.default_rng([asked.seed, 23])
     pool = _drawn(model, rng, tell)
     known = None
@@ -226,6 +224,26 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
         limits=_bounds(asked.limits),
         expected=expected_of(promises, asked.limits, separations, most, learnt, seconds),
     )
+
+
+def promise_of(rig: Rig, asked: Asked, volts: Mapping[str, Floats]) -> Promise:
+    """What commands are to be expected to tell of a rig that is as it is given.
+
+    Args:
+        rig: The rig.
+        asked: Of what, and how it is read; its limits are not kept to.
+        volts: Per command volts every ``STEP_S``.
+    """
+    model = _model(rig, asked)
+    seen = model.foresee(volts)
+    return Promise(seen, model.tells(seen, along=True))
+
+
+def _model(rig: Rig, asked: Asked) -> _Model:
+    """The rig as it is foreseen."""
+    # candidates are told apart with the rig that was diagnosed, numbers learnt with one for a fit
+    begun = with_known_noise(rig if asked.hypotheses else as_fitted(rig))
+    return _Model(begun, asked, lasting_share(rig), mirrors_of(rig))
 
 
 def _others(model: _Model, pool: _Pool, count: int) -> list[_Model]:

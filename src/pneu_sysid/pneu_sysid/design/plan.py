@@ -72,7 +72,10 @@ class Expected(Result):
     air_kg: Perhaps
     """Air that is taken from the supplies."""
     std_errors: dict[str, Perhaps] = {}
-    """Standard error of each parameter after a fit to this recording, in its own unit."""
+    """Standard error of each parameter after a fit to this recording, in its own unit: the middle
+    one of rigs as this one may be."""
+    std_errors_range: dict[str, list[Number]] = {}
+    """The least and the greatest of these rigs."""
     separations: list[Separation] = []
     """Of every two candidates."""
     words: list[str] = []

@@ -23,6 +23,8 @@ MUCH_LONGER = 16.0
 are one and the same, what two places in a model make of them differs by so little as well."""
 LITTLE = 0.8
 """A standard error above this share of what was known before: the recording tells little of it."""
+DEPENDS = 10.0
+"""An error that is so many times greater in one rig than in another depends on which it is."""
 SPARE = 1.2
 """So many times the time that would just do is said to do."""
 
@@ -87,7 +89,9 @@ def expected_of(
 ) -> Expected:
     """What is to be expected of a plan.
 
-    Extremes are those of all rigs that it is judged by, standard errors the middle one of theirs.
+    Extremes are those of all rigs that it is judged by, standard errors the middle one of theirs
+    and from where to where they go: what shows a number in one, as a piston that comes to its cover
+    there, may be missing in another.
 
     Args:
         promises: By the rig, or by rigs as it may be.
@@ -100,16 +104,27 @@ def expected_of(
     told_of = list(zip(separations, best, strict=True))
     words = [_short(s, most, seconds) for s, most in told_of if not s.told_apart]
     errors: dict[str, float | None] = {}
+    ranges: dict[str, list[float]] = {}
     if learnt:
         share = np.median([one.told.found() for one in promises], axis=0)
         names = [v.name for v in promises[0].told.variables]
-        middle = np.median([one.errors(learnt) for one in promises], axis=0)
-        errors.update(zip(names, middle.tolist(), strict=True))
+        own = np.array([one.errors(learnt) for one in promises])
+        errors.update(zip(names, np.median(own, axis=0).tolist(), strict=True))
+        lowest, highest = own.min(axis=0), own.max(axis=0)
+        if len(promises) > 1:
+            ranges.update(zip(names, np.stack([lowest, highest], axis=1).tolist(), strict=True))
         little = [name for name, s in zip(names, share, strict=True) if s > LITTLE]
         if little:
             words.append(
                 f"It tells little of {', '.join(little)}: what was known of"
                 f" {'them' if len(little) > 1 else 'it'} before stays nearly as it was."
+            )
+        depends = [n for n, wide in zip(names, highest > DEPENDS * lowest, strict=True) if wide]
+        if depends:
+            words.append(
+                f"How much it tells of {', '.join(depends)} depends on what the rig is, by more"
+                f" than {DEPENDS:g} times in {len(promises)} as this one may be by what is known of"
+                " it."
             )
     beyond = sum(not one.seen.within(limits) for one in promises)
     if beyond and len(promises) > 1:
@@ -134,6 +149,7 @@ def expected_of(
         },
         air_kg=max(float(one.air_kg[-1]) for one in every),
         std_errors=errors,
+        std_errors_range=ranges,
         separations=list(separations),
         words=words,
     )
