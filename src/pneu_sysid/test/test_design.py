@@ -16,7 +16,7 @@ from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import AttachedEffect, Calibration, FitParameter
 from pneu_sysid.design.choose import choose
 from pneu_sysid.design.command import foreseen_words, joints_of
-from pneu_sysid.design.design import REST_S, Asked, _Model, design
+from pneu_sysid.design.design import REST_S, Asked, design, promise_of
 from pneu_sysid.design.foreseen import foresee, lasting_share, with_known_noise
 from pneu_sysid.design.hypotheses import Hypothesis
 from pneu_sysid.design.information import Columns, Information, _scatter
@@ -26,7 +26,6 @@ from pneu_sysid.design.parameters import parameters_to_learn
 from pneu_sysid.design.plan import Bounds, Expected, Plan
 from pneu_sysid.design.plan_file import check_plan, load_plan
 from pneu_sysid.design.possible import possible_rigs
-from pneu_sysid.design.promise import Promise
 from pneu_sysid.design.tracking import track
 from pneu_sysid.design.waves import KINDS, STEP_S, draw_piece, joined
 from pneu_sysid.fit import as_fitted
@@ -336,9 +335,9 @@ def test_promises_hold_for_rigs_like_the_one_that_is_known():
     ratios = []
     rng = np.random.default_rng(100)
     for one in possible_rigs(with_known_noise(as_fitted(BARE)), listed, {}, 6, rng):
-        there = _Model(one.rig, dataclasses.replace(asked, parameters=one.parameters), {}, {})
-        seen = there.foresee(plan.volts(STEP_S))
-        ratios.append(Promise(seen, there.tells(seen)).errors(listed) / promised)
+        there = dataclasses.replace(asked, parameters=one.parameters)
+        told = promise_of(one.rig, there, plan.volts(STEP_S))
+        ratios.append(told.errors(listed) / promised)
     assert 1.0 / 1.5 < np.median(ratios) < 1.5
     assert np.quantile(ratios, 0.1) > 0.3 and np.quantile(ratios, 0.9) < 3.0
 

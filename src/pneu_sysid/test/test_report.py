@@ -448,6 +448,8 @@ def test_errors_that_a_plan_promised_stand_beside_those_that_were_found(tmp_path
     fit["parameters"][0]["expected_error"] = 0.0123
     page = Page(write_report(tmp_path / "b.html", fit=fit))
     assert "error expected" in page.text and "0.0123" in page.text
+    fit["parameters"][0]["expected_range"] = [0.0045, 0.678]
+    assert "0.0123 (0.00450 to 0.678)" in Page(write_report(tmp_path / "c.html", fit=fit)).text
 
 
 def test_the_page_loads_nothing_and_lets_only_its_own_script_run(tmp_path):

@@ -164,7 +164,9 @@ def fitted_table(title: str, result: "FitResult") -> NamedTable:
         name = p.path if p.recording is None else f"{p.path} in {p.recording}"
         cells = [f"{p.start:.5g}", f"{p.value:.5g}", error]
         if promised:
-            cells.append("-" if p.expected_error is None else f"{p.expected_error:.2g}")
+            among = " to ".join(f"{x:.2g}" for x in p.expected_range)
+            error = "-" if p.expected_error is None else f"{p.expected_error:.2g}"
+            cells.append(f"{error} ({among})" if among else error)
         table.add_row(name, *cells, p.unit or "-", note)
     for curve, count in points.items():
         blank = [""] * (4 if promised else 3)

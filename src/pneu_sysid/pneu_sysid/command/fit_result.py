@@ -40,6 +40,7 @@ def fit_result(
 
     known = outcome.known
     promised = {} if plan is None else promised_errors(plan, [p.path for p in outcome.parameters])
+    ranges = {} if plan is None else plan.expected.std_errors_range
     parameters = [
         FittedParameter(
             path=p.path,
@@ -48,6 +49,7 @@ def fit_result(
             start=outcome.start[k],
             std_error=p.std_error,
             expected_error=promised.get(p.path),
+            expected_range=ranges.get(p.path, []) if p.path in promised else [],
             unit=unit_of_parameter(outcome.rig, p.path),
             at_bound=bool(known.at_bound[k]),
             identified=bool(known.seen[k]),

@@ -24,6 +24,8 @@ class FittedParameter(Result):
     """Standard error; null where the recording does not constrain it."""
     expected_error: Perhaps = None
     """Standard error that the plan of the recording promised; null where there was none."""
+    expected_range: list[Number] = []
+    """From where to where it went among the rigs as this one might have been."""
     unit: str | None = None
     """Unit of the value, its start, error and bounds, powers after a caret (``m^3/(s Pa)``); ``1``
     for a pure number, null where it is not known."""

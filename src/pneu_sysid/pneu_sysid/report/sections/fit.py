@@ -74,9 +74,7 @@ def _parameters(parameters: list[Result]) -> Markup | None:
                     ),
                 ),
                 tag("td", q.percent(relative), class_="num"),
-                tag("td", q.number(parameter.get("expected_error")), class_="num")
-                if promised
-                else None,
+                tag("td", _expected(parameter), class_="num") if promised else None,
                 tag("td", q.number(parameter.get("start")), class_="num"),
                 tag("td", _range(parameter)),
                 tag("td", marks),
@@ -93,6 +91,13 @@ def _parameters(parameters: list[Result]) -> Markup | None:
         "",
     ]
     return table("The tick is the start, the dot the fitted value.", header, rows)
+
+
+def _expected(parameter: Result) -> str:
+    """The standard error that was promised, and what it was among rigs as this one might be."""
+    among = [q.number(x) for x in parameter.get("expected_range") or []]
+    error = q.number(parameter.get("expected_error"))
+    return f"{error} ({' to '.join(among)})" if among else error
 
 
 def _range(parameter: Result) -> Markup:
