@@ -44,9 +44,7 @@ def datasheet(rig: Rig, seed: int) -> Rig:
 
     Opening curves are off as a whole: they bend no more there than a fit expects curves to.
     """
-    bare = rig.model_copy(
-        update={"calibration": None, "fit": rig.fit.model_copy(update={"parameters": []})}
-    )
+    bare = uncalibrated(rig)
     listed, _ = estimated_parameters(bare)
     rng = np.random.default_rng([seed, 47])
     variables = variables_of(bare, listed)
@@ -56,6 +54,12 @@ def datasheet(rig: Rig, seed: int) -> Rig:
     off = OFF * std * np.linalg.solve(root.T, rng.normal(size=std.size))
     x = [float(np.clip(v.value + o, v.lower, v.upper)) for v, o in zip(variables, off, strict=True)]
     return rig_at(bare, listed, np.array(x))
+
+
+def uncalibrated(rig: Rig) -> Rig:
+    """A rig of which is known what a fit takes to be known of its kind, and no more."""
+    fit = rig.fit.model_copy(update={"parameters": []})
+    return rig.model_copy(update={"calibration": None, "fit": fit})
 
 
 def with_encoders(rig: Rig) -> Rig:
@@ -166,8 +170,9 @@ def calibration_figures(file: str, seed: int, console: Console) -> dict[str, Any
     long, _, designed = WAYS
     out["errors_over_random"] = spread_of(told[designed] / told[long])
     out["error_ratios"] = ratios_of(fitted.rig, plan.expected.std_errors)
-    learnt = parameters_to_learn(true)
-    itself = promise_of(true, Asked(SHORT_S, limits, [], learnt, rate_hz=RATE_HZ), volts[-1])
+    bare = uncalibrated(true)
+    learnt = parameters_to_learn(bare)
+    itself = promise_of(bare, Asked(SHORT_S, limits, [], learnt, rate_hz=RATE_HZ), volts[-1])
     names = [v.name for v in itself.told.variables]
     errors = dict(zip(names, itself.errors(learnt).tolist(), strict=True))
     out["error_ratios_itself"] = ratios_of(fitted.rig, errors)
