@@ -23,6 +23,7 @@ from numba.core.caching import IndexDataCacheFile
 from numba.core.registry import cpu_target
 
 from pneu_common.log import LOG
+from pneu_sim.compiled_once import compiles_once
 
 FAST = {"contract", "nsz", "nnan", "ninf", "arcp"}
 """No reassociation: sums keep their order, so that results do not depend on the batch size."""
@@ -81,7 +82,7 @@ def _compile(function: Callable[..., Any], **options: Any) -> Any:
     digest, kept = digest_of_sources(), compiled._cache
     name = f"{kept._impl.filename_base}-{digest[:12]}"
     kept._cache_file = IndexDataCacheFile(kept._cache_path, name, digest)
-    return compiled
+    return compiles_once(compiled)
 
 
 def compiled(function: Callable[..., Any]) -> Any:
