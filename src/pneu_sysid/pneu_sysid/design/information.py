@@ -188,7 +188,7 @@ def information_of(
     lasting: Mapping[str, float],
     mirrors: Mirrors | None = None,
     progress: Callable[[float], None] | None = None,
-    along: bool = False,
+    looks: int = 0,
 ) -> Information:
     """What each piece of a recording that is foreseen tells.
 
@@ -202,7 +202,7 @@ def information_of(
             `foreseen.lasting_share`.
         mirrors: Opening curves that are about the mirrors of others.
         progress: Called with the fraction done.
-        along: Whether what the recording hardly shows of the numbers is looked along, as a fit
+        looks: How often what the recording hardly shows of the numbers is looked along, as a fit
             does (`slopes.looked_along`).
     """
     listed = one_each(list(parameters), [r.name for r in problem.recordings])
@@ -249,7 +249,7 @@ def information_of(
         diff = (readings[end] - readings[start]) / (problem.noise_pa * step)
         diff[missing] = 0.0
         columns[:, :, c] = np.nan_to_num(diff.reshape(problem.stretches, -1))
-    if along and numbers:
+    if looks and numbers:
 
         def in_noise(found: Floats) -> Floats:
             units = np.where(missing, 0.0, found / problem.noise_pa)
@@ -260,7 +260,8 @@ def information_of(
             return in_noise(problem.simulate(there, None, strict=False).readings)
 
         here = in_noise(readings[:1])[0]
-        j = looked_along(readings_at, x, here, columns[:, :, numbers] / known, variables)
+        j = columns[:, :, numbers] / known
+        j = looked_along(readings_at, x, here, j, variables, looks)
         columns[:, :, numbers] = j * known
     longer = (problem.dx_m or rig.grid.dx_m) / rig.grid.dx_m
     doubt = own_share(longer) if doubtful else 1.0
