@@ -255,10 +255,10 @@ def test_what_is_known_at_a_point_is_not_computed_again() -> None:
 SIZES = 12
 
 
-def ratios(seed: int) -> tuple[Residuals, list[Variable]]:
+def ratios(seed: int, step: float = 0.02) -> tuple[Residuals, list[Variable]]:
     """Readings that only ratios of sizes show, and sizes that begin a third too large, all of them.
 
-    Differences are over steps so long that columns are wrong by hundredths.
+    Differences are over steps so long that columns are wrong by as much.
     """
     rng = np.random.default_rng(seed)
     signal = rng.normal(size=(CLUSTERS, SAMPLES, SIZES)) * 1000.0
@@ -272,7 +272,7 @@ def ratios(seed: int) -> tuple[Residuals, list[Variable]]:
 
     std = np.where(np.arange(SIZES) < 2, 0.02, 0.2)
     return residuals, [
-        Variable(f"size{k}", 0.3, -2.0, 2.0, 0.02, std=s, centre=0.0) for k, s in enumerate(std)
+        Variable(f"size{k}", 0.3, -2.0, 2.0, step, std=s, centre=0.0) for k, s in enumerate(std)
     ]
 
 
@@ -286,6 +286,16 @@ def test_a_valley_is_gone_along_and_its_width_told(along: bool) -> None:
     error = float(np.sqrt(np.mean(found.covariance)))
     assert (abs(together) < 0.1 * width) == along
     assert (0.8 * width < error < 1.3 * width) == along
+
+
+@pytest.mark.parametrize("step", [0.08, 0.1])
+def test_a_valley_is_found_where_columns_are_wrong_by_as_much_as_a_tenth(step: float) -> None:
+    """Taken for shown it was not gone along at all: all sizes stayed 21 widths off."""
+    residuals, variables = ratios(5, step)
+    found = minimise(residuals, variables, secants=2, along=True)
+    width = float(np.sum([v.std**-2 for v in variables]) ** -0.5)
+    assert abs(float(np.mean(found.values))) < 0.2 * width
+    assert 0.8 * width < float(np.sqrt(np.mean(found.covariance))) < 1.3 * width
 
 
 def test_what_is_shown_is_not_looked_along() -> None:
