@@ -21,6 +21,8 @@ there are 32; with 16, or with 0.05 above, its size was told five times too well
 and is told right to a tenth after one, to a hundredth after two."""
 LOOKS = 2
 """So often in a fit: what is weakest is seen better once that is better known."""
+SEEN = 0.05
+"""Where a look changes what is known of a combination by no more than this share, it is the last."""
 KINK = 0.5
 """A slope to one side that is less than so much of the mean of both is one beside a kink."""
 
@@ -154,8 +156,10 @@ def looked_along(
         )
         missed = changes - np.einsum("smp,kp->ksm", j, moves * known)
         j = j + np.einsum("ksm,kp->smp", missed, moves / known)
-        if np.einsum("ksm,ksm->k", missed, missed).max() < 1.0:
-            break  # less than what is known beforehand
+        # of what is known of each then, beforehand and by the data
+        told = 1.0 + np.einsum("ksm,ksm->k", changes, changes)
+        if np.max(np.einsum("ksm,ksm->k", missed, missed) / told) < SEEN:
+            break
     return j
 
 
