@@ -123,7 +123,8 @@ def _on_own_cells(job: Job, last: Taken) -> Taken:
     slopes, not its own, are at right angles to what is left. The sum of squares hardly shows that:
     of a plan for rig B it was 2.4 of its standard deviations above its mean, with three parameters
     off by three to seven of their own. The last step looks along what the recordings hardly show,
-    where those before have wandered by the errors of their differences.
+    where those before have wandered by the errors of their differences. Of rigs with bodies, whose
+    slopes to both sides it has computed anyway, it is the only one: they end as low.
     """
     dx_m = last.rig.grid.dx_m
     # of a model that lacks something more is wrong than what cells make of it
@@ -131,7 +132,7 @@ def _on_own_cells(job: Job, last: Taken) -> Taken:
     if not last.step.corrected or last.step.dx_m <= dx_m or not near:
         return last
     step = replace(last.step, words=OWN_CELLS, dx_m=dx_m, corrected=False, along=False)
-    for _ in range(STEPS_OWN):
+    for _ in range(0 if last.rig.bodies else STEPS_OWN):
         last = taken_besides(job, last, step)
         if gained_little(last.estimate):
             break

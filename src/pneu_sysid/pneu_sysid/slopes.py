@@ -22,7 +22,7 @@ and is told right to a tenth after one, to a hundredth after two."""
 LOOKS = 2
 """So often in a fit: what is weakest is seen better once that is better known."""
 SEEN = 0.05
-"""Where a look changes what is known of a combination by no more than this share, it is the last."""
+"""A look that changes what is known of a combination by no more than this share is the last."""
 KINK = 0.5
 """A slope to one side that is less than so much of the mean of both is one beside a kink."""
 
