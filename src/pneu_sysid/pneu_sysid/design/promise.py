@@ -25,6 +25,8 @@ LITTLE = 0.8
 """A standard error above this share of what was known before: the recording tells little of it."""
 DEPENDS = 10.0
 """An error that is so many times greater in one rig than in another depends on which it is."""
+MOST_NAMED = 6
+"""Of those so many are named in the sentence that says so; the plan has them all."""
 SPARE = 1.2
 """So many times the time that would just do is said to do."""
 
@@ -121,8 +123,10 @@ def expected_of(
             )
         depends = [n for n, wide in zip(names, highest > DEPENDS * lowest, strict=True) if wide]
         if depends:
+            more = len(depends) - MOST_NAMED
+            named = ", ".join(depends[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
             words.append(
-                f"How much it tells of {', '.join(depends)} depends on what the rig is, by more"
+                f"How much it tells of {named} depends on what the rig is, by more"
                 f" than {DEPENDS:g} times in {len(promises)} as this one may be by what is known of"
                 " it."
             )
