@@ -35,12 +35,10 @@ def compiles_once(kernel: Any) -> Any:
         kernel: Dispatcher with a cache on disk.
     """
     alone: Callable[[Any], Any] = kernel.compile
-    folder = Path(kernel._cache.cache_path)
-    place = zlib.crc32(kernel._cache._impl.filename_base.encode()) % KERNELS
 
     def compile_once(signature: Any) -> Any:
         # the compiler first: or one thread here had the kernel and another the compiler
-        with global_compiler_lock, _held(folder, place):
+        with global_compiler_lock, held(kernel):
             return alone(signature)
 
     kernel.compile = compile_once
@@ -48,9 +46,14 @@ def compiles_once(kernel: Any) -> Any:
 
 
 @contextmanager
-def _held(folder: Path, place: int) -> Iterator[None]:
-    """A place in the lock file of a folder; none where that or its disk has no such thing."""
-    file = _lock_file(folder)
+def held(kernel: Any) -> Iterator[None]:
+    """Keeps other processes from compiling a kernel; not on a disk that has no locks.
+
+    Args:
+        kernel: Dispatcher with a cache on disk.
+    """
+    file = _lock_file(Path(kernel._cache.cache_path))
+    place = zlib.crc32(kernel._cache._impl.filename_base.encode()) % KERNELS
     if file is None or not _locked(file, place):
         yield
         return

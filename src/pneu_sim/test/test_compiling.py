@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import sys
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,8 @@ from numba.types import UniTuple, boolean, float64, int64
 
 import pneu_common
 import pneu_sim
-from pneu_sim.compiled_once import KERNELS
 from pneu_sim.compiling import vectorised
-from pneu_sim.kernel import faces, leaks, lines, walls
+from pneu_sim.kernel import faces, lines, walls
 
 LEAK = (
     "from pneu_sim.kernel.leaks import leak_flow;"
@@ -69,32 +67,29 @@ def test_of_processes_that_start_together_one_compiles_and_the_others_wait(tmp_p
     assert sorted(int(hits) for _, hits in told) == [0, 1, 1]
 
 
+HOLD = (
+    "from pneu_sim.compiled_once import held; from pneu_sim.kernel.leaks import leak_flow\n"
+    "with held(leak_flow): print('held', flush=True); input()"
+)
+
+
 def test_one_that_is_killed_while_it_compiles_holds_nobody_up(tmp_path: Path) -> None:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    hold = (
-        "import sys; from pathlib import Path; from pneu_sim.compiled_once import _held\n"
-        "with _held(Path(sys.argv[1]), int(sys.argv[2])): print('held', flush=True); input()"
-    )
-    kept = leaks.leak_flow._cache._impl.filename_base
-    probe = "from pneu_sim.kernel.leaks import leak_flow; print(leak_flow._cache.cache_path)"
-    command = [sys.executable, "-c", probe]
-    told = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    place = str(zlib.crc32(kept.encode()) % KERNELS)
-    one = subprocess.Popen(
-        [sys.executable, "-c", hold, told.stdout.strip(), place],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    assert one.stdout is not None and one.stdout.readline() == "held\n"
-    other = subprocess.Popen(
-        [sys.executable, "-c", LEAK], env=environment, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    with pytest.raises(subprocess.TimeoutExpired):
-        other.wait(3.0)  # it waits, however long
-    one.kill()
-    flow, _ = other.communicate()[0].split()
-    assert float(flow) > 0.0
-    one.communicate()
+
+    def start(code: str) -> subprocess.Popen[str]:
+        command, pipe = [sys.executable, "-c", code], subprocess.PIPE
+        return subprocess.Popen(command, env=environment, stdin=pipe, stdout=pipe, text=True)
+
+    with start(HOLD) as one:
+        try:
+            assert one.stdout is not None and one.stdout.readline() == "held\n"
+            other = start(LEAK)
+            with pytest.raises(subprocess.TimeoutExpired):
+                other.wait(3.0)  # it waits, however long
+        finally:
+            one.kill()
+    flow, hits = other.communicate()[0].split()
+    assert float(flow) > 0.0 and hits == "0"
 
 
 @pytest.mark.long
