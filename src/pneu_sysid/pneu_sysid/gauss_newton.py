@@ -247,7 +247,9 @@ def minimise(
                 best_damping = dampings[best % len(steps) if best < 2 * len(steps) else 0]
                 break
         if gain > 0.0:
-            j = _secant(j, found[best] - r, (trials[best] - x) / span, span)
+            # nor is it spoilt along what residuals hardly show by how they bend along a step
+            if not looks:
+                j = _secant(j, found[best] - r, (trials[best] - x) / span, span)
             x, r = trials[best], found[best]
             history.append(costs[best])
             if progress is not None:

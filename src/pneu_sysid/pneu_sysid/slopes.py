@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 Floats = NDArray[np.float64]
 Residuals = Callable[[Sequence[Floats]], Floats]
@@ -19,10 +20,12 @@ MOST_ALONG = 32
 """... and so many of them, the weakest, are looked along for themselves. Of a joint's 96 parameters
 there are 32; with 16, or with 0.05 above, its size was told five times too well after four looks,
 and is told right to a tenth after one, to a hundredth after two."""
-LOOKS = 2
-"""So often in a fit: what is weakest is seen better once that is better known."""
-SEEN = 0.05
-"""A look that changes what is known of a combination by no more than this share is the last."""
+LOOKS = 5
+"""So often at most at one place: what is weakest is seen better once that is better known. Where
+columns are wrong by 0.1, three tell the width of a valley right, two up to three times too small;
+five take a fifth fewer evaluations than three."""
+SEEN = 0.1
+"""A look is the last that changes what is known of every combination by no more than this share."""
 KINK = 0.5
 """A slope to one side that is less than so much of the mean of both is one beside a kink."""
 
@@ -155,12 +158,26 @@ def looked_along(
             ]
         )
         missed = changes - np.einsum("smp,kp->ksm", j, moves * known)
+        before = j
         j = j + np.einsum("ksm,kp->smp", missed, moves / known)
-        # of what is known of each then, beforehand and by the data
-        told = 1.0 + np.einsum("ksm,ksm->k", changes, changes)
-        if np.max(np.einsum("ksm,ksm->k", missed, missed) / told) < SEEN:
+        if _changed(before * known, j * known) < SEEN:
             break
     return j
+
+
+def _changed(before: Floats, after: Floats) -> float:
+    """Largest change of what is known of any combination, of its variance as a logarithm.
+
+    Args:
+        before: (n_clusters, m, P) columns in units of what is known beforehand.
+        after: The same then.
+    """
+    count = before.shape[-1]
+    one, other = (
+        np.eye(count) + flat.T @ flat
+        for flat in (before.reshape(-1, count), after.reshape(-1, count))
+    )
+    return float(np.max(np.abs(np.log(eigh(other, one, eigvals_only=True)))))
 
 
 def _weak(columns: Floats) -> Floats:

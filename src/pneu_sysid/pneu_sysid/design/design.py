@@ -33,6 +33,7 @@ from pneu_sysid.design.waves import KINDS, STEP_S, Choice, draw_piece, joined, s
 from pneu_sysid.fit import as_fitted
 from pneu_sysid.problem import make_problem
 from pneu_sysid.results.files import pneu_version
+from pneu_sysid.slopes import LOOKS
 from pneu_sysid.thresholds import Thresholds
 
 Floats = NDArray[np.float64]
@@ -69,8 +70,6 @@ PROMISED = 5
 TRIED_LOOKS = 1
 """What a plan hardly shows is looked along so often where plans for parameters are tried: a third
 of what a joint's were chosen by was errors of differences. What parts candidates is well shown."""
-PROMISED_LOOKS = 3
-"""Likewise of the plan that was chosen; more change nothing."""
 LEAVES = 1e6
 """A rig in which a plan would leave its limits counts against it by more than all it tells."""
 SCATTER = 0.5
@@ -207,7 +206,7 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
     chosen_by, judges = others[:AVERAGED] or [model], others[AVERAGED:] or [model]
     best = _played(model, chosen_by, pool, known, rng, tell)
     promises = [
-        Promise(seen, m.tells(seen, looks=PROMISED_LOOKS))
+        Promise(seen, m.tells(seen, looks=LOOKS))
         for m in judges
         for seen in [m.foresee(best.volts)]
     ]
@@ -243,7 +242,7 @@ def promise_of(rig: Rig, asked: Asked, volts: Mapping[str, Floats]) -> Promise:
     """
     model = _model(rig, asked)
     seen = model.foresee(volts)
-    return Promise(seen, model.tells(seen, looks=PROMISED_LOOKS))
+    return Promise(seen, model.tells(seen, looks=LOOKS))
 
 
 def _model(rig: Rig, asked: Asked) -> _Model:
