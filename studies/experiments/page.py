@@ -80,6 +80,7 @@ def page(path: Path, kept: Mapping[str, Mapping[str, Any]]) -> None:
     ]  # fmt: skip
     for file, sheets in CALIBRATED.items():
         every: list[list[list[float]]] = []
+        all_ratios: list[list[list[float]]] = []
         for seed in range(sheets):
             one = kept.get(key_of(file, seed))
             if one is None:
@@ -87,15 +88,17 @@ def page(path: Path, kept: Mapping[str, Mapping[str, Any]]) -> None:
                 continue
             f = one["figures"]
             told = " | ".join(_errors(*f[way]) for way in WAYS)
-            ratios = " | ".join(_spread(f.get(name)) for name in RATIOS)
+            ratios = " | ".join(_spread(*f[name]) for name in RATIOS)
             lines.append(
                 f"| {file} | {seed} | {f['parameters']} | {told} | {ratios}"
                 f" | {f['design_s']:.0f} | {one['sources']} |"
             )
             every.append([f[way] for way in WAYS])
+            all_ratios.append([f[name] for name in RATIOS])
         if every:
             told = " | ".join(_errors(*of) for of in np.mean(every, axis=0).tolist())
-            lines.append(f"| {file} | mean | | {told} | | | | | |")
+            ratios = " | ".join(_spread(*of) for of in np.mean(all_ratios, axis=0).tolist())
+            lines.append(f"| {file} | mean | | {told} | {ratios} | | |")
     write_whole(path, "\n".join(lines) + "\n")
 
 
@@ -104,11 +107,8 @@ def _errors(whole: float, middle: float, told: float, held: float) -> str:
     return f"{whole:.2f} ({middle:.3f}) / {told:.2f} {held:.0%}"
 
 
-def _spread(of: list[float] | None) -> str:
+def _spread(low: float, middle: float, high: float) -> str:
     """Ratios, their middle and the ends of the middle 80 %."""
-    if of is None:
-        return "not looked at"
-    low, middle, high = of
     return f"{middle:.2f} ({low:.2f} to {high:.2f})"
 
 
