@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build pneu_hw_bridge as an ament_python package with colcon; pip uses the root pyproject.toml."""
 
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
 from setuptools import find_packages, setup
 
+manifest = ElementTree.parse(Path(__file__).with_name("package.xml"))
 package_name = "pneu_hw_bridge"
 
 setup(
     name=package_name,
-    version="0.1.0",
+    version=manifest.findtext("version"),
     packages=find_packages(include=[package_name, f"{package_name}.*"]),
     package_data={
         "": ["py.typed", "**/*.yaml", "**/*.html", "**/*.css", "**/*.js", "**/*.json"],

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Install launch files, parameters, layouts and the rig with colcon; there is no Python in it."""
 
+import xml.etree.ElementTree as ElementTree
 from glob import glob
+from pathlib import Path
 
 from setuptools import setup
 
+manifest = ElementTree.parse(Path(__file__).with_name("package.xml"))
 package_name = "pneu_bringup"
 
 setup(
     name=package_name,
-    version="0.1.0",
+    version=manifest.findtext("version"),
     packages=[],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 
 from pneu_common.errors import InputError
+from pneu_common.installed import version
 from pneu_common.tables import Column, NamedTable
 from pneu_common.tally import Tally
 from pneu_sim import sensors
@@ -43,7 +44,6 @@ from pneu_sysid.results.compare import (
     TapError,
     regime_order,
 )
-from pneu_sysid.results.files import pneu_version
 from pneu_sysid.sensor_units import Unit, apart, encoder_units, shared, unit_of
 from pneu_sysid.shift import Shift, estimate_shift
 from pneu_sysid.thresholds import Thresholds
@@ -137,7 +137,7 @@ def compare(
         )
     of_taps, of_encoders = apart(noise, encoders)
     return CompareResult(
-        pneu_version=pneu_version(),
+        pneu_version=version(),
         recording=first.name,
         recordings=[r.name for r in recordings],
         rigs=names,

@@ -4,9 +4,9 @@
 from collections.abc import Sequence
 from typing import Any
 
+from pneu_common.installed import version
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.problem import Problem
-from pneu_sysid.results.files import pneu_version
 from pneu_sysid.sensor_units import apart, encoder_units
 
 
@@ -23,7 +23,7 @@ def heading(problem: Problem, rig: Rig, name: str, findings: Sequence[str]) -> d
     noise = dict(zip(problem.taps, problem.noise_pa.tolist(), strict=True))
     of_taps, of_encoders = apart(noise, encoders)
     return {
-        "pneu_version": pneu_version(),
+        "pneu_version": version(),
         "recording": problem.name,
         "recordings": [recording.name for recording in problem.recordings],
         "rigs": [name],

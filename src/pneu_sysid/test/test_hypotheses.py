@@ -5,11 +5,11 @@ import pytest
 from tests.one_tap import one_tap
 
 from pneu_common.errors import InputError
+from pneu_common.installed import version
 from pneu_sysid.design.hypotheses import MOST, hypotheses_of
 from pneu_sysid.design.promise import pairs_of
 from pneu_sysid.results.compare import Numerics
 from pneu_sysid.results.diagnose import Candidate, DiagnoseResult
-from pneu_sysid.results.files import pneu_version
 
 RIG = one_tap(0.1)  # its tube is 1.5 m long
 
@@ -35,7 +35,7 @@ def candidate(effect: str, gain: float, places_m=None, **parameters: float) -> C
 
 def result(*candidates: Candidate, verdict: str = "ambiguous") -> DiagnoseResult:
     return DiagnoseResult(
-        pneu_version=pneu_version(), recording="r", recordings=["r"], rigs=["lab"], taps=["end"],
+        pneu_version=version(), recording="r", recordings=["r"], rigs=["lab"], taps=["end"],
         encoders={}, noise_floor_pa={"end": 250.0}, noise_floor={}, findings=[], verdict=verdict,
         sentence="", statements=[], unchanged=[], times_noise=2.0, rmse_pa={}, rmse={},
         candidates=list(candidates), depends_on=[],

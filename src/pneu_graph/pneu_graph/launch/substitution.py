@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from pneu_graph.launch.expression import evaluate
+from pneu_runtime.packages import PackageNotFoundError, package_prefix, package_share
 
 REFUSED = {
     "command": "it would run a program while the file is read",
@@ -189,17 +190,8 @@ def _prefix(scope: Scope, package: str) -> str:
 
 
 def _package(package: str) -> tuple[str, str]:
-    from pneu_runtime import hook
-
-    hook.install()
-    from ament_index_python.packages import (
-        PackageNotFoundError,
-        get_package_prefix,
-        get_package_share_directory,
-    )
-
     try:
-        return get_package_share_directory(package), get_package_prefix(package)
+        return package_share(package), package_prefix(package)
     except PackageNotFoundError:
         raise ValueError(f"package {package!r} is not installed") from None
 

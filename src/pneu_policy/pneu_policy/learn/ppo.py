@@ -158,7 +158,7 @@ class _Watch(BaseCallback):
         self._started, self._busy = time.perf_counter(), time.process_time()
 
     def _on_step(self) -> bool:
-        rewards = self.training_env.get_original_reward()  # type: ignore[attr-defined]
+        rewards = self.training_env.get_original_reward()
         self._rewards += float(np.mean(rewards))
         return True
 
@@ -194,7 +194,7 @@ class _Watch(BaseCallback):
             "rmse": float(np.sqrt(np.mean(errors**2)) / self._adapter.env.unit[1]),
             "eval_score": judged.score if judged else None,
             "eval_rmse": judged.rmse if judged else None,
-            "std": float(self.model.policy.log_std.detach().exp().mean()),  # type: ignore[operator]
+            "std": float(self.model.policy.log_std.detach().exp().mean()),
         }
         self.rows.append(row)
         if self._report:

@@ -20,6 +20,7 @@ import torch
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
+from pneu_common.process import TerminatedError
 from pneu_policy.learn import npg
 from pneu_policy.learn.checkpoint import load_checkpoint, save_checkpoint
 from pneu_policy.learn.export import Trained, export_policy
@@ -83,8 +84,8 @@ class Trainer:
         rig = Path(settings.env.file)
         self.file_sha256 = hashlib.sha256(rig.read_bytes()).hexdigest() if rig.exists() else ""
         n = settings.npg
-        inputs = int(self.env.single_observation_space.shape[0])  # type: ignore[index]
-        actions = int(self.env.single_action_space.shape[0])  # type: ignore[index]
+        inputs = int(self.env.single_observation_space.shape[0])
+        actions = int(self.env.single_action_space.shape[0])
         rng = generator(settings.seed, _FIRST_WEIGHTS, 0)
         self.policy = GaussianPolicy(
             inputs, actions, n.hidden, n.log_std_init, n.log_std_floor, rng
@@ -246,7 +247,7 @@ class Trainer:
     def run(self, folder: str | Path, report: Callable[[Row], None] | None = None) -> History:
         """Does what is left to do; writes checkpoints, history and the policy into a folder.
 
-        The first Ctrl-C lets the present iteration end, writes a checkpoint and stops.
+        The first SIGINT or SIGTERM lets the present iteration end, writes a checkpoint and stops.
 
         Args:
             folder: Where; it must exist.
@@ -256,11 +257,11 @@ class Trainer:
             The history.
 
         Raises:
-            KeyboardInterrupt: After a clean end by Ctrl-C.
+            KeyboardInterrupt: After a clean end by a signal.
         """
         folder = Path(folder)
-        with _interrupts() as interrupted:
-            while not self.finished and not interrupted():
+        with _held_back() as signals:
+            while not self.finished and not signals:
                 row = self.iterate()
                 if report:
                     report(row)
@@ -271,7 +272,7 @@ class Trainer:
                     self._export(folder / f"policy_{self.done:04d}.npz")
             self._write(folder)
             if not self.finished:
-                raise KeyboardInterrupt
+                raise TerminatedError if signal.SIGTERM in signals else KeyboardInterrupt
         self._export(folder / POLICY)
         return self.history()
 
@@ -316,20 +317,22 @@ def first_difference(found: Any, wanted: Any, but: tuple[str, ...] = ()) -> str 
 
 
 @contextlib.contextmanager
-def _interrupts() -> Iterator[Callable[[], bool]]:
-    """Holds a first Ctrl-C back, because an update cut in two leaves no state to go on from."""
-    asked = threading.Event()
+def _held_back() -> Iterator[list[int]]:
+    """Collects first signals, because an update cut in two leaves no state to go on from."""
+    received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield asked.is_set  # signals reach the main thread only
+        yield received  # signals reach the main thread only
         return
-    before = signal.getsignal(signal.SIGINT)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def note(number: int, frame: Any) -> None:
-        asked.set()
-        signal.signal(signal.SIGINT, before)  # a second one takes effect at once
+        received.append(number)
+        signal.signal(number, before[signal.Signals(number)])  # a second takes effect at once
 
-    signal.signal(signal.SIGINT, note)
+    for number in before:
+        signal.signal(number, note)
     try:
-        yield asked.is_set
+        yield received
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

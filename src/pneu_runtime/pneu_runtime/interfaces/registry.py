@@ -13,7 +13,6 @@ feedback and the services and messages that carry them, with the names that rosi
 (rosidl_parser/definition.py and rosidl_generator_type_description of ros2/rosidl, branch jazzy).
 """
 
-import importlib.metadata
 import os
 from collections.abc import Iterator, Mapping
 from functools import cached_property
@@ -22,6 +21,7 @@ from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
 
+from pneu_common.installed import own_tree
 from pneu_runtime.interfaces.errors import DefinitionError, UnknownInterfaceError
 from pneu_runtime.interfaces.model import EMPTY_FIELD, Constant, Field, FieldType, Structure
 from pneu_runtime.interfaces.parse import parse_structure, split_parts
@@ -266,9 +266,9 @@ def _package_roots(environment: Mapping[str, str]) -> Iterator[tuple[str, Path]]
         yield from _packages_in(folder)
     for text in filter(None, environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
         yield from _packages_in(Path(text) / "share")
-    own = _own_messages()
-    if own is not None:
-        yield "pneu_msgs", own
+    tree = own_tree()
+    if tree is not None:
+        yield "pneu_msgs", tree / "msgs"
     yield from _packages_in(_BUNDLED)
 
 
@@ -291,18 +291,3 @@ def _package_name(folder: Path) -> str:
         if 0 <= start < end:
             return text[start + 6 : end].strip()
     return folder.resolve().name
-
-
-def _own_messages() -> Path | None:
-    """Folder of pneu_msgs: in a checkout beside `src`, of a wheel below the prefix's `share`."""
-    checkout = Path(__file__).parents[4] / "msgs"
-    if (checkout / "package.xml").is_file() and (checkout / "msg").is_dir():
-        return checkout
-    try:
-        files = importlib.metadata.files("pneu") or []
-    except importlib.metadata.PackageNotFoundError:
-        return None
-    for file in files:
-        if file.parts[-3:] == ("share", "pneu_msgs", "package.xml"):
-            return Path(str(file.locate())).resolve().parent
-    return None

@@ -31,9 +31,9 @@ def fit_result(
         seconds: How long it took, s.
         plan: The plan that was played.
     """
+    from pneu_common.installed import version
     from pneu_sysid.design.judge import promised_errors
     from pneu_sysid.parameter_units import unit_of_parameter
-    from pneu_sysid.results.files import pneu_version
     from pneu_sysid.results.fit import Correlation, FitResult, FitShortfall, FittedParameter
     from pneu_sysid.sensor_units import encoder_units
     from pneu_sysid.uncertainty import pairs_above
@@ -64,7 +64,7 @@ def fit_result(
     assert calibration is not None
     short = outcome.shortfall
     return FitResult(
-        pneu_version=pneu_version(),
+        pneu_version=version(),
         recording=titled(recordings),
         recordings=[recording.name for recording in recordings],
         rigs=[outcome.rig.name],

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pneu_common.installed import version
 from pneu_sysid.contacts.diagnose import SceneDiagnosis
 from pneu_sysid.contacts.effects.base import Setup
 from pneu_sysid.contacts.estimate import Problem, State
@@ -15,7 +16,6 @@ from pneu_sysid.contacts.learn import SceneLearned
 from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.scene import Loaded
 from pneu_sysid.contacts.track import Track
-from pneu_sysid.results.files import pneu_version
 from pneu_sysid.results.scenes import (
     Misread,
     SceneCandidate,
@@ -35,7 +35,7 @@ OTHERS = {"accelerometer": "m/s^2", "force": "N", "torque": "N m", "jointvel": "
 def _head(path: Path, loaded: Loaded, tracks: Sequence[Track]) -> dict[str, object]:
     setup = loaded.setup()
     return {
-        "pneu_version": pneu_version(),
+        "pneu_version": version(),
         "scene": str(path),
         "recordings": [track.name for track in tracks],
         "sensors": {name: unit_of(setup, name) for name in loaded.names},

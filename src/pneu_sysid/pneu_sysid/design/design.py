@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from pneu_common.errors import InputError
+from pneu_common.installed import version
 from pneu_sim.models import kind_of
 from pneu_sim.rig.schema import FitParameter, Rig
 from pneu_sysid.curves import Mirrors, mirrors_of
@@ -32,7 +33,6 @@ from pneu_sysid.design.tracking import track
 from pneu_sysid.design.waves import KINDS, STEP_S, Choice, draw_piece, joined, shut
 from pneu_sysid.fit import as_fitted
 from pneu_sysid.problem import make_problem
-from pneu_sysid.results.files import pneu_version
 from pneu_sysid.slopes import LOOKS
 from pneu_sysid.thresholds import Thresholds
 
@@ -221,7 +221,7 @@ def design(rig: Rig, asked: Asked, progress: Progress | None = None) -> Plan:
     seconds = float(pool.edges_s(pool.count)[-1])
     learnt = [] if asked.hypotheses else asked.parameters
     return Plan(
-        pneu_version=pneu_version(),
+        pneu_version=version(),
         rig=rig.name,
         kind=asked.kind or ("separate" if asked.hypotheses else "parameters"),
         seconds=seconds,

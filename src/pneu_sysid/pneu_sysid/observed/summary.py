@@ -6,9 +6,9 @@ from typing import Literal
 
 import numpy as np
 
+from pneu_common.installed import version
 from pneu_sim.rig.schema import Rig
 from pneu_sysid.observed.follow import Followed
-from pneu_sysid.results.files import pneu_version
 from pneu_sysid.results.observe import Drifting, ObservedSensor, ObserveResult, Said
 from pneu_sysid.sensor_units import encoder_units
 
@@ -74,7 +74,7 @@ def summary_of(
         )
     units = encoder_units(rig)
     return ObserveResult(
-        pneu_version=pneu_version(),
+        pneu_version=version(),
         recording=name,
         recordings=[name],
         rigs=[rig.name],

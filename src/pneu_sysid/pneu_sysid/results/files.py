@@ -6,7 +6,6 @@ The models of this folder are the only source of their schema; ``docs/json.md`` 
 holds NaN.
 """
 
-import importlib.metadata
 import json
 from pathlib import Path
 from typing import Any
@@ -44,16 +43,6 @@ RESULTS: tuple[type[Result], ...] = (
     SceneLearnResult,
     Plan,
 )
-
-
-def pneu_version() -> str:
-    """Version of the installed program, for the head of a result."""
-    for distribution in ("pneu", "pneu_sysid"):  # installed by pip, or by colcon
-        try:
-            return importlib.metadata.version(distribution)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return "(not installed)"
 
 
 def result_of(data: dict[str, Any]) -> Any:

@@ -3,9 +3,9 @@
 
 import numpy as np
 
+from pneu_common.installed import version
 from pneu_common.tables import Column, NamedTable
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.results.files import pneu_version
 from pneu_sysid.results.friction import (
     FrictionLaw,
     FrictionLevel,
@@ -353,7 +353,7 @@ def result_of_friction(
     several = len(tests) > 1
     told = [f"{t.name}: {f}" if several else f for t in tests for f in t.findings]
     return FrictionResult(
-        pneu_version=pneu_version(),
+        pneu_version=version(),
         recording=", ".join(t.name for t in tests),
         recordings=[t.name for t in tests],
         rigs=[rig.name],

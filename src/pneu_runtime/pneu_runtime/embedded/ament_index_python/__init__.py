@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where packages are installed: the part of `ament_index_python` that nodes and launch files use.
 
-Packages of ROS workspaces are found by AMENT_PREFIX_PATH. Beside them stand the packages of a
-source tree (the folders with a `package.xml`): that which holds this installation, and those that
-PNEU_PACKAGE_PATH names.
+See `pneu_runtime.packages`. Unlike in a ROS installation AMENT_PREFIX_PATH may be absent.
 """
 
 from ament_index_python.packages import (

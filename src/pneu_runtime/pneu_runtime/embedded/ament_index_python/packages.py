@@ -1,76 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a package is installed."""
+"""Where a package is installed, by the names and arguments of the genuine module."""
 
-import os
 from pathlib import Path
 
-from ament_index_python.search_paths import get_search_paths, source_packages, wheel_packages
+from pneu_runtime.packages import PackageNotFoundError, package_share
+from pneu_runtime.packages import package_prefix as get_package_prefix
+from pneu_runtime.packages import packages_with_prefixes as get_packages_with_prefixes
 
-
-class PackageNotFoundError(KeyError):
-    """Signals that a package is not installed."""
-
-    def __str__(self) -> str:
-        return f"package '{self.args[0]}' not found, searching: {get_search_paths()}"
-
-
-def get_packages_with_prefixes() -> dict[str, str]:
-    """Returns the prefixes of all packages by name."""
-    found: dict[str, str] = {}
-    for prefix in get_search_paths():
-        index = Path(prefix, "share", "ament_index", "resource_index", "packages")
-        if index.is_dir():
-            for entry in sorted(index.iterdir()):
-                found.setdefault(entry.name, prefix)
-    for name, folder in (*source_packages().items(), *wheel_packages().items()):
-        found.setdefault(name, folder)
-    return found
-
-
-def get_package_prefix(package_name: str) -> str:
-    """Returns the prefix of a package; the folder of its sources where it is not installed.
-
-    Args:
-        package_name: Its name.
-
-    Raises:
-        PackageNotFoundError: It is not installed.
-        ValueError: It is no name of a package.
-    """
-    if not package_name or not package_name.replace("_", "a").replace("-", "a").isalnum():
-        raise ValueError(f"'{package_name}' is no package name")
-    try:
-        return get_packages_with_prefixes()[package_name]
-    except KeyError:
-        raise PackageNotFoundError(package_name) from None
+__all__ = [
+    "PackageNotFoundError",
+    "get_package_prefix",
+    "get_package_share_directory",
+    "get_package_share_path",
+    "get_packages_with_prefixes",
+]
 
 
 def get_package_share_directory(package_name: str, print_warning: bool = True) -> str:
-    """Returns the share folder of a package: where its `launch/` and `config/` are.
+    """Return the share folder of a package, which holds its `launch/` and `config/`.
 
     Args:
-        package_name: Its name.
+        package_name: Name of the package.
         print_warning: Kept for compatibility.
 
     Raises:
         PackageNotFoundError: It is not installed.
-        ValueError: It is no name of a package.
+        ValueError: It is not a valid package name.
     """
-    prefix = get_package_prefix(package_name)
-    if os.path.isfile(os.path.join(prefix, "package.xml")):
-        return prefix
-    return os.path.join(prefix, "share", package_name)
+    return package_share(package_name)
 
 
 def get_package_share_path(package_name: str, print_warning: bool = True) -> Path:
-    """Returns the share folder of a package as a path.
+    """Return the share folder of a package as a path.
 
     Args:
-        package_name: Its name.
+        package_name: Name of the package.
         print_warning: Kept for compatibility.
 
     Raises:
         PackageNotFoundError: It is not installed.
-        ValueError: It is no name of a package.
+        ValueError: It is not a valid package name.
     """
-    return Path(get_package_share_directory(package_name, print_warning))
+    return Path(package_share(package_name))
