@@ -1,26 +1,39 @@
 # SPDX-License-Identifier: Apache-2.0
 """Makes `import rclpy` and the imports of messages work on a machine without ROS.
 
-`install()` adds a finder to Python's import system. It provides `rclpy` and the other packages in
-`embedded/`, and `<package>.msg`, `.srv` and `.action` of every interface package whose definitions
-are known. A package that is really installed is always preferred, and where the real rclpy can be
-imported nothing is changed at all, since its messages need support that only ROS can give. Where
-one is found that cannot be imported (ROS is sourced, and this Python is another, or lacks what
-rclpy needs), it is left out with all that lies beside it, and a line on stderr says so.
+`install()` chooses between the genuine rclpy and the embedded runtime, once for a process and all
+that it starts: the choice is kept in the environment variable PNEU_RCLPY, which also overrides it.
+
+- `PNEU_RCLPY` is not set: the genuine rclpy where it and `pneu_msgs` can be imported; the embedded
+  runtime otherwise. Where a genuine rclpy is found but not used, one line on stderr gives the
+  reason. Its messages need type support that only the genuine generators make, so that `pneu_msgs`
+  of our own cannot stand in.
+- `ros`: the genuine rclpy, or an error that gives the reason.
+- `embedded`: the embedded runtime.
+
+With the genuine rclpy the import system stays as it is. The embedded runtime is a finder that
+provides `rclpy` and the other packages in `embedded/`, and `<package>.msg`, `.srv` and `.action` of
+every interface package whose definitions are known. It prefers a package that is really installed,
+unless that lies beside a genuine rclpy that is not used.
 """
 
 import importlib
 import importlib.abc
 import importlib.machinery
 import importlib.util
+import os
 import sys
 import types
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pneu_common.errors import InputError
 from pneu_runtime.interfaces import action_class, known_types, message_class, service_class
 from pneu_runtime.interfaces.catalogue import registry
+
+CHOICE = "PNEU_RCLPY"
+"""Environment variable with the choice: `ros` or `embedded`."""
 
 _EMBEDDED = Path(__file__).parent / "embedded"
 _KINDS = ("msg", "srv", "action")
@@ -74,7 +87,7 @@ class _Finder(importlib.abc.MetaPathFinder):
     """Finds what this package provides, unless something real is installed under that name."""
 
     def __init__(self, broken: Path | None = None) -> None:
-        self._broken = broken  # where the packages lie of a ROS that cannot be imported
+        self._broken = broken  # where the packages of a ROS that is not used lie
         self._packages = {name.split("/")[0] for name in known_types()}
         self._embedded = {path.parent.name: path for path in _EMBEDDED.glob("*/__init__.py")}
 
@@ -122,44 +135,65 @@ def _origin(name: str, path: Sequence[str] | None) -> str | None:
     return None
 
 
-def _import_fails(name: str) -> str:
-    """Why a package that is found cannot be imported; empty where it can."""
+def _genuine_fails() -> str:
+    """Return why the genuine rclpy that is found cannot run our nodes; empty where it can."""
     before = set(sys.modules)
     try:
-        importlib.import_module(name)
+        importlib.import_module("rclpy")
+        for kind in _KINDS:
+            module = importlib.import_module(f"pneu_msgs.{kind}")
+            prefix = f"pneu_msgs/{kind}/"
+            for name in (n.removeprefix(prefix) for n in known_types() if n.startswith(prefix)):
+                if not hasattr(module, name):
+                    raise ImportError(f"pneu_msgs lacks {prefix}{name}: it is of another version")
     except Exception as error:
-        for module in set(sys.modules) - before:
-            if module.partition(".")[0] == name:
-                del sys.modules[module]
+        for module_name in set(sys.modules) - before:
+            if module_name.partition(".")[0] in ("rclpy", "pneu_msgs"):
+                del sys.modules[module_name]
         return f"{type(error).__name__}: {error}"
     return ""
 
 
 def install() -> bool:
-    """Makes `rclpy` and messages importable, where they are not. Further calls do nothing.
+    """Make `rclpy` and messages importable. Further calls change nothing.
 
     Returns:
-        bool: whether the embedded runtime is what `import rclpy` gives; False where the real one
-        works.
+        Whether `import rclpy` gives the embedded runtime; False where it gives the genuine one.
+
+    Raises:
+        InputError: PNEU_RCLPY has another value, or asks for a genuine rclpy that cannot be used.
     """
     if any(isinstance(finder, _Finder) for finder in sys.meta_path):
         return True
-    if sys.modules.get("rclpy") is not None:
+    choice = os.environ.get(CHOICE, "")
+    if choice not in ("", "ros", "embedded"):
+        raise InputError(f"{CHOICE}: found {choice!r}, allowed are 'ros' and 'embedded'")
+    if sys.modules.get("rclpy") is not None:  # a program of the user's has imported it
         return False
-    broken, origin = None, _origin("rclpy", None)
-    if origin is not None:
-        why = _import_fails("rclpy")
+    origin = _origin("rclpy", None)
+    if choice != "embedded" and origin is not None:
+        why = _genuine_fails()
         if not why:
+            os.environ[CHOICE] = "ros"
             return False
-        broken = Path(origin).parent.parent
-        print(
-            f"pneu: the rclpy in {broken} cannot be imported here ({why}); the embedded runtime"
-            " takes its place",
-            file=sys.stderr,
+        if choice == "":
+            print(
+                f"pneu: the rclpy in {Path(origin).parent.parent} is not used ({why}); nodes run on"
+                f" the embedded runtime ({CHOICE}=embedded says so beforehand, {CHOICE}=ros forbids"
+                " it)",
+                file=sys.stderr,
+            )
+    else:
+        why = "no rclpy is installed"
+    if choice == "ros":
+        raise InputError(
+            f"{CHOICE}=ros asks for the genuine rclpy, which cannot be used here: {why}; it and"
+            " pneu_msgs have to be importable, see docs/runtime.md"
         )
+    os.environ[CHOICE] = "embedded"
     # Before the finder of files, which would take a folder of definitions for a package; what
     # is really installed is still preferred, see `_is_installed`.
     files = [finder for finder in sys.meta_path if finder is importlib.machinery.PathFinder]
     position = sys.meta_path.index(files[0]) if files else len(sys.meta_path)
-    sys.meta_path.insert(position, _Finder(broken))
+    sys.meta_path.insert(position, _Finder(Path(origin).parent.parent if origin else None))
     return True
