@@ -7,8 +7,10 @@ from typing import Any
 
 from pneu_hw_bridge.stopping import stop_here
 
-DISCOVERY_S = 3.0
+LOOKS = 2.0
+"""Bridges of other machines are looked for this many times as long as discovery usually takes."""
 ANSWER_S = 3.0
+"""How long a bridge that was found may take to answer, s."""
 
 
 def at_once(words: Sequence[str]) -> int | None:
@@ -66,30 +68,36 @@ def _stop_on_graph(known: set[str]) -> list[dict[str, Any]]:
 
 
 def _call_services(node: Any, known: set[str]) -> list[dict[str, Any]]:
-    """Calls them while they are discovered."""
+    """Calls them while they are discovered. Who is found and does not answer is not confirmed."""
     import rclpy
     from std_srvs.srv import Trigger
 
+    from pneu_graph.nodes.discovery import patience_s
+
+    found: dict[str, dict[str, Any]] = {}
+    clients: dict[str, Any] = {}  # kept: a new one would have to be discovered anew
     asked: dict[str, Any] = {}
-    end_s = time.monotonic() + DISCOVERY_S
-    while time.monotonic() < end_s or not all(future.done() for future in asked.values()):
-        if time.monotonic() > end_s + ANSWER_S:
-            break
+
+    def answer(bridge: str, safe: bool, message: str) -> None:
+        found[bridge] = {"bridge": bridge, "safe": safe, "message": message}
+        _show(found[bridge])
+
+    end_s = time.monotonic() + LOOKS * patience_s()
+    while (now_s := time.monotonic()) < end_s or (
+        len(found) < len(clients) and now_s < end_s + ANSWER_S
+    ):
         for name, kinds in node.get_service_names_and_types():
             bridge = name.removesuffix("/e_stop")
-            if bridge in known | asked.keys() or name == bridge:
-                continue
-            client = node.create_client(Trigger, name)
-            if "std_srvs/srv/Trigger" in kinds and client.service_is_ready():
-                asked[bridge] = client.call_async(Trigger.Request())
-            else:
-                node.destroy_client(client)
+            if name != bridge and "std_srvs/srv/Trigger" in kinds and bridge not in known:
+                if bridge not in clients:
+                    clients[bridge] = node.create_client(Trigger, name)
+                if bridge not in asked and clients[bridge].service_is_ready():
+                    asked[bridge] = clients[bridge].call_async(Trigger.Request())
         rclpy.spin_once(node, timeout_sec=0.05)
-    found = []
-    for bridge, future in asked.items():
-        reply = future.result() if future.done() else None
-        message = "no answer" if reply is None else reply.message
-        safe = reply is not None and reply.success
-        found.append({"bridge": bridge, "safe": safe, "message": message})
-        _show(found[-1])
-    return found
+        for bridge, future in asked.items():
+            if bridge not in found and future.done():
+                reply = future.result()
+                answer(bridge, reply.success, reply.message)
+    for bridge in clients.keys() - found.keys():
+        answer(bridge, False, "no answer" if bridge in asked else "its service is not reached")
+    return list(found.values())

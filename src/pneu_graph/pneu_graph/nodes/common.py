@@ -18,6 +18,7 @@ from rclpy.task import Future
 from pneu_common.errors import InputError
 from pneu_common.garbage import spare_what_stays
 from pneu_common.log import LOG, hand_on
+from pneu_graph.nodes.discovery import patience_s
 from pneu_graph.nodes.lifetime import initialised
 
 COMMAND_QOS = QoSProfile(
@@ -47,6 +48,8 @@ half a second loses none."""
 
 EXIT_BAD_INPUT = 2
 CLOCK_TOPIC = "/clock"
+CLOCK_S = 1.0
+"""How long another publisher of the clock is looked for once participants know each other, s."""
 
 
 def from_another_thread(node: Node) -> Future:
@@ -133,16 +136,17 @@ class Diagnostics:
         self._publisher.publish(message)
 
 
-def other_clocks(node: Node, own: int = 0, patience_s: float = 0.0) -> int:
+def other_clocks(node: Node, own: int = 0, wait: bool = False) -> int:
     """How many publishers of the clock there are beside one's own.
 
     Args:
         node: The node.
         own: Publishers of the clock that the node itself has.
-        patience_s: How long to wait for others to be discovered, s.
+        wait: Wait for others to be discovered. None found is no proof that there is none, so a
+            node has to look again as long as it runs.
     """
     clock = steady_clock()
-    end = clock.now().nanoseconds + round(patience_s * 1e9)
+    end = clock.now().nanoseconds + (round(patience_s(CLOCK_S) * 1e9) if wait else 0)
     while True:
         others = node.count_publishers(CLOCK_TOPIC) - own
         left = (end - clock.now().nanoseconds) * 1e-9

@@ -22,6 +22,7 @@ from pneu_common.errors import InputError
 from pneu_graph.bag.playback import Pacer
 from pneu_graph.bag.qos import adapt_to_recorded
 from pneu_graph.bag.reader import BagMessage, BagReader
+from pneu_graph.nodes.common import other_clocks, steady_clock
 from pneu_graph.nodes.lifetime import initialised
 from pneu_graph.nodes.type_support import interface_class
 
@@ -179,23 +180,31 @@ class Player(Node):
                 self.get_logger().warning(f"{topic.name} is not played: {error}")
                 continue
             if topic.name == CLOCK:
-                self._refuse_second_clock()
+                self._be_the_only_clock()
             publishers[topic.name] = self.create_publisher(
                 cls, topic.name, adapt_to_recorded(topic.profiles).profile()
             )
         return publishers
 
     def _make_clock(self) -> Any:
-        self._refuse_second_clock()
+        self._be_the_only_clock()
         return self.create_publisher(ClockMessage, CLOCK, 1)
 
-    def _refuse_second_clock(self) -> None:
+    def _be_the_only_clock(self) -> None:
+        """Refuses to be a second publisher of the clock, and reports one that is found later."""
         others = self.get_publishers_info_by_topic(self.resolve_topic_name(CLOCK))
         if others:
             names = ", ".join(
                 f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in others
             )
             raise InputError(f"{CLOCK} is published by {names} already, allowed is one publisher")
+        self.create_timer(1.0, self._look_for_other_clocks, clock=steady_clock())
+
+    def _look_for_other_clocks(self) -> None:
+        if other_clocks(self, own=1):
+            self.get_logger().error(
+                f"{CLOCK} has another publisher, allowed is one", throttle_duration_sec=10.0
+            )
 
     def _tell_time(self, time_ns: int) -> None:
         if self._play_time_publisher is not None:

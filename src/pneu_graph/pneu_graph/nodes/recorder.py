@@ -189,8 +189,11 @@ class Recorder(Node):
             known = topic in self._rec_subscriptions_by_topic or topic in self._rec_left_out
             if not known and self._wanted(topic):
                 self._take_up(topic, types)
-        topics = self._rec_subscriptions_by_topic
-        self._rec_alone = {topic for topic in topics if self.count_publishers(topic) == 1}
+        self._rec_alone = {
+            topic
+            for topic, subscription in self._rec_subscriptions_by_topic.items()
+            if subscription.get_publisher_count() == 1
+        }
         self._rec_collector.look()
 
     def _take_up(self, topic: str, types: list[str]) -> None:

@@ -6,8 +6,10 @@ They start at once, where `pneu` first loads the simulator and the identificatio
 
 from importlib.metadata import EntryPoint
 
+from pneu_common import process
 from pneu_common.cli import COMMANDS_GROUP, build_app
 
 if __name__ == "__main__":
+    process.prepare()
     here = EntryPoint("runtime", "pneu_graph.commands:register", COMMANDS_GROUP)
     build_app([here])(prog_name="pneu")

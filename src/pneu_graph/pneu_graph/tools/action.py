@@ -46,8 +46,9 @@ def _actions(node: Any) -> list[tuple[str, list[str]]]:
 @app.command("type")
 def type_command(name: Annotated[str, typer.Argument(help="The action.")]) -> None:
     """Prints the type of an action."""
-    with tool_node() as node:
-        types = dict(_actions(node)).get(absolute(name))
+    wanted = absolute(name)
+    with tool_node(lambda node: wanted in dict(_actions(node))) as node:
+        types = dict(_actions(node)).get(wanted)
     if types is None:
         raise typer.Exit(1)
     print("\n".join(types))
@@ -103,10 +104,12 @@ def send_goal(
     with tool_node(look_around=False) as node:
         from rclpy.action import ActionClient
 
+        from pneu_graph.nodes.discovery import patience_s
+
         fill(goal, given, now=node.get_clock().now().to_msg())
         client = ActionClient(node, cls, absolute(name))
         print("Waiting for an action server to become available...", flush=True)
-        if not spin_while(node, lambda: not client.server_is_ready(), WAIT_S):
+        if not spin_while(node, lambda: not client.server_is_ready(), patience_s(WAIT_S)):
             raise InputError(f"action {absolute(name)} has no server")
         _show("Sending goal:", goal)
         sent = client.send_goal_async(goal, feedback if show_feedback else None)

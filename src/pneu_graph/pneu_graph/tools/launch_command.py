@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """`pneu launch`: from the words of the command line to running processes."""
 
+import contextlib
 import os
 import shlex
 import socket
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TextIO
 
 from pneu_common.errors import InputError
 from pneu_graph.launch.plan import Argument, Plan, declared_arguments
 from pneu_graph.launch.supervisor import Supervisor
+from pneu_runtime import hook
+from pneu_runtime.packages import PackageNotFoundError, package_share
 
 
 def launch(words: list[str], show_args: bool = False, print_only: bool = False) -> int:
@@ -33,15 +38,14 @@ def launch(words: list[str], show_args: bool = False, print_only: bool = False) 
         return 0
     with tempfile.TemporaryDirectory(prefix="pneu_launch_") as scratch:
         logged: list[str] = []
+        hook.install()  # chooses the runtime, once, for all processes of the launch
         plan = Plan(path, arguments, dict(os.environ), Path(scratch), logged.append)
         if print_only:
             for spec in plan.processes:
                 print(f"[{spec.label}] {shlex.join(spec.command)}")
             return 0
-        folder = _log_folder()
-        with (folder / "launch.log").open("w", encoding="utf-8") as log:
+        with _log_file() as log:
             supervisor = Supervisor(plan.processes, log=log)
-            print(f"[INFO] [launch]: All log files can be found below {folder}", flush=True)
             for sentence in logged:
                 print(f"[INFO] [launch.user]: {sentence}", flush=True)
             return supervisor.run()
@@ -68,13 +72,8 @@ def _target(words: list[str]) -> tuple[Path, dict[str, str]]:
 
 
 def _file_of_package(package: str, name: str) -> Path:
-    from pneu_runtime import hook
-
-    hook.install()
-    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-
     try:
-        share = Path(get_package_share_directory(package))
+        share = Path(package_share(package))
     except (PackageNotFoundError, ValueError):
         raise InputError(f"package {package!r} is not installed") from None
     found = sorted(path for path in share.rglob(name) if path.is_file())
@@ -101,16 +100,29 @@ def _arguments_text(arguments: list[Argument]) -> str:
     return "\n".join(lines)
 
 
-def _log_folder() -> Path:
-    """Folder for the output of one launch, where ROS would put it."""
-    home = os.environ.get("ROS_HOME") or str(Path.home() / ".ros")
-    root = Path(os.environ.get("ROS_LOG_DIR") or Path(home, "log"))
+@contextlib.contextmanager
+def _log_file() -> Iterator[TextIO | None]:
+    """Opens a file for the output of one launch, in the folder that ROS uses.
+
+    Yields:
+        The file; None where it cannot be made.
+    """
     name = f"{time.strftime('%Y-%m-%d-%H-%M-%S')}-{socket.gethostname()}-{os.getpid()}"
-    folder = root / name
+    home = os.environ.get("ROS_HOME") or "~/.ros"
+    folder = Path(os.environ.get("ROS_LOG_DIR") or Path(home, "log"), name)
     try:
+        folder = folder.expanduser()
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be made ({error.strerror}); ROS_LOG_DIR names another place"
-        ) from None
-    return folder
+        # Names of files may hold bytes that are no text.
+        log = (folder / "launch.log").open("w", encoding="utf-8", errors="backslashreplace")
+    except (OSError, RuntimeError) as error:  # the second where there is no home directory
+        print(
+            f"[WARNING] [launch]: No log is written, because {folder} cannot be made"
+            f" ({getattr(error, 'strerror', None) or error}); ROS_LOG_DIR names another folder",
+            flush=True,
+        )
+        yield None
+        return
+    with log:
+        print(f"[INFO] [launch]: All log files can be found below {folder}", flush=True)
+        yield log

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`pneu lifecycle`: states of nodes with hardware, and changing them."""
 
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
@@ -23,8 +24,12 @@ def _lifecycle_nodes(node: Any) -> list[str]:
     )
 
 
+def _named(name: str) -> Callable[[Any], bool]:
+    return lambda node: absolute(name) in _lifecycle_nodes(node)
+
+
 def _known(node: Any, name: str) -> str:
-    if absolute(name) not in _lifecycle_nodes(node):
+    if not _named(name)(node):
         typer.echo("Node not found", err=True)
         raise typer.Exit(1)
     return absolute(name)
@@ -49,7 +54,7 @@ def nodes() -> None:
 @app.command("get")
 def get(name: Annotated[str, typer.Argument(help="Only this node.")] = "") -> None:
     """Prints the state of a node, or of all."""
-    with tool_node() as node:
+    with tool_node(_named(name) if name else None) as node:
         targets = [_known(node, name)] if name else _lifecycle_nodes(node)
         for target in targets:
             state = _ask(node, target, "get_state", "GetState").current_state
@@ -62,7 +67,7 @@ def set_state(
     transition: Annotated[str, typer.Argument(help="Such as configure, activate, or its number.")],
 ) -> None:
     """Changes the state of a node."""
-    with tool_node() as node:
+    with tool_node(_named(name)) as node:
         target = _known(node, name)
         possible = _ask(
             node, target, "get_available_transitions", "GetAvailableTransitions"
@@ -94,7 +99,7 @@ def list_transitions(
 ) -> None:
     """Lists the transitions of a node."""
     service = "get_transition_graph" if everything else "get_available_transitions"
-    with tool_node() as node:
+    with tool_node(_named(name)) as node:
         target = _known(node, name)
         found = _ask(node, target, service, "GetAvailableTransitions").available_transitions
     for entry in found:

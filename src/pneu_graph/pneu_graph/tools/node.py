@@ -2,6 +2,7 @@
 """`pneu node`: which nodes there are, and what each has."""
 
 from collections import Counter
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
@@ -20,6 +21,15 @@ def nodes_of(node: Any, with_hidden: bool = False) -> list[str]:
     """
     found = [full_name(space, name) for name, space in node.get_node_names_and_namespaces()]
     return sorted(name for name in found if with_hidden or not hidden(name))
+
+
+def named(name: str) -> Callable[[Any], bool]:
+    """Returns whether a node that looks sees the node of a name.
+
+    Args:
+        name: With or without the leading slash.
+    """
+    return lambda node: absolute(name) in nodes_of(node, with_hidden=True)
 
 
 @app.command("list")

@@ -9,7 +9,7 @@ import typer
 from pneu_common.documents import read_yaml
 from pneu_common.errors import InputError
 from pneu_graph.tools.message_text import yaml_text
-from pneu_graph.tools.node import nodes_of
+from pneu_graph.tools.node import named, nodes_of
 from pneu_graph.tools.parameter_value import (
     TYPE_NAMES,
     from_text,
@@ -38,11 +38,10 @@ def _ask(node: Any, service: str, target: str, **fields: Any) -> Any:
 
 
 def _existing(node: Any, name: str) -> str:
-    target = absolute(name)
-    if target not in nodes_of(node, with_hidden=True):
+    if not named(name)(node):
         typer.echo("Node not found", err=True)
         raise typer.Exit(1)
-    return target
+    return absolute(name)
 
 
 def _names(node: Any, target: str) -> list[str]:
@@ -57,7 +56,7 @@ def list_parameters(
     ] = False,
 ) -> None:
     """Lists the parameters of every node."""
-    with tool_node() as node:
+    with tool_node(named(name) if name else None) as node:
         targets = [_existing(node, name)] if name else nodes_of(node)
         for target in targets:
             try:
@@ -82,7 +81,7 @@ def get(
     hide_type: Annotated[bool, typer.Option("--hide-type", help="Only the value.")] = False,
 ) -> None:
     """Prints a parameter."""
-    with tool_node() as node:
+    with tool_node(named(name)) as node:
         target = _existing(node, name)
         values = _ask(node, "get_parameters", target, names=[parameter]).values
     if not values or values[0].type == 0:
@@ -102,7 +101,7 @@ def set_parameter(
     value: Annotated[str, typer.Argument(help="The value, as YAML.")],
 ) -> None:
     """Sets a parameter."""
-    with tool_node() as node:
+    with tool_node(named(name)) as node:
         target = _existing(node, name)
         if not _set(node, target, {parameter: from_text(value)}, brief=True):
             raise typer.Exit(1)
@@ -131,7 +130,7 @@ def _set(node: Any, target: str, values: dict[str, Any], brief: bool) -> bool:
 @app.command("dump")
 def dump(name: Node) -> None:
     """Prints all parameters of a node in the form of a parameter file."""
-    with tool_node() as node:
+    with tool_node(named(name)) as node:
         target = _existing(node, name)
         names = _names(node, target)
         values = _ask(node, "get_parameters", target, names=names).values
@@ -148,7 +147,7 @@ def dump(name: Node) -> None:
 @app.command("load")
 def load(name: Node, path: Annotated[Path, typer.Argument(help="The parameter file.")]) -> None:
     """Sets parameters of a node from a parameter file."""
-    with tool_node() as node:
+    with tool_node(named(name)) as node:
         target = _existing(node, name)
         values = _from_file(path, target)
         if not _set(node, target, values, brief=False):
@@ -182,7 +181,7 @@ def describe(
     name: Node, parameters: Annotated[list[str], typer.Argument(help="The parameters.")]
 ) -> None:
     """Describes parameters: type, range, whether they can be changed."""
-    with tool_node() as node:
+    with tool_node(named(name)) as node:
         target = _existing(node, name)
         found = _ask(node, "describe_parameters", target, names=list(parameters)).descriptors
     for descriptor in found:
@@ -205,7 +204,7 @@ def describe(
 @app.command("delete")
 def delete(name: Node, parameter: Parameter) -> None:
     """Removes a parameter from a node."""
-    with tool_node() as node:
+    with tool_node(named(name)) as node:
         target = _existing(node, name)
         if not _set(node, target, {parameter: None}, brief=True):
             raise typer.Exit(1)

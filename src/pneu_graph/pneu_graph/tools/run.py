@@ -14,6 +14,7 @@ if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_
     # up inside the machinery of imports, which drops it, and the node would start nevertheless.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
+from pneu_common import process
 from pneu_common.errors import InputError
 from pneu_graph.tools import executables
 from pneu_runtime import hook
@@ -30,11 +31,11 @@ def run_executable(package: str, name: str, arguments: list[str]) -> None:
     Raises:
         InputError: There is no such executable.
     """
+    process.restore_signals()  # from here on rclpy and the node handle them
     hook.install()
     main = executables.load(package, name)
     sys.argv = [name, *arguments]
-    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    _raise_interrupts()
     main(None)
 
 
@@ -45,14 +46,23 @@ def run_script(path: Path, arguments: list[str]) -> None:
         path: The script.
         arguments: Command line, with `--ros-args`.
     """
+    process.restore_signals()
     hook.install()
+    _raise_interrupts()
     sys.argv = [str(path), *arguments]
     sys.path.insert(0, str(path.absolute().parent))
     runpy.run_path(str(path), run_name="__main__")
 
 
+def _raise_interrupts() -> None:
+    """Has SIGINT raise an exception, as Python does, unless it is ignored."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def main() -> None:
     """Runs what the command line names and reports bad input in one line."""
+    process.represent_all_characters()
     if len(sys.argv) < 3:
         sys.exit("usage: python -m pneu_graph.tools.run PACKAGE EXECUTABLE [ARGUMENTS]")
     try:
@@ -61,7 +71,7 @@ def main() -> None:
         print(f"{sys.argv[0]}: {error}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
-        sys.exit(130)
+        sys.exit(process.INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -36,8 +36,9 @@ def list_services(
 @app.command("type")
 def type_command(name: Annotated[str, typer.Argument(help="The service.")]) -> None:
     """Prints the type of a service."""
-    with tool_node() as node:
-        types = dict(node.get_service_names_and_types()).get(absolute(name))
+    wanted = absolute(name)
+    with tool_node(lambda node: wanted in dict(node.get_service_names_and_types())) as node:
+        types = dict(node.get_service_names_and_types()).get(wanted)
     if types is None:
         raise typer.Exit(1)
     print("\n".join(types))

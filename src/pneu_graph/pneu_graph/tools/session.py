@@ -10,21 +10,23 @@ from typing import Any
 from pneu_common.errors import InputError
 from pneu_runtime import hook
 
-DISCOVERY_S = 1.5
-"""How long a command looks around before it answers, s, while the graph still changes."""
-
 QUIET_S = 0.4
-"""The graph is taken for known when it has not changed for so long, s."""
+"""The graph is taken for known when it has not changed for so long, s, and for the middleware's
+period of announcements besides (`pneu_graph.nodes.discovery`)."""
 
 SERVICE_S = 5.0
-"""How long a command waits for a service to answer, s."""
+"""How long a command waits for a service to be there, once its participant is known, and for its
+answer, s."""
 
 
 @contextlib.contextmanager
-def tool_node(look_around: bool = True) -> Iterator[Any]:
+def tool_node(
+    found: Callable[[Any], bool] | None = None, look_around: bool = True
+) -> Iterator[Any]:
     """Yields a node whose name marks it as one of the command line.
 
     Args:
+        found: Whether the node sees what is looked for, which ends the wait.
         look_around: Wait until the graph is known.
     """
     hook.install()
@@ -42,7 +44,7 @@ def tool_node(look_around: bool = True) -> Iterator[Any]:
         )
         try:
             if look_around:
-                settle(node)
+                settle(node, found)
             yield node
         finally:
             node.destroy_node()
@@ -63,21 +65,25 @@ def nobody_found(environment: Mapping[str, str]) -> str:
     )
 
 
-def settle(node: Any) -> None:
-    """Waits until the graph has been quiet for a while.
+def settle(node: Any, found: Callable[[Any], bool] | None = None) -> None:
+    """Waits until the graph has been quiet for a while, as long as the middleware needs.
 
     Args:
         node: Node that looks.
+        found: Whether the node sees what is looked for, which ends the wait.
     """
-    deadline = time.monotonic() + DISCOVERY_S
+    from pneu_graph.nodes.discovery import patience_s
+
+    deadline = time.monotonic() + patience_s()
+    quiet_s = patience_s(QUIET_S)
     changed = time.monotonic()
     seen: Any = None
-    while time.monotonic() < deadline:
+    while time.monotonic() < deadline and not (found and found(node)):
         now = (node.get_topic_names_and_types(), node.get_node_names_and_namespaces())
         if now != seen:
             seen, changed = now, time.monotonic()
         # Alone, one cannot know whether others are still to come.
-        if time.monotonic() - changed > QUIET_S and len(now[1]) > 1:
+        if time.monotonic() - changed > quiet_s and len(now[1]) > 1:
             return
         spin(node, 0.05)
 
@@ -133,9 +139,11 @@ def call(node: Any, service_type: Any, name: str, request: Any, what: str) -> An
     Raises:
         InputError: There is no such service, or it does not answer.
     """
+    from pneu_graph.nodes.discovery import patience_s
+
     client = node.create_client(service_type, name)
     try:
-        if not spin_while(node, lambda: not client.service_is_ready(), SERVICE_S):
+        if not spin_while(node, lambda: not client.service_is_ready(), patience_s(SERVICE_S)):
             raise InputError(f"{what}: service {name} is not there")
         future = client.call_async(request)
         if not spin_while(node, lambda: not future.done(), SERVICE_S):

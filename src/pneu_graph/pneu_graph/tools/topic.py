@@ -4,6 +4,7 @@
 import os
 import sys
 import time
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
@@ -62,6 +63,11 @@ def type_of(node: Any, topic: str) -> str:
     return types[0]
 
 
+def _published(topic: str) -> Callable[[Any], bool]:
+    """Whether a node that looks sees a publisher, whose type and QoS a subscription takes."""
+    return lambda node: bool(node.get_publishers_info_by_topic(topic))
+
+
 @app.command("list")
 def list_topics(
     show_types: Annotated[bool, typer.Option("--show-types", "-t", help="Types too.")] = False,
@@ -100,8 +106,9 @@ def list_topics(
 @app.command("type")
 def type_command(topic: Name) -> None:
     """Prints the type of a topic."""
-    with tool_node() as node:
-        types = dict(topics_of(node, with_hidden=True)).get(absolute(topic))
+    name = absolute(topic)
+    with tool_node(lambda node: name in dict(topics_of(node, with_hidden=True))) as node:
+        types = dict(topics_of(node, with_hidden=True)).get(name)
     if types is None:
         raise typer.Exit(1)
     print("\n".join(types))
@@ -182,7 +189,7 @@ def echo(
         else:
             print(yaml_text(shown, flow_style) + "---", flush=True)
 
-    with tool_node(look_around=not message_type) as node:
+    with tool_node(_published(name), look_around=not message_type) as node:
         cls = interface_class(message_type or type_of(node, name))
         node.create_subscription(
             cls, name, show, matching_profile(node, name, reliability, durability, depth), raw=raw
@@ -276,7 +283,7 @@ def bandwidth(
 
 def _measure(topic: str, meter: Any, seconds: float) -> None:
     name = absolute(topic)
-    with tool_node() as node:
+    with tool_node(_published(name)) as node:
         cls = interface_class(type_of(node, name))
         profile = matching_profile(node, name, "", "", 1000)
         node.create_subscription(

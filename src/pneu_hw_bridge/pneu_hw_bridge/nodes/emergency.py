@@ -15,6 +15,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from pneu_graph.nodes.executor_callback import ExecutorCallback
 from pneu_hw_bridge.safety.memory import Memory
 from pneu_hw_bridge.safety.supervisor import Latches
 from pneu_hw_bridge.stopping import StopListener, call_all
@@ -63,7 +64,7 @@ class Emergency:
         self._publisher = node.create_publisher(Bool, "e_stop", E_STOP_QOS)
         node.create_service(Trigger, "~/e_stop", self._on_e_stop)
         node.create_service(Trigger, "~/reset_e_stop", self._on_reset)
-        self._called = node.create_guard_condition(self._on_called)
+        self._called = ExecutorCallback(node, self._on_called)
         self._ear: StopListener | None = None
         try:
             self._ear = StopListener(node.get_fully_qualified_name(), self._on_call)
@@ -108,6 +109,7 @@ class Emergency:
         """Ends listening."""
         if self._ear is not None:
             self._ear.close()
+        self._called.destroy()
 
     def _on_e_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         del request

@@ -31,6 +31,7 @@ from pneu_graph.nodes.common import (
     status,
     to_stamp,
 )
+from pneu_graph.nodes.executor_callback import ExecutorCallback
 from pneu_graph.nodes.lifetime import initialised
 from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_hw_bridge.hand_lab import amplifier, box
@@ -132,7 +133,7 @@ class HandLab(Node):
             raise InputError("hand: found nothing, a hand file is needed")
         settings = read_hand(params.hand)
         self._readings: deque[tuple[str, str, int, Floats]] = deque(maxlen=WAITING)
-        self._arrived = self.create_guard_condition(self._on_readings)
+        self._arrived = ExecutorCallback(self, self._on_readings)
         self._publishers_of: dict[tuple[str, str], Any] = {}
         for name in settings.imus:
             self._publishers_of["imu", name] = self.create_publisher(Imu, f"{name}/imu", FAST_QOS)
@@ -181,6 +182,7 @@ class HandLab(Node):
         """Ends the plant, then the node."""
         if self.plant is not None:
             self.plant.end()
+            self._arrived.destroy()
         super().destroy_node()
 
     def _hear(self, kind: str, name: str, stamp_ns: int, values: Floats) -> None:

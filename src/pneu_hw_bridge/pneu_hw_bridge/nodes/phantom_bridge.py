@@ -11,7 +11,7 @@ torques at zero; activate lets commands through; all else ends them.
 import math
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -29,21 +29,21 @@ from pneu_graph.nodes.common import (
     steady_clock,
     to_stamp,
 )
+from pneu_graph.nodes.executor_callback import ExecutorCallback
 from pneu_hw_bridge.device_clock import DeviceClock
 from pneu_hw_bridge.nodes.bridge import Bridge, run_bridge
 from pneu_hw_bridge.nodes.phantom_settings import PhantomParameters
-from pneu_hw_bridge.nodes.writers import competing
+from pneu_hw_bridge.nodes.writers import Writers
 from pneu_hw_bridge.phantom.governor import STATES, State
 from pneu_hw_bridge.phantom.net_ft import Calibration, read_calibration
 from pneu_hw_bridge.phantom.process import ServoProcess
 from pneu_hw_bridge.phantom.wire import JointSample, WrenchSample
-from pneu_hw_bridge.safety.lateness import Lateness
 from pneu_sim.hand.drive import JointCommand
 from pneu_sim.hand.settings import ArmSettings, read_hand
 from pneu_sim.nodes.hand_messages import command_of
 
 LOOK_S = 0.05
-"""How often publishers of the command topic are counted."""
+"""Period with which the publishers of commands are looked at, s."""
 REOPEN_S = 0.5
 """How often a device that was lost is looked for."""
 
@@ -67,17 +67,15 @@ class PhantomBridge(Bridge):
             InputError: The node was told to use simulated time.
         """
         self._servo: ServoProcess | None = None
-        self._topic = ""
+        self._writers: Writers | None = None
         super().__init__("phantom_bridge", **options)
         self._params = PhantomParameters.declare(self)
         self._settings: dict[str, Any] = {}
         self._joint_names: tuple[str, ...] = ()
         self._calibration: Calibration | None = None
         self._active = False
-        self._writers: list[bytes] = []
         self._state: tuple[int, str] = (-1, "")
         self._reopen_s = 0.0
-        self._lateness = Lateness()
         self._sensor_clock = DeviceClock()
         self._joints: deque[JointSample] = deque(maxlen=WAITING)
         self._wrenches: deque[WrenchSample] = deque(maxlen=WAITING)
@@ -94,19 +92,19 @@ class PhantomBridge(Bridge):
             name, arm = self._arm()
             self._joint_names = tuple(arm.joints)
             self._emergency.recall(f"{self._params.device} {name}")
-            arrived = self.create_guard_condition(self._on_samples)
-            self._entities.append((self.destroy_guard_condition, arrived))
-            self._arrived = arrived
+            self._arrived = ExecutorCallback(self, self._on_samples)
+            self._entities.append((ExecutorCallback.destroy, self._arrived))
             self._open_patiently(arm)
         except InputError as error:
             self.get_logger().error(str(error))
             self._close()
             return TransitionCallbackReturn.FAILURE
-        self._topic = f"{name}/command"
         self._to_joints = self.create_publisher(JointState, f"{name}/joint_states", FAST_QOS)
         self._to_wrench = self.create_publisher(WrenchStamped, f"{name}/wrench", FAST_QOS)
         self._frame = self._params.frame_id or f"{name}_wrench"
+        self._topic = f"{name}/command"
         listener = self.create_subscription(JointState, self._topic, self._on_command, COMMAND_QOS)
+        self._writers = Writers(self, {self._topic: listener}, self._params.commander)
         look = self.create_timer(LOOK_S, self._look_around, clock=steady_clock())
         self._entities += [
             (self.destroy_publisher, self._to_joints),
@@ -212,8 +210,7 @@ class PhantomBridge(Bridge):
             self._servo.tell(e_stop=latches.e_stop)
         if latches.trip:
             self._servo.tell(trip=latches.trip)
-        if self._topic:
-            self._count_writers()
+        self._look_at_writers()
         self._servo.tell(enable=self._active)
 
     def _close_servo(self) -> None:
@@ -225,21 +222,17 @@ class PhantomBridge(Bridge):
         """Ends the process and destroys what configuring created."""
         self._close_servo()
         super()._close()
-        self._topic = ""
+        self._writers = None
 
     # Graph
 
     def _on_command(self, message: JointState, info: dict[str, Any]) -> None:
-        servo = self._servo
-        if servo is None:
+        servo, writers = self._servo, self._writers
+        if servo is None or writers is None:
             return
-        gid = info.get("publisher_gid")
-        if gid is None or [bytes(gid["data"])] != self._writers:
-            self._count_writers()  # before anything of a new one is followed
-        received_s = time.monotonic()
-        sent_ns = info.get("source_timestamp", 0)
-        late_s = self._lateness.of(1e-9 * sent_ns, received_s) if sent_ns > 0 else 0.0
-        servo.command(self._asked(message), received_s - late_s)
+        if not writers.is_known(self._topic, info):
+            self._look_at_writers(info)  # before anything of a new one is followed
+        servo.command(self._asked(message), writers.sent_s(info))
 
     def _asked(self, message: JointState) -> list[JointCommand]:
         """What a message asks of each joint; of a joint that is none of the arm's, the impossible.
@@ -311,7 +304,7 @@ class PhantomBridge(Bridge):
             self._diagnostics.publish()
 
     def _look_around(self) -> None:
-        self._count_writers()
+        self._look_at_writers()
         self._look_at_servo()
         if self._servo is None and time.monotonic() > self._reopen_s:
             try:
@@ -324,14 +317,15 @@ class PhantomBridge(Bridge):
             told = self._sensor_clock.told.popleft()
             self.get_logger().warning(f"force sensor: {told}: the clocks are compared anew")
 
-    def _count_writers(self) -> None:
-        """Looks who may command: one node, and the one that is named where one is."""
-        found = self.get_publishers_info_by_topic(self._topic)
-        writers = [bytes(one.endpoint_gid) for one in found]
-        count, wrong = competing([found], self._params.commander)
-        if writers != self._writers:  # whoever comes next has a clock of its own
-            self._lateness = Lateness()
-        self._writers = writers
+    def _look_at_writers(self, info: Mapping[str, Any] | None = None) -> None:
+        """Looks who may command, and tells the loop.
+
+        Args:
+            info: What the middleware tells of a message whose publisher is in question.
+        """
+        if self._writers is None:
+            return
+        count, wrong = self._writers.look(info)
         if self._servo is not None:
             self._servo.tell(publishers=[count, wrong])
 
@@ -368,7 +362,7 @@ class PhantomBridge(Bridge):
         name, stopped = self.get_name(), self._emergency.latches.e_stop
         servo = self._servo
         if servo is None or not servo.report:
-            wrong = bool(stopped) or bool(self._topic)
+            wrong = bool(stopped) or self._writers is not None
             message = f"e-stop: {stopped}" if stopped else "not open"
             level = DiagnosticStatus.ERROR if wrong else DiagnosticStatus.OK
             return [status(level, f"{name}: safety", message, {}, "phantom")]

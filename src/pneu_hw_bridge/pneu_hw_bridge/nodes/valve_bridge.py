@@ -11,7 +11,6 @@ vent, by writing to the bus and reading it back.
 
 import functools
 import math
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -27,6 +26,7 @@ from pneu_graph.nodes.common import (
     steady_clock,
     to_stamp,
 )
+from pneu_graph.nodes.executor_callback import ExecutorCallback
 from pneu_hw_bridge.device_clock import DeviceClock
 from pneu_hw_bridge.link import Link, Sample
 from pneu_hw_bridge.modbus.bus import ModbusBus
@@ -34,10 +34,9 @@ from pneu_hw_bridge.nodes.bridge import Bridge, run_bridge
 from pneu_hw_bridge.nodes.readings import ReadingsPublisher
 from pneu_hw_bridge.nodes.settings import BridgeParameters
 from pneu_hw_bridge.nodes.signals import told, topics_of
-from pneu_hw_bridge.nodes.writers import competing
+from pneu_hw_bridge.nodes.writers import Writers
 from pneu_hw_bridge.registers.load import load_register_map
 from pneu_hw_bridge.safety.bound import Bound, bound, check
-from pneu_hw_bridge.safety.lateness import Lateness
 from pneu_hw_bridge.safety.limits import limits_of
 from pneu_hw_bridge.safety.stops import stops_of
 from pneu_hw_bridge.safety.supervisor import State, Supervisor
@@ -45,7 +44,7 @@ from pneu_sim import topics
 from pneu_sim.rig import load_rig
 
 LOOK_S = 0.05
-"""How often publishers of the command topic are counted."""
+"""Period with which the publishers of commands are looked at, s."""
 
 BEHIND_S = 0.1
 """A device's clock that has fallen behind by more is told of."""
@@ -75,15 +74,13 @@ class ValveBridge(Bridge):
         self._link: Link | None = None
         super().__init__("valve_bridge", **options)
         self._params = BridgeParameters.declare(self)
-        self._lateness = Lateness()
         self._readings: ReadingsPublisher | None = None
         self._skipped = 0
         self._bound: Callable[[float, float], Bound] | None = None
         self._bound_told = False
         self._unwatched: list[str] = []
         self._commands: list[topics.Topic] = []
-        self._writers: dict[str, list[bytes]] = {}
-        self._commander = ""
+        self._writers: Writers | None = None
         self._applied = self.create_publisher(ValveCommand, topics.APPLIED_TOPIC, READINGS_QOS)
 
     # Life cycle
@@ -116,8 +113,8 @@ class ValveBridge(Bridge):
             )
             check(registers, limits, 1.0 / settings.rate_hz, settings.timeout_s)
             self._emergency.recall(registers.device.where)
-            arrived = self.create_guard_condition(self._on_samples)
-            self._entities.append((self.destroy_guard_condition, arrived))
+            arrived = ExecutorCallback(self, self._on_samples)
+            self._entities.append((ExecutorCallback.destroy, arrived))
             self._link = Link(
                 Supervisor(limits, self._emergency.latches),
                 arrived.trigger,
@@ -127,7 +124,6 @@ class ValveBridge(Bridge):
             clock = self.get_clock()
             self._skipped = 0
             self._bound_told = False
-            self._commander = settings.commander
             self._bus = ModbusBus(
                 registers,
                 self._link,
@@ -142,14 +138,17 @@ class ValveBridge(Bridge):
         self._readings = ReadingsPublisher(
             self, registers, [*taps, *encoders], settings.frame_id, settings.publish_clock
         )
-        for topic in self._commands:
-            listener = self.create_subscription(
+        listeners = {
+            topic.name: self.create_subscription(
                 topics.message_class(topic.type),
                 topic.name,
                 self._listening_to(topic),
                 COMMAND_QOS,
             )
-            self._entities.append((self.destroy_subscription, listener))
+            for topic in self._commands
+        }
+        self._entities += [(self.destroy_subscription, one) for one in listeners.values()]
+        self._writers = Writers(self, listeners, settings.commander)
         look = self.create_timer(LOOK_S, self._look_around, clock=steady_clock())
         self._entities.append((self.destroy_timer, look))
         if registers.device.watchdog_s is None:
@@ -211,7 +210,7 @@ class ValveBridge(Bridge):
         if self._readings is not None:
             self._readings.destroy()
         self._readings = None
-        self._link = None
+        self._link = self._writers = None
 
     # Graph
 
@@ -224,19 +223,16 @@ class ValveBridge(Bridge):
         return heard
 
     def _on_command(self, topic: topics.Topic, message: Any, info: dict[str, Any]) -> None:
-        link, bus = self._link, self._bus
-        if link is None or bus is None:
+        link, bus, writers = self._link, self._bus, self._writers
+        if link is None or bus is None or writers is None:
             return
         volts, refused = told(topic, message)
         if refused:
             link.malformed()
         else:
-            if not self._is_known(topic, info.get("publisher_gid")):
-                self._count_writers(link)  # before anything of a new one is followed
-            received_s = time.monotonic()
-            sent_ns = info["source_timestamp"]  # 0 where the middleware does not tell
-            late_s = self._lateness.of(1e-9 * sent_ns, received_s) if sent_ns > 0 else 0.0
-            refused = link.command(volts, received_s - late_s)
+            if not writers.is_known(topic.name, info):
+                link.publishers(*writers.look(info))  # before anything of a new one is followed
+            refused = link.command(volts, writers.sent_s(info))
         if not refused:
             bus.poke()
         elif refused != "not active":
@@ -263,11 +259,11 @@ class ValveBridge(Bridge):
         self._applied.publish(message)
 
     def _look_around(self) -> None:
-        """Counts publishers, and reports changes of state: here, so that flutter floods no log."""
-        link = self._link
-        if link is None:
+        """Looks at publishers and reports changes of state, here so that flutter floods no log."""
+        link, writers = self._link, self._writers
+        if link is None or writers is None:
             return
-        self._count_writers(link)
+        link.publishers(*writers.look())
         self._say_clock()
         self._say_bound(link)
         changes = link.take_changes()
@@ -282,27 +278,6 @@ class ValveBridge(Bridge):
         if changes:
             self._emergency.keep()
             self._diagnostics.publish()
-
-    def _is_known(self, topic: topics.Topic, gid: dict[str, Any] | None) -> bool:
-        """Whether a command is of the one writer that was there when they were last counted."""
-        known = self._writers.get(topic.name, [])
-        if gid is None:  # (where the middleware does not tell of whom it is)
-            # By its final name: counting expands a name, but does not remap it.
-            return self.count_publishers(self.resolve_topic_name(topic.name)) == len(known)
-        return [bytes(gid["data"])] == known
-
-    def _count_writers(self, link: Link) -> None:
-        """Looks who may command: one node, and the one that is named where one is."""
-        found = {
-            topic.name: self.get_publishers_info_by_topic(topic.name) for topic in self._commands
-        }
-        self._writers = {
-            name: [bytes(one.endpoint_gid) for one in writers] for name, writers in found.items()
-        }
-        count, wrong = competing(list(found.values()), self._commander)
-        if count != 1:  # whoever comes next has a clock of its own
-            self._lateness = Lateness()
-        link.publishers(count, wrong)
 
     def _say_bound(self, link: Link) -> None:
         """Logs once how soon the valves are safe, as soon as that was measured."""

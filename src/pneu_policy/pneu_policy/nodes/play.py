@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The play node: commands a rig as a plan of `pneu excite` has it, once, and ends.
 
-It begins when every sensor of the rig is heard and, where a bridge is there, the bridge follows its
-commands. A plan that was broken off tells nothing that it promised, so anything wrong after that
-ends it for good: a sensor that falls silent, a bridge that trips or is stopped. Its last word is
-the safe voltage; its exit status is 0 where all was played, else another, which says whether only
-time failed it, as on a busy machine, so that the plan may be played again (`design/played.py`).
+It begins when every sensor of the rig is heard and the bridge follows its commands, or no bridge
+has told of itself in the time that discovery takes. A plan that was broken off tells nothing that
+it promised, so anything wrong after that ends it for good: a sensor that falls silent, a bridge
+that trips or is stopped, or one that is heard for the first time and does not follow. Its last word
+is the safe voltage; its exit status is 0 where all was played, else another, which says whether
+only time failed it, as on a busy machine, so that the plan may be played again
+(`design/played.py`).
 """
 
 import math
@@ -18,6 +20,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.task import Future
 
 from pneu_common.errors import InputError
+from pneu_graph.nodes.discovery import patience_s
 from pneu_graph.nodes.parameters import parameter
 from pneu_policy.nodes.controlling import (
     NO_CLOCK,
@@ -33,6 +36,9 @@ from pneu_sysid.design.played import BROKEN_OFF, UNTIMELY
 
 SAFETY = ": safety"
 """How the status of a bridge ends that says whether its commands are followed."""
+TELLS_S = 2.0
+"""Within so long a bridge tells of itself once participants know each other, s: it does so every
+second."""
 TRIPPED = 2
 """Level of such a status from which on the bridge does not follow until somebody releases it."""
 
@@ -139,12 +145,14 @@ class PlayNode(ControllingNode):
     def _on_status(self, message: Any) -> None:
         for status in message.status:
             if status.name.endswith(SAFETY):
-                level = status.level
+                level, first = status.level, status.name not in self._levels
                 self._levels[status.name] = level[0] if isinstance(level, bytes) else int(level)
                 if self._levels[status.name] != 0:
                     self._why = f"{status.name}: {status.message}"
                 if self._levels[status.name] >= TRIPPED:
                     self._break_off(self._why)
+                elif first and self._levels[status.name] != 0:
+                    self._break_off(f"begun before this was known: {self._why}", untimely=True)
 
     def _tick(self) -> None:
         super()._tick()
@@ -154,7 +162,7 @@ class PlayNode(ControllingNode):
         if math.isnan(self._waiting_ns):
             self._waiting_ns = now_ns
         if now_ns - self._waiting_ns > 1e9 * self._params.begin_within_s:
-            why = self._detail or self._why or "the bridge does not follow"
+            why = self._detail or self._why or "no bridge has told whether it follows"
             self.get_logger().error(
                 f"given up after {self._params.begin_within_s:g} s without a beginning: {why}"
             )
@@ -170,7 +178,7 @@ class PlayNode(ControllingNode):
         if self.done.done():
             return self._safe()
         if not self._playing:
-            followed = all(level == 0 for level in self._levels.values())
+            followed = self._bridges_are_known() and not any(self._levels.values())
             if math.isnan(self._settled_ns):
                 self._settled_ns = now_ns
             if not followed or now_ns - self._settled_ns < 1e9 * self._params.settle_s:
@@ -184,6 +192,11 @@ class PlayNode(ControllingNode):
             self.done.set_result(True)
             return self._safe()
         return {name: float(signal.held(since_s)) for name, signal in self._signals.items()}
+
+    def _bridges_are_known(self) -> bool:
+        """Whether one has told of itself, or had the time to."""
+        waited_ns = self._steady.now().nanoseconds - self._waiting_ns
+        return bool(self._levels) or waited_ns > 1e9 * patience_s(TELLS_S)
 
     def _lose(self, what: str, detail: str) -> None:
         super()._lose(what, detail)

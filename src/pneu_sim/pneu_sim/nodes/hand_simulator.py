@@ -22,6 +22,7 @@ from sensor_msgs.msg import Imu, JointState
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
+from pneu_graph.nodes.executor_callback import ExecutorCallback
 from pneu_graph.nodes.parameters import Parameters, parameter
 from pneu_sim.hand.drive import JointCommand, Motors
 from pneu_sim.hand.loading import Hand
@@ -99,7 +100,7 @@ class HandSimulator(Node):
         self._stood_s = 0.0
         self._failure = ""
         self._waiting: deque[tuple[Any, Any]] = deque(maxlen=WAITING)
-        self._arrived = self.create_guard_condition(self._on_readings)
+        self._arrived = ExecutorCallback(self, self._on_readings)
         self._arms = {name: _Arm(its) for name, its in settings.arms.items()}
         self._to: dict[tuple[str, str], Any] = {}
         for name, its in settings.arms.items():
@@ -125,6 +126,7 @@ class HandSimulator(Node):
         self._end.set()
         if self._thread is not None:
             self._thread.join()
+            self._arrived.destroy()
         super().destroy_node()
 
     def _make(self, kind: str, name: str, message: Any, topic: str) -> None:

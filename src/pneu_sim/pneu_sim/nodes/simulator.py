@@ -26,9 +26,6 @@ from pneu_sim.models import kind_of
 from pneu_sim.nodes.stepper import Inputs, Pacing, Sample, Stepper
 from pneu_sim.rig import load_rig
 
-DISCOVERY_S = 1.0
-"""How long another publisher of the clock is looked for before this node becomes one."""
-
 
 @dataclass
 class SimulatorParameters(Parameters):
@@ -112,7 +109,7 @@ class SimulatorNode(Node):
         self._command_topics = topics.command_topics(rig)
         topics.check_joints_topic(rig, (*self._command_topics, *self._tap_topics))
         if params.publish_clock:
-            if common.other_clocks(self, patience_s=DISCOVERY_S):
+            if common.other_clocks(self, wait=True):
                 raise InputError(
                     "parameter publish_clock: /clock already has a publisher, there can be one"
                 )

@@ -30,8 +30,6 @@ from pneu_sysid.records.bag import read_bag, read_joints
 from pneu_sysid.records.clock import choose_clock, mend_clock_jumps
 
 MODES = ("all", "taps", "commands")
-DISCOVERY_S = 1.0
-"""How long another publisher of the clock is looked for."""
 
 Events = list[tuple[int, list[tuple[topics.Topic, dict[str, float]]]]]
 """Per stamp, ns, what is published: the topic and SI values by name."""
@@ -160,7 +158,7 @@ class ReplayNode(Node):
         for name, value in (("bag", p.bag), ("rig", p.rig)):
             if not value:
                 raise InputError(f"parameter {name}: found nothing, it must be a path")
-        if common.other_clocks(self, patience_s=DISCOVERY_S):
+        if common.other_clocks(self, wait=True):
             raise InputError(
                 "/clock already has a publisher; a recording beside it would mix two times"
             )
