@@ -99,12 +99,24 @@ def test_success_and_help_exit_with_zero(run):
     assert run("--version").stdout.startswith("pneu ")
 
 
-def test_plugin_that_cannot_be_loaded_is_left_out(capsys):
-    entry = importlib.metadata.EntryPoint("x", "no_such_module_at_all:register", COMMANDS_GROUP)
-    app = build_app([entry])
-    printed = capsys.readouterr().err
-    assert printed.startswith("pneu: commands of no_such_module_at_all:register left out")
-    assert CliRunner().invoke(app, ["--help"]).exit_code == 0
+def test_a_group_of_commands_that_cannot_be_imported_is_an_error_with_its_cause(run, tmp_path):
+    """Its commands exist, so "no such command" would be wrong; those of other groups work."""
+    run("fine")  # imports the plugin that works
+    broken = importlib.metadata.EntryPoint("a", "no_such_module:register", COMMANDS_GROUP)
+    works = importlib.metadata.EntryPoint("x", "plugin_under_test:register", COMMANDS_GROUP)
+
+    def both(*words):
+        return CliRunner().invoke(build_app([broken, works]), words, prog_name="pneu")
+
+    cause = "pneu: the commands of no_such_module cannot be imported: ModuleNotFoundError: "
+    missing = both("fit")
+    assert (missing.exit_code, missing.stdout) == (1, "")
+    assert missing.stderr == f"{cause}No module named 'no_such_module'\n"
+    listed = both("--help")
+    assert listed.exit_code == 1
+    assert "fine" in listed.stdout and listed.stderr.startswith(cause)
+    other = both("fine")
+    assert (other.exit_code, other.stdout, other.stderr) == (0, "fine\n", "")
 
 
 def test_installed_command_knows_both_packages():

@@ -4,8 +4,9 @@
 Subcommands come from the entry-point group `pneu.commands`. Each entry is a function
 `register(app: typer.Typer) -> None` that adds its commands to the application.
 
-Exit status: 0 success, 1 an error inside the program, 2 bad input or usage, 130 interrupted. Errors
-are one line on stderr; with the environment variable PNEU_TRACEBACK=1 the traceback precedes it.
+Exit status: 0 success, 1 an error inside the program, 2 bad input or usage, 130 interrupted by
+SIGINT, 143 terminated by SIGTERM. Errors are one line on stderr; with the environment variable
+PNEU_TRACEBACK=1 the traceback precedes it.
 What the packages log about themselves, such as that kernels are being compiled, is shown there.
 """
 
@@ -14,35 +15,60 @@ import os
 import sys
 import traceback
 from collections.abc import Iterable, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import typer
 from typer.core import TyperGroup
 
+from pneu_common import process
 from pneu_common.errors import InputError
+from pneu_common.installed import version
 from pneu_common.log import hand_on
 
 COMMANDS_GROUP = "pneu.commands"
 
 EXIT_INTERNAL_ERROR = 1
 EXIT_BAD_INPUT = 2
-EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
 LONGEST_LINE = 800
 """Characters of a message; of a longer one the middle is left out."""
 
 
 class _InterruptedError(Exception):
-    """Ctrl-C inside a command."""
+    """SIGINT or SIGTERM inside a command; the cause is the exception that it raised."""
+
+
+class _NotLoadedError(Exception):
+    """A subcommand is unknown, and a group of commands that may hold it could not be imported."""
 
 
 class _OneLineErrorGroup(TyperGroup):
     """Root command that turns every failure into one line on stderr and an exit status."""
 
+    not_loaded: ClassVar[list[str]] = []
+    """A sentence for each group of commands that could not be imported."""
+    incomplete = False
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        try:
+            return super().resolve_command(ctx, args)
+        except Exception as error:
+            if self.not_loaded:
+                raise _NotLoadedError("; ".join(self.not_loaded)) from error
+            raise
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        super().format_help(ctx, formatter)
+        self.incomplete = bool(self.not_loaded)
+        for sentence in self.not_loaded:
+            _say(sentence)
+
     def invoke(self, ctx: Any) -> None:
+        process.begin_work()
         # Caught here because releases of typer differ in what they make of it further out.
         try:
             super().invoke(ctx)
+            process.raise_postponed()
         except KeyboardInterrupt as error:
             raise _InterruptedError from error
 
@@ -60,11 +86,15 @@ class _OneLineErrorGroup(TyperGroup):
             status = super().main(
                 args, prog_name, complete_var, False, windows_expand_args, **extra
             )
+            if self.incomplete:
+                status = status or EXIT_INTERNAL_ERROR
         except (Exception, KeyboardInterrupt) as error:
             if not standalone_mode:
                 raise
+            process.restore_signals()
             status = _report(error)
         if standalone_mode:
+            process.restore_signals()
             sys.exit(status or 0)
         return status
 
@@ -74,8 +104,9 @@ def build_app(
 ) -> typer.Typer:
     """Build the `pneu` application with the subcommands of the plugins.
 
-    A plugin that cannot be loaded is left out with a line on stderr, so that a broken third-party
-    package does not take the other commands with it.
+    A plugin that cannot be imported does not take the other commands with it: it is an error,
+    with its cause, where a subcommand is asked for that no other plugin has, and in the list of all
+    subcommands.
 
     Args:
         plugins: Entry points to load instead of the installed ones of group `pneu.commands`.
@@ -85,8 +116,9 @@ def build_app(
     Returns:
         The application; calling it runs the command line.
     """
+    not_loaded: list[str] = []
     app = typer.Typer(
-        cls=_OneLineErrorGroup,
+        cls=type("_Root", (_OneLineErrorGroup,), {"not_loaded": not_loaded}),
         add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
@@ -102,7 +134,10 @@ def build_app(
             plugin.load()(app)
         except Exception as error:
             _print_traceback_if_asked(error)
-            _say(f"commands of {plugin.value} left out: {type(error).__name__}: {error}")
+            not_loaded.append(
+                f"the commands of {plugin.value.partition(':')[0]} cannot be imported:"
+                f" {type(error).__name__}: {error}"
+            )
         if wanted is not None and wanted in _subcommands(app):
             break
     return app
@@ -118,11 +153,13 @@ def _subcommands(app: typer.Typer) -> set[str | None]:
 
 def main() -> None:
     """Run the `pneu` command line on `sys.argv` and exit with its status."""
+    process.prepare()
     show_log()
     try:
         first = sys.argv[1] if len(sys.argv) > 1 else "-"
         app = build_app(wanted=None if first.startswith("-") else first)
     except KeyboardInterrupt as error:
+        process.restore_signals()
         sys.exit(_report(error))
     app(prog_name="pneu")
 
@@ -134,17 +171,8 @@ def show_log() -> None:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        print(f"pneu {_version()}")
+        print(f"pneu {version()}")
         raise typer.Exit
-
-
-def _version() -> str:
-    for distribution in ("pneu", "pneu_sim"):  # installed by pip, or by colcon
-        try:
-            return importlib.metadata.version(distribution)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return "(not installed)"
 
 
 def _root(
@@ -164,8 +192,7 @@ def _report(error: BaseException) -> int:
     """Print what went wrong as one line and return the exit status it stands for."""
     _print_traceback_if_asked(error)
     if isinstance(error, KeyboardInterrupt | _InterruptedError | typer.Abort):
-        _say("interrupted")
-        return EXIT_INTERRUPTED
+        return _report_ending(error.__cause__ or error)
     if isinstance(error, InputError):
         _say(str(error))
         return EXIT_BAD_INPUT
@@ -174,17 +201,29 @@ def _report(error: BaseException) -> int:
         hint = f" (see {context.command_path} --help)" if context else ""
         _say(f"{error.format_message().rstrip('.')}{hint}")
         return int(getattr(error, "exit_code", EXIT_BAD_INPUT))
+    if isinstance(error, _NotLoadedError):
+        _say(str(error))
+        return EXIT_INTERNAL_ERROR
     if isinstance(error, MemoryError):
         _say("the machine's memory is not enough for this")
         return EXIT_INTERNAL_ERROR
     if isinstance(error, OSError) and error.filename is not None:
         _say(f"{error.filename}: {error.strerror}")
         return EXIT_BAD_INPUT
+    if (interrupt := process.received()) is not None:
+        # Something on its way took the exception of the signal for another error.
+        return _report_ending(interrupt)
     _say(
         f"error inside the program: {type(error).__name__}: {error}"
         " (PNEU_TRACEBACK=1 shows where it arose)"
     )
     return EXIT_INTERNAL_ERROR
+
+
+def _report_ending(interrupt: BaseException) -> int:
+    message, status = process.ending(interrupt)
+    _say(message)
+    return status
 
 
 def _print_traceback_if_asked(error: BaseException) -> None:

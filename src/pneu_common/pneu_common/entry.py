@@ -4,8 +4,9 @@
 Such subcommands come from the entry-point group `pneu.at_once`; all others from `pneu_common.cli`.
 """
 
-import importlib.metadata
 import sys
+
+from pneu_common import process
 
 AT_ONCE_GROUP = "pneu.at_once"
 COMMAND = (sys.executable, "-m", "pneu_common.entry")
@@ -14,10 +15,21 @@ COMMAND = (sys.executable, "-m", "pneu_common.entry")
 
 def main() -> None:
     """Run the `pneu` command line on `sys.argv` and exit with its status."""
+    process.prepare()
+    import importlib.metadata  # slow, therefore after the handlers of signals
+
     if len(sys.argv) > 1:
         for found in importlib.metadata.entry_points(group=AT_ONCE_GROUP, name=sys.argv[1]):
-            status = found.load()(sys.argv[2:])
+            at_once = found.load()
+            process.begin_work()
+            try:
+                status = at_once(sys.argv[2:])
+                process.raise_postponed()
+            except KeyboardInterrupt as interrupt:
+                message, status = process.ending(interrupt)
+                print("pneu:", message, file=sys.stderr)
             if status is not None:
+                process.restore_signals()
                 sys.exit(status)
     from pneu_common.cli import main as command_line
 

@@ -69,7 +69,26 @@ def write_whole(path: Path, text: str) -> None:
         InputError: It cannot be written. Nothing is left beside it.
     """
     with whole(path) as aside:
-        aside.write_text(text, encoding="utf-8", newline="")
+        # Names of files may hold bytes that are no text; they are written as escapes.
+        aside.write_text(text, encoding="utf-8", errors="backslashreplace", newline="")
+
+
+def check_name_of_bag(path: Path) -> None:
+    """Refuse a name for a bag that its metadata, which is YAML, cannot hold.
+
+    Args:
+        path: The folder of the bag.
+
+    Raises:
+        InputError: The name holds bytes that are no text.
+    """
+    try:
+        path.name.encode()
+    except UnicodeEncodeError:
+        raise InputError(
+            f"{path}: the name holds bytes that are no text, which metadata.yaml of a bag cannot"
+            " hold; give another name"
+        ) from None
 
 
 @contextmanager

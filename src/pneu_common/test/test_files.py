@@ -10,6 +10,8 @@ import pytest
 from pneu_common.errors import InputError
 from pneu_common.files import copy_whole, write_whole
 
+pytestmark = pytest.mark.kernel_free
+
 
 def test_what_was_there_is_replaced(tmp_path: Path) -> None:
     path = tmp_path / "a.json"

@@ -8,6 +8,8 @@ import pytest
 
 from pneu_common.garbage import spare_what_stays
 
+pytestmark = pytest.mark.kernel_free
+
 
 class Ring:
     """Something that only the collector can take."""

@@ -10,6 +10,8 @@ import pytest
 
 from pneu_common import progress
 
+pytestmark = pytest.mark.kernel_free
+
 WORK = """
 import time
 from pneu_common import progress

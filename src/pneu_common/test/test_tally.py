@@ -3,7 +3,11 @@
 
 from concurrent.futures import ThreadPoolExecutor
 
+import pytest
+
 from pneu_common.tally import Tally
+
+pytestmark = pytest.mark.kernel_free
 
 
 def test_parts_weigh_as_much_as_they_are_work() -> None:

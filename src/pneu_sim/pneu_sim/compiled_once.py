@@ -47,7 +47,7 @@ def compiles_once(kernel: Any) -> Any:
 
 @contextmanager
 def held(kernel: Any) -> Iterator[None]:
-    """Keeps other processes from compiling a kernel; not on a disk that has no locks.
+    """Keeps other processes from compiling a kernel; not where there is no file to lock.
 
     Args:
         kernel: Dispatcher with a cache on disk.

@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiler of the kernels, which says so when it has work: the first time, and once only.
 
-What is compiled is kept on disk under a digest of all files with kernels, since one file's code
-ends up in another's: whatever changes, nothing old is run. A message comes at the first start on a
-machine and after an update; it goes to the log (`pneu_common.log`).
+What is compiled is kept on disk (`pneu_sim.kernel_cache`) under a digest of all files with
+kernels, since one file's code ends up in another's: whatever changes, nothing old is run. A message
+comes at the first start on a machine and after an update; it goes to the log (`pneu_common.log`).
 """
 
-import functools
-import hashlib
 import logging
-import re
 import threading
 import time
 from collections.abc import Callable
@@ -19,11 +16,11 @@ from typing import Any
 from numba import njit
 from numba.core import codegen, event
 from numba.core import config as numba_config
-from numba.core.caching import IndexDataCacheFile
 from numba.core.registry import cpu_target
 
 from pneu_common.log import LOG
 from pneu_sim.compiled_once import compiles_once
+from pneu_sim.kernel_cache import KernelCache, places
 
 FAST = {"contract", "nsz", "nnan", "ninf", "arcp"}
 """No reassociation: sums keep their order, so that results do not depend on the batch size."""
@@ -31,7 +28,6 @@ FAST = {"contract", "nsz", "nnan", "ninf", "arcp"}
 _WIDE = "+avx512vbmi2"
 """A feature of processors (Ice Lake, Zen 4 and later) that hardly slow down for wide vectors."""
 
-_NEED = "from pneu_sim.compiling import"
 WORTH_TELLING_S = 5.0
 
 
@@ -54,34 +50,16 @@ def _use_whole_vectors() -> None:
 _use_whole_vectors()
 
 
-@functools.cache
-def digest_of_sources() -> str:
-    """Digest of every file with kernels, and of those whose constants they may hold."""
-    package = Path(__file__).parent
-    texts = {path: path.read_text(encoding="utf-8") for path in package.rglob("*.py")}
-    digest = hashlib.sha256()
-    told = {path for path, text in texts.items() if _NEED in text}
-    for path in list(told):
-        for module in re.findall(r"^from pneu_sim\.?([\w.]*) import (.+)", texts[path], re.M):
-            parts = module[0].split(".") if module[0] else [module[1].split()[0]]
-            told.add(package.joinpath(*parts).with_suffix(".py"))
-    for path in sorted(told & texts.keys()):
-        digest.update(texts[path].encode())
-    return digest.hexdigest()
-
-
 def _compile(function: Callable[..., Any], **options: Any) -> Any:
     """A function that is compiled when it is first called, and kept on disk.
 
     Nobody takes one by its address in C; without that wrapper a tenth less is to be compiled.
     """
     settings: dict[str, Any] = {"no_cfunc_wrapper": True, **options}  # its types do not know it
-    compiled = njit(cache=True, nogil=True, error_model="numpy", **settings)(function)
-    # Numba looks at the function's own file alone, and has no setting for that. The digest is in
-    # the name as well: what another version kept may name classes that are no more.
-    digest, kept = digest_of_sources(), compiled._cache
-    name = f"{kept._impl.filename_base}-{digest[:12]}"
-    kept._cache_file = IndexDataCacheFile(kept._cache_path, name, digest)
+    compiled: Any = njit(nogil=True, error_model="numpy", **settings)(function)
+    if not Path(function.__code__.co_filename).is_file():  # from an interactive session
+        return compiled
+    compiled._cache = KernelCache(function)
     return compiles_once(compiled)
 
 
@@ -200,10 +178,17 @@ class _Compilations(event.Listener):
             self._depth.begun_s = time.monotonic()
             if not self._told:
                 self._told = True
-                self._log.info(
-                    "compiling the numerical kernels for this machine: half a minute to two,"
-                    " once; they are kept"
-                )
+                self._tell()
+
+    def _tell(self) -> None:
+        about = "compiling the numerical kernels for this machine: half a minute to two"
+        if places().written is not None:
+            self._log.info(f"{about}, once; they are kept")
+        else:
+            self._log.warning(
+                f"{about}, at every start, because no folder to keep them in can be written:"
+                f" {places().faults}; NUMBA_CACHE_DIR names another folder"
+            )
 
     def on_end(self, event: Any) -> None:
         self._depth.value -= 1

@@ -6,6 +6,7 @@ what it is, and its line `name:` takes the name of the file that is written.
 """
 
 import json
+import os
 import re
 import shlex
 from pathlib import Path
@@ -90,7 +91,9 @@ def _begin_rig(file: Path | None, kind: str) -> None:
         raise InputError(f"{path}: found suffix {path.suffix!r}, allowed are .yaml, .yml, none")
     _must_be_new(path)
     text = (TEMPLATES / f"{kind}.yaml").read_text(encoding="utf-8")
-    name = json.dumps(path.stem, ensure_ascii=False)
+    # A file name may hold bytes that are no text, which YAML does not allow.
+    stem = os.fsencode(path.stem).decode(errors="replace")
+    name = json.dumps(stem, ensure_ascii=False)
     text = re.sub(r"^name: .*$", lambda _: f"name: {name}", text, count=1, flags=re.MULTILINE)
     write_whole(path, text)
     shown = shlex.quote(str(path))

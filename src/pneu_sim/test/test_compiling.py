@@ -3,19 +3,21 @@
 
 import os
 import re
-import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 from numba.types import UniTuple, boolean, float64, int64
+from tests import read_only
 
 import pneu_common
 import pneu_sim
 from pneu_sim.compiling import vectorised
 from pneu_sim.kernel import faces, lines, walls
+from pneu_sim.kernel_cache import MOST_VERSIONS
 
 LEAK = (
     "from pneu_sim.kernel.leaks import leak_flow;"
@@ -92,31 +94,141 @@ def test_one_that_is_killed_while_it_compiles_holds_nobody_up(tmp_path: Path) ->
     assert float(flow) > 0.0 and hits == "0"
 
 
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """A folder with copies of the packages and no compiled kernels; it is bound by permissions."""
+    return read_only.installation(tmp_path / "copy", "pneu_sim", "pneu_common")
+
+
+def leaks(installed: Path, home: Path, **variables: str) -> tuple[float, int, list[str]]:
+    """Returns the flow, the kernels that were loaded instead of compiled, and what was logged."""
+    done = subprocess.run(
+        [sys.executable, "-c", f"from pneu_common.cli import show_log; show_log(); {LEAK}"],
+        cwd=installed,
+        env={**read_only.environment(installed, home), **variables},
+        capture_output=True,
+        text=True,
+        check=True,
+        preexec_fn=read_only.bound_by_permissions,
+    )
+    flow, hits = done.stdout.split()
+    return float(flow), int(hits), done.stderr.splitlines()
+
+
+def folders(parent: Path) -> list[Path]:
+    return sorted(parent.glob("pneu-kernels-*"))
+
+
 @pytest.mark.long
-def test_a_change_in_a_file_that_a_kernel_calls_into_is_compiled(tmp_path: Path) -> None:
-    for package in (pneu_sim, pneu_common):
-        source = Path(package.__file__).parent
-        ignore = shutil.ignore_patterns("__pycache__")
-        shutil.copytree(source, tmp_path / source.name, ignore=ignore)
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": ""}
-
-    def leaks() -> tuple[float, int]:
-        command = [sys.executable, "-c", LEAK]
-        done = subprocess.run(
-            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
-        )
-        flow, hits = done.stdout.split()
-        return float(flow), int(hits)
-
-    before, hits = leaks()
-    assert before > 0.0 and hits == 0
-    assert leaks() == (before, 1)
-    # what another version has kept may be of no use to this one, and not even readable
-    for index in (tmp_path / "pneu_sim" / "kernel" / "__pycache__").glob("*.nbi"):
-        whole = index.read_bytes()
-        index.write_bytes(whole[: len(whole) // 2])
-    callee = tmp_path / "pneu_sim" / "kernel" / "orifices.py"
+def test_a_change_in_a_file_that_a_kernel_calls_into_is_compiled(
+    copy: Path, tmp_path: Path
+) -> None:
+    before, hits, log = leaks(copy, tmp_path)
+    assert before > 0.0 and hits == 0 and "they are kept" in log[0]
+    assert leaks(copy, tmp_path) == (before, 1, [])
+    (folder,) = folders(copy / "pneu_sim" / "__pycache__")
+    # a file that is damaged is as one that is missing
+    for index in folder.glob("*.nbi"):
+        index.write_bytes(b"")
+    assert leaks(copy, tmp_path)[:2] == (before, 0)
+    callee = copy / "pneu_sim" / "kernel" / "orifices.py"
     text = callee.read_text()
     assert "area * p_a" in text
     callee.write_text(text.replace("area * p_a", "2.0 * area * p_a"))
-    assert leaks() == (2.0 * before, 0)
+    assert leaks(copy, tmp_path)[:2] == (2.0 * before, 0)
+
+
+def test_copies_of_one_content_share_what_is_compiled(copy: Path, tmp_path: Path) -> None:
+    checkout = Path(pneu_sim.__file__).parent.parent
+    path = f"{checkout}{os.pathsep}{Path(pneu_common.__file__).parent.parent}"
+    kept = {"NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    flow, hits, _ = leaks(checkout, tmp_path, PYTHONPATH=path, **kept)
+    assert hits == 0
+    assert leaks(copy, tmp_path, **kept) == (flow, 1, [])
+    assert len(folders(tmp_path / "kept")) == 1
+    assert not folders(copy / "pneu_sim" / "__pycache__")
+
+
+def test_kernels_go_to_the_cache_of_the_user_where_the_installation_is_read_only(
+    copy: Path, tmp_path: Path
+) -> None:
+    read_only.lock(copy)
+    try:
+        flow, hits, _ = leaks(copy, tmp_path)
+        assert hits == 0 and folders(tmp_path / ".cache" / "pneu")
+        assert leaks(copy, tmp_path) == (flow, 1, [])
+        elsewhere = {"XDG_CACHE_HOME": str(tmp_path / "xdg")}
+        assert leaks(copy, tmp_path, **elsewhere)[:2] == (flow, 0)
+        assert folders(tmp_path / "xdg" / "pneu")
+    finally:
+        read_only.unlock(copy)
+
+
+def test_where_nothing_can_be_written_one_line_says_so_and_kernels_that_are_there_are_read(
+    copy: Path, tmp_path: Path
+) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    read_only.lock(home)
+    read_only.lock(copy)
+    try:
+        flow, hits, log = leaks(copy, home)
+        assert flow > 0.0 and hits == 0
+        (line,) = log
+        for part in ("at every start", "__pycache__ (", ".cache/pneu (", "NUMBA_CACHE_DIR names"):
+            assert part in line
+        read_only.unlock(copy)
+        assert leaks(copy, home)[1] == 0
+        read_only.lock(copy)
+        assert leaks(copy, home) == (flow, 1, [])
+    finally:
+        read_only.unlock(copy)
+
+
+def test_a_full_disk_is_told_once(copy: Path, tmp_path: Path) -> None:
+    code = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)); {LEAK}"
+    code = f"import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); {code}"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**read_only.environment(copy, tmp_path), "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    (line,) = done.stderr.splitlines()
+    assert re.fullmatch(r"compiled kernels cannot be kept in .* \(File too large\)", line)
+
+
+def test_a_kernel_of_another_package_follows_its_own_file(tmp_path: Path) -> None:
+    """Its machine code depends on constants, which Numba does not compare."""
+    own = tmp_path / "own_kernel.py"
+    code = "from own_kernel import own; print(own(1.0), sum(own.stats.cache_hits.values()))"
+
+    def run() -> str:
+        return subprocess.run(
+            [sys.executable, "-c", code],
+            env={**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.strip()
+
+    text = "from pneu_sim.compiling import compiled\n@compiled\ndef own(x):\n    return 2.0 * x\n"
+    own.write_text(text)
+    assert [run(), run()] == ["2.0 0", "2.0 1"]
+    own.write_text(text.replace("2.0", "3.0"))
+    assert run() == "3.0 0"
+
+
+def test_folders_of_old_versions_are_removed(copy: Path, tmp_path: Path) -> None:
+    cache = copy / "pneu_sim" / "__pycache__"
+    long_ago = time.time() - 86400.0
+    for k in range(10):
+        (cache / f"pneu-kernels-{k}").mkdir(parents=True)
+        (cache / f"pneu-kernels-{k}" / "a.nbc").touch()
+        if k < 9:
+            os.utime(cache / f"pneu-kernels-{k}", (long_ago + k, long_ago + k))
+    leaks(copy, tmp_path)
+    left = {folder.name for folder in folders(cache)}
+    assert len(left) == MOST_VERSIONS
+    assert {f"pneu-kernels-{k}" for k in (6, 7, 8, 9)} < left

@@ -5,6 +5,7 @@ import dataclasses
 from pathlib import Path
 
 from pneu_common.errors import InputError
+from pneu_common.files import check_name_of_bag
 from pneu_graph.bag.file_writer import BagFile
 from pneu_graph.bag.metadata import BagMetadata, Topic
 
@@ -39,7 +40,7 @@ class BagWriter:
             0: never.
 
     Raises:
-        InputError: The folder exists or cannot be made.
+        InputError: The folder exists, cannot be made, or has a name that metadata cannot hold.
     """
 
     def __init__(self, folder: Path, max_file_bytes: int = 0, max_file_s: float = 0.0) -> None:
@@ -52,6 +53,7 @@ class BagWriter:
         self._records: list[tuple[str, dict[str, str]]] = []
         self._file: BagFile | None = None
         self._finishing: BagFile | None = None
+        check_name_of_bag(folder)
         try:
             folder.mkdir(parents=True)
         except FileExistsError:

@@ -179,7 +179,7 @@ class Supervisor:
         process.open_streams -= 1
 
     def _show(self, process: _Process, name: str, line: bytes) -> None:
-        text = f"[{process.spec.label}] {line.decode(errors='replace')}"
+        text = f"[{process.spec.label}] {line.decode(errors='backslashreplace')}"
         self._write(text, name in process.spec.screen)
 
     def _ended(self, process: _Process, running: subprocess.Popen[bytes]) -> None:
@@ -285,4 +285,8 @@ class Supervisor:
             with contextlib.suppress(BrokenPipeError):  # the reader has gone, we go on
                 print(line, file=self._screen, flush=True)
         if self._log is not None:
-            print(f"{time.time():.6f} {line}", file=self._log, flush=True)
+            try:
+                print(f"{time.time():.6f} {line}", file=self._log, flush=True)
+            except OSError as error:  # such as a full disk, for which no robot has to stop
+                self._log = None
+                self._say("ERROR", "launch", f"the log ends here: {error.strerror}")

@@ -5,7 +5,6 @@ import functools
 import hashlib
 import importlib.util
 import math
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,12 +15,13 @@ import numpy as np
 from numba.core import types
 from numpy.typing import NDArray
 
+from pneu_common.errors import InputError
 from pneu_common.files import write_whole
 from pneu_sim import kernel
-from pneu_sim.compiling import digest_of_sources
 from pneu_sim.cuda.batch import MEMORIES, SHARED_BY_ALL, Batch, view_name
 from pneu_sim.cuda.translate import WARP, Translation
 from pneu_sim.cuda.views import viewing
+from pneu_sim.kernel_cache import digest_of_sources, places
 
 cuda: Any = numba.cuda  # its types say nothing of what kernels see
 config: Any = numba.core.config
@@ -84,15 +84,15 @@ def _kept(source: str, single: bool) -> Path | None:
         return None
     told = f"{digest_of_sources()} {single} {MOST_REGISTERS} {source}"
     name = f"many_{hashlib.sha256(told.encode()).hexdigest()[:16]}.py"
-    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parent / "__pycache__")
-    path = folder / "cuda" / name
-    try:
-        if not path.is_file():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(path, source)
-    except OSError:
+    folder = places().written
+    if folder is None:
         return None
-    return path
+    try:
+        if not (folder / name).is_file():
+            write_whole(folder / name, source)
+    except InputError:
+        return None
+    return folder / name
 
 
 def _source(batch: Batch, rigs: Any, moving: Any, clock: Any, record: Any, shared: bool) -> str:

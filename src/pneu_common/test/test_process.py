@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Signals end a command in order at any moment, and no character stops its output."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from pneu_common.files import write_whole
+
+COMMAND = """
+from importlib.metadata import EntryPoint
+from pneu_common import process
+from pneu_common.cli import COMMANDS_GROUP, build_app
+process.prepare()
+build_app([EntryPoint("own", "own:register", COMMANDS_GROUP)])(prog_name="pneu")
+"""
+
+# The name of each is that of the subcommand; it prints "up" at the moment that is tested.
+OWN = """
+import os, subprocess, sys, tempfile, time
+
+def up(seconds):
+    print("up", flush=True)
+    time.sleep(seconds)
+
+class Finalised:
+    def __del__(self):
+        up(0.3)
+
+def register(app):
+    if "loading" in sys.argv:
+        up(30.0)
+
+    @app.command()
+    def working():
+        with tempfile.TemporaryDirectory(dir=os.getcwd()):
+            with subprocess.Popen(["cat"], stdin=subprocess.PIPE):
+                up(30.0)
+
+    @app.command()
+    def importing():
+        with tempfile.TemporaryDirectory(dir=os.getcwd()):
+            import swallowing
+            time.sleep(30.0)
+
+    @app.command()
+    def finalising():
+        Finalised()
+        time.sleep(30.0)
+
+    @app.command()
+    def mistaking():
+        try:
+            up(30.0)
+        except BaseException:
+            raise RuntimeError("mistaken for something else")
+
+    @app.command()
+    def nothing():
+        pass
+"""
+
+SWALLOWING = """
+import own
+try:
+    own.up(0.3)
+except BaseException:
+    pass
+"""
+
+
+@pytest.mark.parametrize(
+    ("number", "word", "status"),
+    [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 143)],
+    ids=["SIGINT", "SIGTERM"],
+)
+@pytest.mark.parametrize("moment", ["loading", "working", "importing", "finalising", "mistaking"])
+def test_a_signal_ends_a_command_in_order(moment, number, word, status, tmp_path):
+    (tmp_path / "own.py").write_text(OWN)
+    (tmp_path / "swallowing.py").write_text(SWALLOWING)
+    code = ["own.py", "swallowing.py"]
+    with subprocess.Popen(
+        [sys.executable, "-B", "-c", COMMAND, moment],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as command:
+        assert command.stdout.readline() == "up\n"
+        command.send_signal(number)
+        _, errors = command.communicate(timeout=20.0)
+    assert (command.returncode, errors) == (status, f"pneu: {word}\n")
+    assert sorted(path.name for path in tmp_path.iterdir()) == code
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_is_ignored_stays_so(number):
+    code = "import signal; from pneu_common import process; process.prepare()"
+    code += f"; print(signal.getsignal({int(number)}) == signal.SIG_IGN)"
+    before = lambda: signal.signal(number, signal.SIG_IGN)  # noqa: E731
+    command = [sys.executable, "-c", code]
+    assert subprocess.check_output(command, preexec_fn=before, text=True) == "True\n"
+
+
+TABLE = """
+from pneu_common import process
+process.represent_all_characters()
+from rich.console import Console
+from pneu_common.tables import Column, NamedTable
+table = NamedTable("of \\udcff", [Column("caf\\u00e9"), Column("number", "number")])
+table.add_row("x \\u00b1 1", "3")
+Console(width=60).print(table)
+"""
+
+PLAIN = r"""of \udcff
++----------------+
+| caf\xe9  | number |
+|-------+--------|
+| x +- 1 |      3 |
++----------------+
+"""
+
+
+@pytest.mark.parametrize(
+    "variables",
+    [
+        {"PYTHONIOENCODING": "ascii"},
+        {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    ],
+    ids=["ascii", "C"],
+)
+def test_output_degrades_to_what_its_encoding_has(variables):
+    command = [sys.executable, "-c", TABLE]
+    shown = subprocess.check_output(command, env={**os.environ, **variables})
+    assert shown.decode("ascii") == PLAIN
+
+
+def test_what_is_no_text_is_printed_and_written_all_the_same(tmp_path):
+    command = [sys.executable, "-c", TABLE]
+    variables = {"PYTHONIOENCODING": "utf-8"}
+    shown = subprocess.check_output(command, env={**os.environ, **variables}).decode()
+    assert shown.splitlines()[0] == "of \\udcff" and "x ± 1" in shown
+    write_whole(tmp_path / "a.json", '"caf\u00e9 \udcff"')
+    assert (tmp_path / "a.json").read_bytes() == '"caf\u00e9 \\udcff"'.encode()
