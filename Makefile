@@ -5,16 +5,21 @@
 # NUMBA_CACHE_DIR is left unset; set it yourself where the checkout is read-only. Only `make bench`,
 # whose peers hold back Numba's version, has a cache of its own.
 
+# Byte code is kept, whatever the shell says: a graph starts dozens of processes, and half the time
+# that one takes to start goes into compiling its modules where it is not.
+export PYTHONDONTWRITEBYTECODE :=
+
 PYTHON ?= python3
 VENV   := .venv
 RUN    := $(VENV)/bin/python
 # The solvers we compare with hold back versions of our own dependencies, so they live apart.
 BENCH_VENV := .venv-bench
 GPU_VENV   := .venv-gpu
+ROS_VENV   := .venv-ros
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-robot test test-long bench lint format gpu bags observer predictive predictive-live tosses experiments hand-force hand-tables pushing kokoro simple-model ablations configurations cell-sizes learning folder-is-named exact calibration thinned \
+.PHONY: help demo demo-robot test test-long ros-venv test-ros bench lint format gpu bags observer predictive predictive-live tosses experiments hand-force hand-tables pushing kokoro simple-model ablations configurations cell-sizes learning folder-is-named exact calibration thinned \
 	confusion thresholds moved faults fuzz study-pressure clean clean-kernels
 
 help:  ## list the targets
@@ -27,11 +32,16 @@ demo: $(VENV)/.ready-run  ## the whole story on a bag that comes with the reposi
 demo-robot: $(VENV)/.ready-run  ## a robot behind Modbus with a hidden fault, named live; SEED=n
 	@$(RUN) examples/live_robot.py $(if $(SEED),--seed $(SEED))
 
-test: lint  ## lint, type check and the tests
-	@$(RUN) tools/run_tests.py
+test: $(VENV)/.ready-dev  ## lint, type check and the tests
+	@$(RUN) tools/run_tests.py --lint
 
 test-long: $(VENV)/.ready-dev  ## slow: the tests that take longest, and not with `make test`
 	@$(RUN) tools/run_tests.py --long
+
+ros-venv: $(ROS_VENV)/.ready-ros  ## an environment with the genuine rclpy of ROS 2 Jazzy
+
+test-ros: $(ROS_VENV)/.ready-ros  ## slow: nodes tested on the genuine rclpy, timed beside the embedded; STAGES=names
+	@PNEU_RCLPY=ros $(ROS_VENV)/bin/python -m studies.ros $(STAGES)
 
 lint: $(VENV)/.ready-dev  ## ruff (rules and format) and mypy
 	@$(RUN) -m ruff check --quiet .
@@ -125,7 +135,7 @@ study-pressure: $(VENV)/.ready-study  ## slow: train, tune and prove pressure co
 	@$(RUN) -m studies.pressure
 
 clean: clean-kernels  ## remove all that these targets have made
-	@rm -rf $(VENV) $(BENCH_VENV) $(GPU_VENV) build dist pneu.egg-info out .mypy_cache .ruff_cache .pytest_cache
+	@rm -rf $(VENV) $(BENCH_VENV) $(GPU_VENV) $(ROS_VENV) build dist pneu.egg-info out .mypy_cache .ruff_cache .pytest_cache
 
 clean-kernels:  ## remove compiled kernels and byte code
 	@find . -path './.*' -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -142,6 +152,9 @@ $(VENV)/.ready-study: pyproject.toml tools/environment.py
 
 $(GPU_VENV)/.ready-gpu: pyproject.toml tools/environment.py
 	@$(PYTHON) tools/environment.py $(GPU_VENV) --extra gpu
+
+$(ROS_VENV)/.ready-ros: pyproject.toml tools/environment.py tools/ros_environment.py $(wildcard msgs/*.* msgs/*/*)
+	@$(PYTHON) tools/ros_environment.py $(ROS_VENV)
 
 $(BENCH_VENV)/.ready-bench: pyproject.toml tools/environment.py
 	@$(PYTHON) tools/environment.py $(BENCH_VENV) --extra bench --optional

@@ -37,8 +37,13 @@ def main():
         help="install the extra's packages one by one and go on without those that fail",
     )
     options = parser.parse_args()
+    return exit_status(build, options.venv, options.extra, options.optional)
+
+
+def exit_status(build, *arguments):
+    """Call a function that builds an environment, report what stops it, return the exit status."""
     try:
-        build(options.venv, options.extra, options.optional)
+        build(*arguments)
     except EnvironmentSetupError as problem:
         print(f"environment: {problem}", file=sys.stderr)
         return 1
@@ -50,27 +55,12 @@ def main():
 
 def build(venv, extra, optional):
     """Create the environment where needed, install into it, and leave its stamps."""
-    if sys.version_info < OLDEST_PYTHON:
-        raise EnvironmentSetupError(
-            "{} is Python {}.{}, and {}.{} or newer is needed; name another with "
-            "`make PYTHON=python3.12 ...`".format(
-                sys.executable, *sys.version_info[:2], *OLDEST_PYTHON
-            )
-        )
     started_s = time.monotonic()
-    pip = pip_of(venv)
-    log = venv / "pip.log"
-    log.write_text("", encoding="utf-8")
-
+    pip, log = prepare(venv)
     together = extra and not optional
     target = f"{REPOSITORY}[{extra}]" if together else str(REPOSITORY)
-    print(
-        f"installing pneu{f' with its {extra} tools' if together else ''} into {venv}:",
-        end="",
-        flush=True,
-    )
-    if not install(pip, ["--editable", target], log):
-        raise EnvironmentSetupError(f"pip could not install pneu; the end of {log}:\n{tail(log)}")
+    what = f"pneu{f' with its {extra} tools' if together else ''}"
+    install_all(pip, f"{what} into {venv}", ["--editable", target], log)
     if extra and optional:
         for requirement in extra_requirements(extra):
             print(f"installing {requirement}:", end="", flush=True)
@@ -80,12 +70,43 @@ def build(venv, extra, optional):
                 if tool and shutil.which(tool) is None:
                     print(f"  it is built with {tool}, a system package: apt install {tool}")
 
-    for name in {"run", extra or "run"}:
+    finish(venv, {"run", extra or "run"}, started_s)
+
+
+def prepare(venv, *options):
+    """Create the environment where needed; return the command that runs its pip, and the log.
+
+    Args:
+        venv: Folder of the environment.
+        options: Options of `python -m venv`.
+    """
+    if sys.version_info < OLDEST_PYTHON:
+        raise EnvironmentSetupError(
+            "{} is Python {}.{}, and {}.{} or newer is needed; name another with "
+            "`make PYTHON=python3.12 ...`".format(
+                sys.executable, *sys.version_info[:2], *OLDEST_PYTHON
+            )
+        )
+    pip = pip_of(venv, *options)
+    log = venv / "pip.log"
+    log.write_text("", encoding="utf-8")
+    return pip, log
+
+
+def finish(venv, names, started_s):
+    """Mark an environment ready and report its size and the time taken.
+
+    Args:
+        venv: Folder of the environment.
+        names: Names of the stamps.
+        started_s: Steady time at which the build began.
+    """
+    for name in names:
         (venv / f".ready-{name}").touch()
     print(f"{venv} is ready after {time.monotonic() - started_s:.0f} s, {size_mb(venv):.0f} MB")
 
 
-def pip_of(venv):
+def pip_of(venv, *options):
     """Return the command that runs pip on the environment, creating it if it does not work."""
     python = venv / "bin" / "python"
     inside = [str(python), "-m", "pip"]
@@ -95,13 +116,13 @@ def pip_of(venv):
             return inside
         if works([*outside, "--version"]):
             return outside
-    make = [sys.executable, "-m", "venv", "--clear", str(venv)]
+    make = [sys.executable, "-m", "venv", "--clear", *options, str(venv)]
     if importlib.util.find_spec("ensurepip") and works(make):
         return inside
     # Debian and Ubuntu ship python3 without ensurepip; a pip outside can still fill .venv.
     if works([*make, "--without-pip"]) and works([*outside, "--version"]):
         return outside
-    if works([sys.executable, "-m", "virtualenv", "--clear", str(venv)]):
+    if works([sys.executable, "-m", "virtualenv", "--clear", *options, str(venv)]):
         return inside
     raise EnvironmentSetupError(
         f"{sys.executable} can neither create a virtual environment with pip (module ensurepip) "
@@ -116,6 +137,20 @@ def works(command):
         return subprocess.run(command, capture_output=True, check=False).returncode == 0
     except OSError:
         return False
+
+
+def install_all(pip, what, requirements, log):
+    """Install requirements that the environment cannot do without.
+
+    Args:
+        pip: Command that runs pip.
+        what: What is installed, for the reader.
+        requirements: Arguments of `pip install`.
+        log: File that takes what pip prints.
+    """
+    print(f"installing {what}:", end="", flush=True)
+    if not install(pip, requirements, log):
+        raise EnvironmentSetupError(f"pip could not install {what}; the end of {log}:\n{tail(log)}")
 
 
 def install(pip, requirements, log):

@@ -43,17 +43,12 @@ def without_ros(table: Table) -> None:
 
 def environment(stack: str = OURS) -> dict[str, str]:
     """Variables for processes that shall meet each other, on loopback, and nobody else."""
-    variables = {
+    return {
         **os.environ,
         "ROS_DOMAIN_ID": str(random.SystemRandom().randrange(1, 101)),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PNEU_RCLPY": "ros" if stack == REAL else "embedded",
     }
-    if stack != REAL:  # where ROS is set up, its rclpy would be preferred
-        paths = variables.pop("PYTHONPATH", "").split(os.pathsep)
-        kept = [path for path in paths if path and not (Path(path) / "rclpy").is_dir()]
-        if kept:
-            variables["PYTHONPATH"] = os.pathsep.join(kept)
-    return variables
 
 
 class Program:
@@ -106,11 +101,19 @@ class Program:
                 raise RuntimeError(f"{self.name}: not ready within {timeout_s:g} s")
             time.sleep(0.02)
 
-    def cpu_s(self) -> float:
-        """Processor time so far, all threads, s."""
-        stat = Path(f"/proc/{self._process.pid}/stat").read_text(encoding="utf-8")
-        fields = stat.rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    def cpu_s(self, with_children: bool = False) -> float:
+        """Processor time so far, all threads, s; if asked, with that of all processes it started.
+
+        Args:
+            with_children: Whether to count those that it started and that still run.
+        """
+        pids = _family(self._process.pid) if with_children else (self._process.pid,)
+        ticks = 0
+        for pid in pids:
+            stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8")
+            fields = stat.rpartition(")")[2].split()
+            ticks += int(fields[11]) + int(fields[12])
+        return ticks / os.sysconf("SC_CLK_TCK")
 
     def last_words(self) -> str:
         """End of what it wrote."""
@@ -131,6 +134,14 @@ class Program:
             if stream is not None:
                 with contextlib.suppress(BrokenPipeError):
                     stream.close()
+
+
+def _family(pid: int) -> Iterator[int]:
+    """A process and all that it started, directly or not."""
+    yield pid
+    for path in Path(f"/proc/{pid}/task").glob("*/children"):
+        for child in path.read_text(encoding="utf-8").split():
+            yield from _family(int(child))
 
 
 @contextlib.contextmanager
