@@ -44,6 +44,14 @@ def test_numbers_are_believed_where_there_are_some():
     assert losses.by_topic(0.0) == {"/taps": 3}
 
 
+def test_numbers_of_two_publications_are_not_compared():
+    """A killed publisher counts for a while, during which the numbers of the next say nothing."""
+    losses = Losses()
+    for number in (400, 401, 1, 2, None, None, None, 1950, 1951):
+        losses.seen("/taps", "", 0, number)
+    assert losses.by_topic(0.0) == {}
+
+
 def test_each_publication_is_counted_by_itself():
     losses = Losses()
     for k in range(10):

@@ -44,14 +44,14 @@ class Losses:
             topic: Its topic.
             sender: Identity of its publication in hexadecimal digits; empty where not known.
             source_ns: Its source timestamp, ns.
-            number: Its number among those of its publication; None where not known.
+            number: Its number among those of its publication; None where not known. Messages before
+                and after one without a number are not compared: they may be of two publications.
         """
         one = self._senders.setdefault(sender or topic, _Sender(topic))
-        if number is not None:
-            if one.number is not None and number > one.number:
-                one.lost += number - one.number - 1
-            one.number = number
-        elif sender:
+        if number is not None and one.number is not None and number > one.number:
+            one.lost += number - one.number - 1
+        one.number = number
+        if number is None and sender:
             one.unseen_ns.append(source_ns)
 
     def told(self, counts: Mapping[str, tuple[int, int]], now_s: float) -> None:

@@ -52,7 +52,8 @@ class RosoutPublisher:
             stamp=stamp,
             level=int(severity),
             name=name,
-            msg=message,
+            # Half a character, as in names of files whose bytes are no text, cannot be sent.
+            msg=message.encode(errors="backslashreplace").decode(),
             file=file_path,
             function=function_name,
             line=line_number,

@@ -204,6 +204,9 @@ def print_line(severity: LoggingSeverity, line: str) -> None:
     stream = sys.stdout if os.environ.get("RCUTILS_LOGGING_USE_STDOUT") == "1" else sys.stderr
     if stream is None:  # an interpreter without a console
         return
+    # A line that cannot be encoded would be lost.
+    encoding = stream.encoding or "utf-8"
+    line = line.encode(encoding, "backslashreplace").decode(encoding)
     if _colourful(stream):
         line = f"{_COLOURS[severity]}{line}\033[0m"
     try:
