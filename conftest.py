@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What holds for all tests: their order, what runs against the clock, and what is told at the end.
+"""What holds for all tests: their order, and what a run reports at its end.
 
 An interrupt reaches the processes they start, and so does the end of a terminal: a shell starts
 background jobs with SIGINT ignored, nohup others with SIGHUP, and children inherit that; tests that
@@ -16,9 +16,7 @@ from pathlib import Path
 
 import pytest
 from tests import measured
-from tests.parts import ORDER, REALTIME
 
-ROOT = Path(__file__).parent
 # Bridges of tests do not meet those of their user, nor those of other workers.
 _BRIDGES = tempfile.mkdtemp(prefix="pneu-test-")
 atexit.register(shutil.rmtree, _BRIDGES, ignore_errors=True)
@@ -29,19 +27,17 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # under nohup
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-def _name(item):
-    """Returns the path of an item's file, from here."""
-    path = item.path.resolve()
-    return str(path.relative_to(ROOT)) if path.is_relative_to(ROOT) else ""
-
-
 def pytest_collection_modifyitems(items):
-    """Marks what runs against the clock, and puts tests in the order that wastes least."""
+    """Begin with the files that take longest: no worker is left alone with one at the end."""
+
+    def takes_s(item):
+        mark = item.get_closest_marker("takes")
+        return mark.args[0] if mark else 0.0
+
+    files = {}
     for item in items:
-        if _name(item).startswith(REALTIME):
-            item.add_marker(pytest.mark.realtime)
-    beginnings = (*ORDER, "")
-    items.sort(key=lambda item: [_name(item).startswith(b) for b in beginnings].index(True))
+        files[item.path] = max(files.get(item.path, 0.0), takes_s(item))
+    items.sort(key=lambda item: -files[item.path])
 
 
 def pytest_addoption(parser):

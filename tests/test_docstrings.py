@@ -17,6 +17,8 @@ from tests.packages import PACKAGES
 
 from pneu_runtime import hook
 
+pytestmark = pytest.mark.kernel_free
+
 hook.install()
 
 SOURCES = Path(__file__).parent.parent / "src"

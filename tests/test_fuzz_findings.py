@@ -40,15 +40,18 @@ def folder(tmp_path, monkeypatch):
 def refused(folder):
     """Runs `pneu`, which has to refuse in one sentence, without a warning and without a file."""
 
+    def files():
+        return sorted(path for path in folder.rglob("*") if "__pycache__" not in path.parts)
+
     def check(words, *named):
-        listed = sorted(folder.rglob("*"))
+        listed = files()
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             ended = CliRunner().invoke(build_app(), [*map(str, words)], prog_name="pneu")
         check_refusal(ended, *named)
         assert len(ended.stderr) < LONGEST_LINE + 100
         assert ended.stderr.strip().isprintable()
-        assert sorted(folder.rglob("*")) == listed
+        assert files() == listed
 
     return check
 

@@ -2,6 +2,7 @@
 """What may import what: each package only those below it, and no file, by whatever way, itself."""
 
 import ast
+import functools
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -22,9 +23,6 @@ def modules() -> dict[str, Path]:
             if "embedded" not in parts:
                 found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
     return found
-
-
-MODULES = modules()
 
 
 def imported(tree: ast.AST, known: dict[str, Path]) -> Iterator[str]:
@@ -52,7 +50,10 @@ def graph(files: dict[str, Path]) -> dict[str, set[str]]:
     return needs
 
 
-NEEDS = graph(MODULES)
+@functools.cache
+def needs_of_all() -> dict[str, set[str]]:
+    """What each module needs; not at import, since every worker of the tests imports this."""
+    return graph(modules())
 
 
 def test_every_package_is_one_of_the_layers():
@@ -64,7 +65,7 @@ def test_a_package_imports_only_what_lies_below_it(package):
     allowed = PACKAGES[: PACKAGES.index(package) + 1]
     upward = {
         f"{name} imports {wanted}"
-        for name, needs in NEEDS.items()
+        for name, needs in needs_of_all().items()
         if name.partition(".")[0] == package
         for wanted in needs
         if wanted.partition(".")[0] not in allowed
@@ -74,7 +75,7 @@ def test_a_package_imports_only_what_lies_below_it(package):
 
 def test_no_imports_go_in_a_circle():
     try:
-        TopologicalSorter(NEEDS).prepare()
+        TopologicalSorter(needs_of_all()).prepare()
     except CycleError as error:
         pytest.fail(" -> ".join(reversed(error.args[1])))
 

@@ -25,6 +25,8 @@ from pneu_hw_bridge.lab.sealed import seal
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sim.rig.schema import AttachedEffect, Calibration
 
+pytestmark = pytest.mark.realtime
+
 ROOT = Path(__file__).resolve().parents[1]
 CLI = [sys.executable, "-m", "pneu_common.cli"]
 HIDDEN = AttachedEffect(

@@ -5,6 +5,7 @@ import json
 import os
 import resource
 import signal
+import sys
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -143,11 +144,14 @@ def full_disk(most_bytes=100):
     """The kernel refuses to let any file grow, as it does where a disk is full."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    # Python would keep the first bytes of compiled modules, and fail to load them ever after.
+    kept, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, before[1]))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        sys.dont_write_bytecode = kept
         signal.signal(signal.SIGXFSZ, ignored)
 
 

@@ -13,6 +13,8 @@ from pneu_policy.judge.tasks import Tasks
 from pneu_policy.live.evaluate import evaluate_live
 from pneu_policy.live.rig import LivePlant
 
+pytestmark = pytest.mark.realtime
+
 ROOT = Path(__file__).parent.parent
 POLICIES = ROOT / "policies"
 LONG = LivePlant(

@@ -20,6 +20,8 @@ from pneu_sysid.results.files import result_of, write_json
 from pneu_sysid.seals.identify import common_terms
 from pneu_sysid.seals.words import base_and_growth, statements_of
 
+pytestmark = pytest.mark.takes(10)
+
 VERDICTS = {"nothing_missing", "effect", "ambiguous", "unknown"}
 LEAKS = {"chamber_leak", "leak", "chamber_porous_leak", "porous_leak"}
 

@@ -13,6 +13,8 @@ from pneu_policy.control.joint import JointGains
 from pneu_policy.control.robot_controllers import JointPidController, save_robot_controller
 from pneu_sim.rig import load_rig
 
+pytestmark = [pytest.mark.realtime, pytest.mark.takes(50)]
+
 
 def pid(folder):
     """File of a PID of the elbow."""
@@ -29,6 +31,7 @@ def robot(tmp_path_factory):
         yield one
 
 
+@pytest.mark.long
 def test_it_follows_its_targets(robot):
     robot.follow(0.7)
 

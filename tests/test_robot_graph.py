@@ -19,6 +19,8 @@ from tf2_msgs.msg import TFMessage
 
 from pneu_graph.nodes import common
 
+pytestmark = [pytest.mark.realtime, pytest.mark.takes(40)]
+
 OVERRIDES = """
 /**/excite:
   ros__parameters:
@@ -115,7 +117,11 @@ def dead(robot):
     return robot.lab.ask("fault", name="dead_valve", channel="rod")["steady_s"]
 
 
-@pytest.mark.parametrize("begin", [frozen, jumps, beyond, dead, killed])
+# What an encoder may report is tried on the bridge alone too, in test_robot_faults.py.
+@pytest.mark.parametrize(
+    "begin",
+    [frozen, dead, killed, *(pytest.param(one, marks=pytest.mark.long) for one in (jumps, beyond))],
+)
 def test_both_valves_are_safe_in_time(robot, begin):
     robot.swings()
     watch = robot.watch()

@@ -8,6 +8,8 @@ from tests.bridges import ROOT
 from tests.live_graph import wait_for
 from tests.robot_control import running_robot
 
+pytestmark = [pytest.mark.realtime, pytest.mark.takes(60)]
+
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory):
@@ -26,6 +28,7 @@ def parent_of(process):
     return None if state == "Z" else int(parent)
 
 
+@pytest.mark.long
 def test_it_follows_its_targets(robot):
     robot.follow(0.5)
 

@@ -10,6 +10,8 @@ from sensor_msgs.msg import JointState  # isort: skip
 
 from pneu_graph.nodes import common
 
+pytestmark = pytest.mark.realtime
+
 OVERRIDES = """
 /**/excite:
   ros__parameters:

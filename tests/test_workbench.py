@@ -24,6 +24,8 @@ from playwright.sync_api import Browser, Page, expect
 
 from pneu_sim.rig.load import load_rig
 
+pytestmark = pytest.mark.takes(120)
+
 __all__ = ["browser"]  # a fixture
 
 PICTURES = os.environ.get("PNEU_PICTURES")

@@ -17,6 +17,8 @@ from playwright.sync_api import Browser, expect
 from tests.live_graph import own_domain, running_graph, wait_and_see
 from tests.live_rig import HardwareRig
 
+pytestmark = pytest.mark.realtime
+
 __all__ = ["browser"]  # a fixture
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -1,35 +1,74 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run tests: first what computes, then what runs against the clock; say what was left out.
+"""Run the tests in parts, some of them side by side, and report what was left out.
 
-Without an option those that together take some minutes, with `--long` those marked long.
+1. The kernels are compiled, beside tests that need none, and beside ruff and mypy with `--lint`.
+2. What runs against the clock runs at ordinary priority. It waits a third of its time, which what
+   computes fills at idle priority: the kernel's scheduler hands a processor over at once where a
+   task of ordinary priority wants it.
 
-Another user may stall a machine, so what runs against the clock has three tries. The last lines say
-how many tests passed, which were skipped and why, which needed another try, and whether the times
-in which valves have to be safe were proven: nothing is subtracted from them, so on a machine too
-busy to keep them they are not, and this is said. Exit status 1 where a test fails.
+The marks in the files say which part a test belongs to (`pyproject.toml`); `--long` runs those that
+are marked long instead. Another user may stall a machine, so what runs against the clock has three
+tries. The last lines say how many tests passed, which were skipped and why, which needed another
+try, and whether the times in which valves have to be safe were proven: nothing is subtracted from
+them, so on a machine too busy to keep them they are not, and this is said. Exit status 1 where
+a test or a check fails.
 """
 
 import argparse
+import dataclasses
 import json
+import os
+import re
+import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PARTS = {
-    "what computes": ["-m", "not realtime and {which}"],
-    "what runs against the clock": ["-m", "realtime and {which}", "--reruns", "2"],
+CHECKS = {
+    "ruff": ["ruff", "check", "--quiet", "."],
+    "ruff format": ["ruff", "format", "--check", "--quiet", "."],
+    "mypy": ["mypy", "--no-error-summary"],
 }
-TOGETHER = ["--dist=loadfile", "--no-loadscope-reorder"]
-PROCESSES = {"what computes": 3, "what runs against the clock": 2}
-"""Side by side. What computes waits now and then; what runs against the clock wants room."""
+CLOCK = "what runs against the clock"
 NONE_COLLECTED = 5
 
 sys.path.insert(0, str(ROOT))
 from tests.measured import NOT_PROVEN, SAFE_WITHIN_S  # noqa: E402
-from tests.parts import MIXED, REALTIME  # noqa: E402
+
+
+@dataclasses.dataclass
+class Part:
+    """Tests that run as one.
+
+    Attributes:
+        name: What the lines of its output begin with.
+        marks: Expression that selects them.
+        files: Mark of which a file has to speak to hold any of them; None where any file may.
+        workers: Processes side by side.
+        words: Further words for pytest.
+        idle: Whether they run at idle priority.
+    """
+
+    name: str
+    marks: str
+    files: str | None = None
+    workers: int = 2
+    words: tuple[str, ...] = ()
+    idle: bool = False
+
+
+BEGINNING = "compiles or kernel_free"
+STAGES = (
+    (Part("kernels, and what needs none", f"({BEGINNING}) and not realtime", BEGINNING),),
+    (
+        Part("what computes", f"not realtime and not ({BEGINNING})", idle=True),
+        Part(CLOCK, "realtime", "realtime", words=("--reruns", "2")),
+    ),
+)
 
 
 def main():
@@ -37,44 +76,116 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("paths", nargs="*", help="tests to run instead of all of them")
     parser.add_argument("--long", action="store_true", help="those that are marked long")
+    parser.add_argument("--lint", action="store_true", help="ruff and mypy as well")
     options = parser.parse_args()
-    which = "long" if options.long else "not long"
-    outcomes, worst = [], 0
+    checks = []
+    if options.lint:
+        for name, words in CHECKS.items():
+            command = [sys.executable, "-m", *words]
+            checks.append((name, subprocess.Popen(command, cwd=ROOT, start_new_session=True)))
+    outcomes, worst, running = [], 0, []
     with tempfile.TemporaryDirectory(prefix="pneu-tests-") as folder:
-        for number, (part, words) in enumerate(PARTS.items()):
-            path = Path(folder) / f"{number}.json"
-            print(f"\n{part}", flush=True)
-            begun_s = time.monotonic()
-            words = [word.format(which=which) for word in words]
-            command = [sys.executable, "-m", "pytest", *words, *TOGETHER, f"--outcome={path}"]
-            command += [f"--numprocesses={PROCESSES[part]}", *(options.paths or files_of(part))]
-            status = subprocess.run(command, check=False).returncode
-            if status in (2, 130):  # interrupted
-                return status
-            if status != NONE_COLLECTED:
-                worst = max(worst, status)
-            if path.exists():
-                outcome = json.loads(path.read_text(encoding="utf-8"))
-                outcomes.append({**outcome, "part": part, "took_s": time.monotonic() - begun_s})
-    print("\n".join(["", *summary(outcomes)]))
-    return worst
+        try:
+            for stage in STAGES:
+                running = [Running(part, options, Path(folder)) for part in stage]
+                for part in sorted(running, key=lambda one: one.part.idle):
+                    worst = max(worst, part.wait())
+                    outcomes += part.outcome()
+                    for other in running:
+                        other.at_idle_priority(False)  # nothing is left that it could delay
+            failed = [name for name, process in checks if process.wait() != 0]
+        except KeyboardInterrupt:
+            for process in [*(one.process for one in running), *(one for _, one in checks)]:
+                if process.poll() is None:
+                    os.killpg(process.pid, signal.SIGINT)
+                    process.wait()
+            return 130
+    print("\n".join(["", *summary(outcomes), *(f"failed: {name}" for name in failed)]))
+    print(closing_line(outcomes))
+    return 1 if failed else worst
+
+
+class Running:
+    """A part that runs, in a session of its own; its output is shown line by line."""
+
+    def __init__(self, part, options, folder):
+        """Start it.
+
+        Args:
+            part: The part.
+            options: Options of the command line.
+            folder: For its outcome.
+        """
+        self.part = part
+        self._path = folder / f"{part.name}.json"
+        self._begun_s = time.monotonic()
+        marks = f"({part.marks}) and {'long' if options.long else 'not long'}"
+        command = [sys.executable, "-m", "pytest", "-m", marks, f"--outcome={self._path}"]
+        command += [f"--numprocesses={part.workers}", "--dist=loadfile", "--no-loadscope-reorder"]
+        command += [*part.words, *(options.paths or files_of(part))]
+        self.process = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+        )
+        self.at_idle_priority(part.idle)
+        self._shown = threading.Thread(target=self._show, daemon=True)
+        self._shown.start()
+
+    def _show(self):
+        for line in self.process.stdout:
+            print(f"{self.part.name}: {line}", end="", flush=True)
+
+    def at_idle_priority(self, idle):
+        """Move its processes to idle priority or back, where the system has that.
+
+        Args:
+            idle: Whether they are to run only when nothing else wants to.
+        """
+        if not hasattr(os, "SCHED_IDLE"):
+            return
+        policy = os.SCHED_IDLE if idle else os.SCHED_OTHER
+        for task in Path("/proc").glob("[0-9]*/task/[0-9]*"):  # each thread has its own
+            try:
+                if os.getsid(int(task.parts[2])) == self.process.pid:
+                    os.sched_setscheduler(int(task.name), policy, os.sched_param(0))
+            except (ProcessLookupError, PermissionError):
+                continue
+
+    def wait(self):
+        """Wait for its end; return its exit status, 0 where no test was selected."""
+        status = self.process.wait()
+        self._shown.join()
+        return 0 if status == NONE_COLLECTED else status
+
+    def outcome(self):
+        """Return what `conftest.py` wrote of it, with its name and time, in a list; maybe empty."""
+        if not self._path.exists():
+            return []
+        outcome = json.loads(self._path.read_text(encoding="utf-8"))
+        took_s = time.monotonic() - self._begun_s
+        return [{**outcome, "part": self.part.name, "took_s": took_s}]
 
 
 def files_of(part):
-    """Return words for pytest that leave out the files without a test of the part, to save time.
+    """Return the paths for pytest that leave out files without a test of the part, to save time.
 
     Args:
-        part: Name of the part.
+        part: The part.
     """
-    if part == "what runs against the clock":
-        return _files(REALTIME + MIXED)
-    return [f"--ignore={file}" for file in _files(REALTIME)]
-
-
-def _files(beginnings):
-    """Return the paths that begin so, from the top of the repository."""
-    found = [path for start in beginnings for path in ROOT.glob(f"{start.rstrip('/')}*")]
-    return sorted(str(path.relative_to(ROOT)) for path in found)
+    sources = {
+        path: path.read_text(encoding="utf-8")
+        for pattern in ("tests/**/test_*.py", "src/*/test/test_*.py")
+        for path in sorted(ROOT.glob(pattern))
+    }
+    whole = re.compile(r"^pytestmark = .*mark\.(realtime|compiles|kernel_free)\b", re.M)
+    if part.files is None:
+        return [f"--ignore={path}" for path, text in sources.items() if whole.search(text)]
+    mark = re.compile(rf"mark\.({'|'.join(part.files.split(' or '))})\b")
+    return [str(path) for path, text in sources.items() if mark.search(text)]
 
 
 def summary(outcomes):
@@ -109,6 +220,18 @@ def summary(outcomes):
     elif times:
         lines.append(f"safety times proven in {proven}")
     return lines
+
+
+def closing_line(outcomes):
+    """Return the counts of all parts in one line.
+
+    Args:
+        outcomes: As for `summary`.
+    """
+    counts = [outcome["counts"] for outcome in outcomes]
+    failed = sum(one["failed"] + one["error"] for one in counts)
+    passed, skipped = (sum(one[kind] for one in counts) for kind in ("passed", "skipped"))
+    return f"tests: {passed} passed, {failed} failed, {skipped} skipped"
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the conformance tests share. They import rclpy and standard messages only.
 
-Where the real rclpy can be imported it is tested, and else the embedded one; the tests are the
-same. Each run has a DDS domain of its own, on this machine only.
+Where the genuine rclpy can be imported it is tested, and else the embedded one; PNEU_RCLPY chooses
+one of them. The tests are the same. Each run has a DDS domain of its own, on this machine only.
 """
 
 import importlib.util
@@ -16,7 +16,7 @@ import time
 
 import pytest
 
-if importlib.util.find_spec("rclpy") is None:
+if importlib.util.find_spec("rclpy") is None or "PNEU_RCLPY" in os.environ:
     from pneu_runtime import hook
 
     hook.install()

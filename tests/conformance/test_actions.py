@@ -23,6 +23,8 @@ from rclpy.executors import MultiThreadedExecutor
 from rclpy.qos import qos_profile_action_status_default
 from unique_identifier_msgs.msg import UUID
 
+pytestmark = pytest.mark.kernel_free
+
 
 def run_and_succeed(handle):
     handle.succeed()

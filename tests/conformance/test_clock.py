@@ -12,6 +12,8 @@ from rclpy.duration import Duration
 from rclpy.exceptions import NotInitializedException
 from rclpy.time import Time
 
+pytestmark = pytest.mark.kernel_free
+
 
 def test_times_and_durations_compute():
     start = Time(seconds=10, nanoseconds=5)

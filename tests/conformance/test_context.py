@@ -10,6 +10,8 @@ from rclpy.context import Context
 from rclpy.exceptions import NotInitializedException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
+pytestmark = pytest.mark.kernel_free
+
 
 def test_the_default_context_can_be_used_again_after_a_shutdown():
     for _ in range(2):

@@ -10,6 +10,8 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallb
 from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.task import Future, Task
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture(params=["single", "multi", "events"])
 def any_executor(request, context):

@@ -8,6 +8,8 @@ from rclpy.topic_endpoint_info import TopicEndpointTypeEnum
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+pytestmark = pytest.mark.kernel_free
+
 
 @pytest.fixture
 def graph(make_node, executor, spin_until):

@@ -13,6 +13,8 @@ from rclpy.lifecycle import (
 from rclpy.parameter_client import AsyncParameterClient
 from std_msgs.msg import String
 
+pytestmark = pytest.mark.kernel_free
+
 SUCCESS = TransitionCallbackReturn.SUCCESS
 FAILURE = TransitionCallbackReturn.FAILURE
 ERROR = TransitionCallbackReturn.ERROR

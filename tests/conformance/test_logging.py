@@ -15,6 +15,8 @@ from rclpy.clock import Clock
 from rclpy.logging import LoggingSeverity
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+pytestmark = pytest.mark.kernel_free
+
 
 @pytest.fixture
 def run(tmp_path):

@@ -18,6 +18,8 @@ from rclpy.validate_topic_name import validate_topic_name
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+pytestmark = pytest.mark.kernel_free
+
 
 @pytest.mark.parametrize(
     "name", ["chatter", "/chatter", "{node}/chatter", "~/chatter", "~", "~a", "a/b_1/c"]

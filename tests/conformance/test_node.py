@@ -9,6 +9,8 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+pytestmark = pytest.mark.kernel_free
+
 
 def test_names(make_node):
     node = make_node("name", namespace="space/inner")

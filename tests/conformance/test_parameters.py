@@ -23,6 +23,8 @@ from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_p
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.parameter_event_handler import ParameterEventHandler
 
+pytestmark = pytest.mark.kernel_free
+
 Type = Parameter.Type
 
 VALUES = [

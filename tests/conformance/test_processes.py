@@ -7,6 +7,8 @@ import pytest
 from sensor_msgs.msg import FluidPressure
 from std_srvs.srv import SetBool
 
+pytestmark = pytest.mark.kernel_free
+
 PONG = """
     import rclpy
     from rclpy.executors import ExternalShutdownException

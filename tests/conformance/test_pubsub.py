@@ -10,6 +10,8 @@ from rclpy.wait_for_message import wait_for_message
 from sensor_msgs.msg import FluidPressure, JointState
 from std_msgs.msg import String
 
+pytestmark = pytest.mark.kernel_free
+
 
 @pytest.fixture
 def connected(node, executor, spin_until):

@@ -19,6 +19,8 @@ from rclpy.qos import (
     qos_profile_system_default,
 )
 
+pytestmark = pytest.mark.kernel_free
+
 
 def test_history_or_depth_is_needed():
     with pytest.raises(InvalidQoSProfileException):

@@ -7,6 +7,8 @@ from rclpy.context import Context
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+pytestmark = pytest.mark.kernel_free
+
 
 @pytest.fixture
 def make_remapped():

@@ -5,6 +5,8 @@ import pytest
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
+pytestmark = pytest.mark.kernel_free
+
 
 def answer(request, response):
     response.success = request.data

@@ -12,6 +12,8 @@ from rclpy.qos import QoSProfile
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMsg
 
+pytestmark = pytest.mark.kernel_free
+
 
 class Simulated:
     """A node on simulated time, and the publisher of that time."""

@@ -7,6 +7,8 @@ import time
 import pytest
 from rclpy.clock import Clock, ClockType
 
+pytestmark = pytest.mark.realtime
+
 
 def test_a_timer_keeps_its_period(node, executor):
     executor.add_node(node)

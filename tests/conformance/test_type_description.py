@@ -6,6 +6,8 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import FluidPressure
 from type_description_interfaces.srv import GetTypeDescription
 
+pytestmark = pytest.mark.kernel_free
+
 # As `ros2 topic info --verbose` shows it for a publisher of a genuine Jazzy.
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 

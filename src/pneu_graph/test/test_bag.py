@@ -30,6 +30,8 @@ from pneu_graph.bag.reader import BagReader, side_records
 from pneu_graph.bag.recording import Recording
 from pneu_graph.bag.recover import recover_bag
 
+pytestmark = pytest.mark.kernel_free
+
 GENUINE = Path(__file__).parent / "data" / "rosbag2_zstd"
 PRESSURE = "/rig/taps/end/pressure"
 

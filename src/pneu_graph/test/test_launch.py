@@ -16,6 +16,8 @@ from pneu_graph.launch.expression import evaluate
 from pneu_graph.launch.plan import Plan, declared_arguments
 from pneu_graph.launch.substitution import split_words, substitute
 
+pytestmark = pytest.mark.kernel_free
+
 NODE = "pkg: pneu_graph, exec: recorder"
 
 

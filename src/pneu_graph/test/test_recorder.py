@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from tests.domains import own_domain_id
 
 from pneu_graph.bag.reader import BagReader
 from pneu_graph.bag.recover import recover_bag
+
+pytestmark = pytest.mark.realtime
 
 GENUINE = Path(__file__).parent / "data" / "rosbag2_zstd"
 PRESSURE = "/rig/taps/end/pressure"
@@ -181,14 +184,16 @@ time.sleep(2.0)  # until what was sent is told for the first time
 text = "x" * size
 begun = time.monotonic()
 for k in range(count):
-    if rate_hz:
+    if k == count - 1:  # by its number a listener knows how many came before it
+        time.sleep(stays_s)
+    elif rate_hz:
         time.sleep(max(begun + k / rate_hz - time.monotonic(), 0.0))
     for topic in topics:
         topic.publish(String(data=text))
     if k == 0:
         time.sleep(1.5)
         begun += 1.5
-time.sleep(stays_s)
+time.sleep(1.0)
 node.destroy_node()
 rclpy.shutdown()
 """
@@ -283,5 +288,11 @@ def test_there_is_one_clock(start, tmp_path):
     out, _ = second.communicate(timeout=40)
     assert second.returncode == 2
     assert "/clock is published by /player already" in out
+    third = start("topic", "pub", "/clock", "rosgraph_msgs/msg/Clock", "--rate", "50")
+    giving_up = threading.Timer(60.0, first.kill)
+    giving_up.start()
+    assert any("/clock has another publisher" in line for line in first.stdout)
+    giving_up.cancel()
+    stop(third)
     stop(first)
     assert first.returncode == 130

@@ -15,6 +15,8 @@ from pneu_common.errors import InputError
 from pneu_graph.tools.message_text import fill, parse_values, plain, yaml_text
 from pneu_graph.tools.rates import Bandwidth, Rate
 
+pytestmark = pytest.mark.kernel_free
+
 TALKER = """
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor

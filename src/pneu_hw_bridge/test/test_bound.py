@@ -13,6 +13,8 @@ from pneu_hw_bridge.safety.bound import bound, check
 from pneu_hw_bridge.safety.limits import limits_of
 from pneu_hw_bridge.safety.supervisor import State
 
+pytestmark = pytest.mark.realtime
+
 MAP = load_register_map("generic_plc")
 
 

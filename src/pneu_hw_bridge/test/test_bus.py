@@ -19,6 +19,8 @@ from pneu_hw_bridge.modbus.bus import ModbusBus
 from pneu_hw_bridge.modbus.client import Client
 from pneu_hw_bridge.registers.load import load_register_map
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture
 def server():

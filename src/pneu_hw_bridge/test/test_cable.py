@@ -8,6 +8,8 @@ its cable is out, without the bridge's care six in ten would open their valve fo
 import pytest
 from tests.cables import ENDS, pull_and_plug
 
+pytestmark = pytest.mark.realtime
+
 PULLED_S, AFTERWARDS_S = 3.0, 5.0
 
 

@@ -10,6 +10,8 @@ from pneu_hw_bridge.device_clock import JUMP_S, MOST_DRIFT, DeviceClock
 from pneu_hw_bridge.modbus.records import Reader
 from pneu_hw_bridge.registers.clock import Records
 
+pytestmark = pytest.mark.realtime
+
 PERIOD_NS = 2_000_000
 QUICKEST_NS = 400_000
 ZERO_NS = 1_700_000_000_123_456_789

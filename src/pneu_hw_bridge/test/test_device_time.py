@@ -21,6 +21,8 @@ from pneu_hw_bridge.safety.supervisor import State, Supervisor
 from pneu_sim.rig.load import load_rig
 from pneu_sim.simulator import Simulator
 
+pytestmark = pytest.mark.realtime
+
 TAPS = ["supply", "valve_out", "middle", "end", "exhaust"]
 PERIOD_NS = 2_000_000
 STEP_NS = 1_000_000

@@ -19,6 +19,8 @@ from pneu_hw_bridge.safety.stops import stops_of
 from pneu_hw_bridge.safety.supervisor import State, Supervisor
 from pneu_sim.rig import load_rig
 
+pytestmark = pytest.mark.realtime
+
 ROOT = Path(__file__).parents[3]
 KOKORO = ROOT / "rigs" / "kokoro.yaml"
 PROFILE = (

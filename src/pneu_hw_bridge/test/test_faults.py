@@ -9,6 +9,8 @@ from tests.bridges import Rig, safe_since, watch
 from pneu_hw_bridge.lab.faults import KINDS
 from pneu_hw_bridge.safety.supervisor import State
 
+pytestmark = [pytest.mark.realtime, pytest.mark.takes(45)]
+
 WITHOUT_ENCODERS = [name for name, kind in KINDS.items() if kind.at != "encoder"]
 PLACES = {"frozen": "end", "out_of_range": "end", "dead_valve": "voltage"}
 
@@ -18,8 +20,16 @@ def test_fault(name, healthy_lab, wait_until):
     check_fault(name, healthy_lab, "generic_plc", wait_until)
 
 
-# Registers that hold a whole reading each have no order that could be wrong.
-@pytest.mark.parametrize("name", [n for n in WITHOUT_ENCODERS if n != "word_order"])
+# Registers that hold a whole reading each have no order that could be wrong. Of the product of
+# faults and devices a few are enough where time is short.
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("drop", "frozen", "silent") else pytest.param(name, marks=pytest.mark.long)
+        for name in WITHOUT_ENCODERS
+        if name != "word_order"
+    ],
+)
 def test_fault_of_a_device_with_a_clock(name, logging_lab, wait_until):
     check_fault(name, logging_lab, "logging_plc", wait_until)
 

@@ -14,6 +14,8 @@ from pneu_hw_bridge.phantom.wire import SAMPLES, samples_of
 from pneu_sim.hand.drive import JointCommand
 from pneu_sim.hand.settings import JointSettings
 
+pytestmark = pytest.mark.realtime
+
 JOINT = JointSettings(
     motor="m",
     encoder="e",

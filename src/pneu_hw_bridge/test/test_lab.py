@@ -28,6 +28,8 @@ from pneu_hw_bridge.registers.load import load_register_map
 from pneu_sim.rig.load import load_rig
 from pneu_sim.simulator import Simulator
 
+pytestmark = [pytest.mark.realtime, pytest.mark.takes(20)]
+
 TAPS = ["supply", "valve_out", "middle", "end", "exhaust"]
 
 

@@ -7,6 +7,8 @@ import pytest
 
 from pneu_hw_bridge.safety.lateness import Lateness
 
+pytestmark = pytest.mark.realtime
+
 SKEW_S = 1.7e9
 PERIOD_S = 0.01
 WATCHDOG_S = 0.1

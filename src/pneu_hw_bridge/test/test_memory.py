@@ -6,6 +6,8 @@ import pytest
 from pneu_hw_bridge.safety.memory import KILLED, Memory
 from pneu_hw_bridge.safety.supervisor import Latches
 
+pytestmark = pytest.mark.realtime
+
 
 def memory(folder, bridge="/valve_bridge", device="127.0.0.1:1502 unit 1"):
     return Memory(bridge, device, folder)

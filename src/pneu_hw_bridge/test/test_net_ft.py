@@ -14,6 +14,8 @@ from pneu_hw_bridge.phantom import rdt
 from pneu_hw_bridge.phantom.net_ft import NetFt, read_calibration
 from pneu_sim.hand.settings import WrenchSettings
 
+pytestmark = pytest.mark.realtime
+
 SENSOR = WrenchSettings(force="f", torque="t", counts_per_n=1000.0, counts_per_n_m=20000.0)
 
 

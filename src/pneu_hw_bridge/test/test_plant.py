@@ -10,6 +10,8 @@ from pneu_hw_bridge.lab.plant import Plant
 from pneu_sim.rig.load import load_rig
 from pneu_sim.simulator import Simulator
 
+pytestmark = pytest.mark.realtime
+
 LATENCY_S = 0.002
 DX_M = 0.1
 

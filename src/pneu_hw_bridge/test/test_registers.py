@@ -13,6 +13,8 @@ from pneu_hw_bridge.registers.codec import from_registers, to_registers
 from pneu_hw_bridge.registers.load import load_register_map, parse_register_map, profiles
 from pneu_hw_bridge.registers.schema import Batching, Input
 
+pytestmark = pytest.mark.realtime
+
 # From the standards of the formats: IEEE 754 and two's complement.
 KNOWN = [
     (1.0, "float32", "big", "big", [0x3F80, 0x0000]),

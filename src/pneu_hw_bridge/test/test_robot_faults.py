@@ -9,6 +9,8 @@ from tests.robots import FAULTS, UP, KokoroRig, kokoro_lab
 
 from pneu_hw_bridge.safety.supervisor import State
 
+pytestmark = [pytest.mark.realtime, pytest.mark.takes(15)]
+
 SAYS = {
     "the encoder freezes": ("elbow is frozen at",),
     # Between two readings that a busy machine took late nothing is a jump, but too fast.

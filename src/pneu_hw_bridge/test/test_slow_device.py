@@ -4,10 +4,14 @@
 import asyncio
 import time
 
+import pytest
+
 from pneu_hw_bridge.modbus.reading import LOOK_BACK_S, SLOW_LOOK_BACK_S, Reader
 from pneu_hw_bridge.modbus.statistics import Statistics
 from pneu_hw_bridge.modbus.writing import Writer
 from pneu_hw_bridge.registers.load import load_register_map
+
+pytestmark = pytest.mark.realtime
 
 MAP = load_register_map("generic_plc")
 SAFE = {name: output.safe for name, output in MAP.outputs.items()}

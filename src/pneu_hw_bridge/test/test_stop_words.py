@@ -9,6 +9,8 @@ import pytest
 
 from pneu_hw_bridge.stop_command import at_once
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.mark.parametrize("words", [["--local"], ["--local", "--reason", "the workbench"]])
 def test_it_begins_before_the_command_line_is_loaded(words, tmp_path):

@@ -12,6 +12,8 @@ from pneu_hw_bridge.registers.load import load_register_map
 from pneu_hw_bridge.safety.limits import Limits, OutputLimits, SensorLimits, limits_of
 from pneu_hw_bridge.safety.supervisor import State, Supervisor
 
+pytestmark = pytest.mark.realtime
+
 SAFE_V = 1.0
 
 

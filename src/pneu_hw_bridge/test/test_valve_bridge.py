@@ -35,6 +35,8 @@ from std_srvs.srv import Trigger
 from tests.domains import own_domain_id
 from tests.measured import PATIENCE_S, Watch
 
+pytestmark = pytest.mark.realtime
+
 DOMAIN = own_domain_id()
 ENVIRONMENT = {
     **os.environ,
@@ -45,6 +47,20 @@ START = (
     "import sys; from pneu_runtime import hook; hook.install();"
     "from pneu_hw_bridge.nodes.valve_bridge import main; main(sys.argv[1:])"
 )
+LATE_START = """
+import sys
+from pneu_runtime import hook; hook.install()
+from pneu_hw_bridge.nodes.bridge import run_bridge
+from pneu_hw_bridge.nodes.valve_bridge import ValveBridge
+
+class LateBridge(ValveBridge):
+    def get_publishers_info_by_topic(self, *args, **options):
+        found = super().get_publishers_info_by_topic(*args, **options)
+        return [one for one in found if one.node_name != "rival"]
+
+run_bridge(LateBridge, sys.argv[1:])
+"""
+"""A bridge to which the graph never lists the publishers of the node `rival`."""
 COMMAND_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
@@ -134,9 +150,9 @@ def graph():
 
 
 @contextmanager
-def running_bridge(port, *parameters, state=None, remap=(), namespace=""):
+def running_bridge(port, *parameters, state=None, remap=(), namespace="", program=START):
     """The node as a process, which remembers nothing unless it is told where."""
-    command = [sys.executable, "-c", START, "--ros-args", "-p", f"port:={port}"]
+    command = [sys.executable, "-c", program, "--ros-args", "-p", f"port:={port}"]
     for parameter in parameters:
         command += ["-p", parameter]
     for rule in (*remap, *([f"__ns:={namespace}"] if namespace else [])):
@@ -452,6 +468,30 @@ def test_two_publishers(bridge, lab, graph, wait_until):
     wait_until(lambda: "2 publishers" in graph.status().message)
     graph.node.destroy_publisher(other)
     wait_until(lambda: lab.volts() == 5.5)
+
+
+@pytest.mark.long
+def test_a_publisher_that_the_graph_does_not_list_is_not_followed(healthy_lab, graph, wait_until):
+    """Nor is anybody else as long as it is there; alone it is not followed either."""
+    with running_bridge(healthy_lab.port, "autostart:=true", program=LATE_START):
+        follow(healthy_lab, graph, wait_until)
+        since = len(healthy_lab.ask("history")["history"])
+        rival = rclpy.create_node("rival", context=graph.context)
+        other = rival.create_publisher(ValveCommand, "valve/command", COMMAND_QOS)
+
+        def refused(reason):
+            other.publish(ValveCommand(name=["voltage"], voltage_v=[9.5]))
+            return reason in graph.status().message
+
+        wait_until(lambda: refused("2 publishers"))
+        assert healthy_lab.volts() == 0.0
+        graph.volts = None
+        time.sleep(0.1)  # for the thread that publishes
+        graph.node.destroy_publisher(graph.publisher)
+        wait_until(lambda: refused("is not known to the graph yet"))
+        rival.destroy_node()
+        changes = healthy_lab.ask("history")["history"][since:]
+        assert 9.5 not in [change["volts"]["voltage"] for change in changes]
 
 
 @pytest.mark.long

@@ -12,6 +12,8 @@ from tests.proxy import LIES, Proxy
 
 from pneu_hw_bridge.safety.supervisor import State
 
+pytestmark = [pytest.mark.realtime, pytest.mark.takes(20)]
+
 
 @pytest.fixture
 def proxy(healthy_lab):

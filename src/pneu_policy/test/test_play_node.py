@@ -19,11 +19,14 @@ from sensor_msgs.msg import FluidPressure
 
 from pneu_common.errors import InputError
 from pneu_graph.nodes import common
+from pneu_policy.nodes import play as play_module
 from pneu_policy.nodes.play import PlayNode
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sysid.design.plan import Bounds, Expected, Plan, Volts
 from pneu_sysid.design.played import BROKEN_OFF, UNTIMELY
 from pneu_sysid.results.files import write_json
+
+pytestmark = [pytest.mark.realtime, pytest.mark.takes(20)]
 
 __all__ = ["domain", "graph"]  # fixtures
 
@@ -108,6 +111,28 @@ def test_it_waits_for_the_bridge(graph, files):
     plant.level = 0
     wait_for(node.done.done)
     assert node.done.result() is True
+
+
+def test_a_bridge_that_was_not_heard_yet_may_be_there_all_the_same(graph, files, monkeypatch):
+    monkeypatch.setattr(play_module, "patience_s", lambda known_s: 1e9)
+    node = play(graph, files)
+    plant = Plant(graph)
+    wait_for(lambda: plant.commands)
+    wait_and_see(lambda: False, 1.0)
+    assert plant.volts() == [SAFE_V]
+    plant.level = 0
+    wait_for(node.done.done)
+    assert node.done.result() is True
+
+
+def test_a_bridge_that_is_heard_late_and_does_not_follow_breaks_it_off(graph, files):
+    node = play(graph, files)
+    plant = Plant(graph)
+    wait_for(lambda: 6.0 in plant.volts())
+    plant.level = 1
+    wait_for(node.done.done)
+    assert (node.done.result(), node.status) == (False, UNTIMELY)
+    wait_for(lambda: plant.volts()[-1] == SAFE_V)
 
 
 def test_it_gives_up_where_it_cannot_begin(graph, files):

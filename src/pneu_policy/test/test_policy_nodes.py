@@ -39,6 +39,8 @@ from pneu_policy.nodes.target import TargetNode
 from pneu_policy.task.targets import Target
 from pneu_sim.rig import load_rig
 
+pytestmark = [pytest.mark.realtime, pytest.mark.takes(55)]
+
 __all__ = ["domain", "graph"]  # fixtures
 
 ROOT = Path(__file__).parents[3]

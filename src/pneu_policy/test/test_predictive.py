@@ -28,6 +28,8 @@ from pneu_sim.rig import load_rig
 from pneu_sim.rig.model import V_DELAY
 from pneu_sim.rig.schema import AttachedEffect
 
+pytestmark = pytest.mark.takes(20)
+
 RIGS = Path(__file__).parents[3] / "rigs"
 SHORT = (1, 1, 1, 2, 3)
 METHODS = ("gauss_newton", "mppi", "adaptive")

@@ -32,6 +32,8 @@ from pneu_policy.nodes.joint_target import JointTargetNode
 from pneu_policy.nodes.robot import RobotNode
 from pneu_sim.rig import load_rig
 
+pytestmark = pytest.mark.realtime
+
 __all__ = ["domain", "graph"]  # fixtures
 
 ROOT = Path(__file__).parents[3]

@@ -21,6 +21,8 @@ from pneu_runtime.interfaces.hashes import rihs01
 from pneu_runtime.interfaces.parse import parse_structure
 from pneu_runtime.interfaces.registry import Registry
 
+pytestmark = pytest.mark.kernel_free
+
 
 def message(name, /, **fields):
     return interfaces.message_class(name)(**fields)

@@ -5,6 +5,10 @@ import signal
 import subprocess
 import sys
 
+import pytest
+
+pytestmark = pytest.mark.kernel_free
+
 PROGRAM = """
 import signal
 import sys

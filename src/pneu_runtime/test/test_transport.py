@@ -26,6 +26,8 @@ from pneu_runtime.transport import (
 )
 from pneu_runtime.transport.idl import topic_type
 
+pytestmark = pytest.mark.kernel_free
+
 DOMAIN = own_domain_id()
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 STRING = "std_msgs/msg/String"

@@ -14,6 +14,8 @@ from tests.domains import own_domain_id
 from pneu_runtime import interfaces
 from pneu_runtime.transport import EndpointQos, Session, TransportError, Waiter
 
+pytestmark = pytest.mark.kernel_free
+
 DOMAIN = own_domain_id()
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 STRING = "std_msgs/msg/String"

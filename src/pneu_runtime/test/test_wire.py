@@ -10,6 +10,8 @@ from rosbags.typesys import Stores, get_typestore
 from pneu_runtime import interfaces
 from pneu_runtime.transport import naming
 
+pytestmark = pytest.mark.kernel_free
+
 CAPTURE = json.loads(
     (Path(__file__).parent / "data/jazzy_wire/cyclonedds.json").read_text(encoding="utf-8")
 )

@@ -17,6 +17,8 @@ from pneu_common.errors import InputError
 from pneu_sim import device
 from pneu_sim.device import Device, chosen
 
+pytestmark = pytest.mark.takes(20)
+
 HOUSE = Path(__file__).parents[3]
 
 

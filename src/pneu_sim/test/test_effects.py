@@ -19,6 +19,8 @@ from pneu_sim.rig.plan import plan_grid
 from pneu_sim.rig.schema import AttachedEffect, Chamber, Pipe
 from pneu_sim.simulate import even_course, initial_field, predict
 
+pytestmark = pytest.mark.takes(20)
+
 HOUSE = Path(__file__).parents[3]
 DT_S = 0.002
 NOISE_PA = 250.0

@@ -29,6 +29,8 @@ from pneu_sim.nodes.simulator import SimulatorNode
 from pneu_sim.plant import Plant
 from pneu_sim.rig import load_rig
 
+pytestmark = [pytest.mark.realtime, pytest.mark.takes(20)]
+
 __all__ = ["domain", "graph"]  # fixtures
 
 LAB = str(Path(__file__).parents[3] / "rigs/lab.yaml")

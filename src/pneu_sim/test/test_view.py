@@ -29,6 +29,8 @@ from pneu_sim.rig.schema import joint_names  # noqa: E402
 from pneu_sim.view.tree import ROOT, places, tree_of  # noqa: E402
 from pneu_sim.view.urdf import urdf_of  # noqa: E402
 
+pytestmark = pytest.mark.realtime
+
 __all__ = ["domain", "graph"]  # fixtures
 
 RIGS = Path(__file__).parents[3] / "rigs"

@@ -30,6 +30,8 @@ from pneu_sysid.results.learn import LearnResult, Step
 from pneu_sysid.spectrum import lines_of
 from pneu_sysid.thresholds import Thresholds
 
+pytestmark = pytest.mark.compiles
+
 ROOT = Path(__file__).parents[3]
 RATE_HZ = 500.0
 SECONDS = 2.4

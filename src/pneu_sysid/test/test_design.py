@@ -32,6 +32,8 @@ from pneu_sysid.fit import as_fitted
 from pneu_sysid.gauss_newton import left_out_moves
 from pneu_sysid.results.files import write_json
 
+pytestmark = pytest.mark.takes(40)
+
 ROOT = Path(__file__).resolve().parents[3]
 FITTED = one_tap(0.1)
 

@@ -26,6 +26,8 @@ from pneu_sysid.design.waves import STEP_S
 from pneu_sysid.records import Recording, even_recording
 from pneu_sysid.records.write import write_bag
 
+pytestmark = pytest.mark.takes(15)
+
 RIG = one_tap(0.06)
 RATE_HZ = 100.0
 

@@ -33,6 +33,8 @@ from pneu_sysid.problem import make_problem, pull_of
 from pneu_sysid.records import Recording
 from pneu_sysid.stages import brought_back, steps_of
 
+pytestmark = pytest.mark.takes(30)
+
 ROOT = Path(__file__).parents[3]
 
 BANDWIDTH = "valves.valve.spool.bandwidth_hz"
@@ -357,13 +359,8 @@ def test_the_first_part_of_a_recording() -> None:
     assert recording.until(10.0) is recording
 
 
-@pytest.mark.parametrize(
-    ("gain", "taken"),
-    [
-        (0.0, True),
-        pytest.param(1e-2, False, marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("gain", "taken"), [(0.0, True), (1e-2, False)])
 def test_the_rig_s_own_cells_have_the_last_word_near_the_noise(gain: float, taken: bool) -> None:
     """Where more is left, something is missing."""
     rig = load_rig(ROOT / "rigs/rig_b.yaml")

@@ -18,12 +18,14 @@ from pneu_sysid.parameters import variables_of
 from pneu_sysid.problem import make_problem
 from pneu_sysid.stages import take
 
+pytestmark = pytest.mark.takes(15)
+
 ROOT = Path(__file__).resolve().parents[3]
 FRICTION = "cylinders.forearm.friction"
 BREAKAWAY, SPEED = f"{FRICTION}.breakaway_n", f"{FRICTION}.stribeck_m_s"
 
 
-@pytest.mark.parametrize("lost", [False, True])
+@pytest.mark.parametrize("lost", [pytest.param(False, marks=pytest.mark.long), True])
 def test_breakaway_that_was_fitted_away_comes_back(lost: bool) -> None:
     known = with_encoders(load_rig(ROOT / "rigs" / "rig_j.yaml"))
     known = with_noise(known, dict.fromkeys(known.taps, 250.0))

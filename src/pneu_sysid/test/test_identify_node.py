@@ -14,13 +14,14 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from pneu_msgs.action import Identify
 from pneu_msgs.msg import EncoderResiduals, TapResiduals, ValveCommand
 from rclpy.action import ActionClient
-from std_msgs.msg import Float64
 
 from pneu_graph.nodes import common
 from pneu_sim.nodes.simulator import SimulatorNode
 from pneu_sim.rig import load_rig, save_rig
 from pneu_sim.rig.schema import AttachedEffect
 from pneu_sysid.nodes.identify import IdentifyNode
+
+pytestmark = pytest.mark.realtime
 
 __all__ = ["domain", "graph"]  # fixtures
 
@@ -138,15 +139,11 @@ def test_the_watch_follows_a_joint_by_its_name(graph):
     graph.add(SimulatorNode, rig=path, publish_rate_hz=250.0)
     graph.add(IdentifyNode, watch_rig=path)
     count = iter(range(1_000_000))
-    publishers = {
-        name: graph.probe.create_publisher(Float64, command.channel.topic, common.COMMAND_QOS)
-        for name, command in rig.commands.items()
-    }
+    publisher = graph.probe.create_publisher(ValveCommand, "valve/command", common.COMMAND_QOS)
 
     def command():
         swing = 0.3 if next(count) % 16 < 8 else -0.3
-        publishers["head"].publish(Float64(data=5.0 + swing))
-        publishers["rod"].publish(Float64(data=5.0 - swing))
+        publisher.publish(ValveCommand(name=["head", "rod"], voltage_v=[5.0 + swing, 5.0 - swing]))
 
     graph.probe.create_timer(0.02, command)
     wait_for(lambda: len(angles) >= 2 and len(pressures) >= 2, 20.0)

@@ -4,6 +4,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 from studies.experiments import plants
 from studies.experiments.calibrations import with_encoders
 from tests.fit_jobs import job_of
@@ -17,6 +18,8 @@ from pneu_sysid.fit import parameters_of
 from pneu_sysid.fit_step import taken
 from pneu_sysid.observed.noise import with_noise
 from pneu_sysid.stages import Step
+
+pytestmark = pytest.mark.takes(30)
 
 ROOT = Path(__file__).resolve().parents[3]
 SLIDER = "bodies.arm.slider"
@@ -68,6 +71,7 @@ def test_a_joint_that_is_too_large_as_a_whole_comes_back() -> None:
         assert abs(off) < 3.0 * errors[path]
 
 
+@pytest.mark.long
 def test_a_piston_that_seems_to_meet_its_cover_does_not_bend_the_linkage() -> None:
     """In the file it is 0.3 mm beyond where the joint stops, in truth as much short of that."""
     rig = with_encoders(load_rig(ROOT / "rigs" / "rig_j.yaml"))

@@ -15,6 +15,8 @@ from pneu_sysid.observed.follow import Followed
 from pneu_sysid.observed.summary import said_of
 from pneu_sysid.results.files import read_json
 
+pytestmark = pytest.mark.takes(10)
+
 HOUSE = Path(__file__).resolve().parents[3]
 LAG = HOUSE / "data" / "bags" / "a_tap_lag"
 RIG = HOUSE / "rigs" / "rig_a_fitted.yaml"

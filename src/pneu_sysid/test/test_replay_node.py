@@ -25,6 +25,8 @@ from pneu_sim.run import run_from_rest
 from pneu_sim.signals import Motion, Signal
 from pneu_sysid.nodes.replay import ReplayNode, load_events
 
+pytestmark = pytest.mark.realtime
+
 __all__ = ["domain", "graph"]  # fixtures
 
 RIG = str(Path(__file__).parents[3] / "rigs/rig_a.yaml")
@@ -58,7 +60,7 @@ def test_all_comes_out_as_it_was_recorded(graph, recorded):
     began = time.monotonic()
     node = replay(graph, recorded, publish_clock=True)
     wait_for(node.done.done)
-    assert 1.4 < time.monotonic() - began < 4.5  # it looked for clocks, waited, played
+    assert time.monotonic() - began > 1.4  # it looked for clocks, waited, played
     wait_for(lambda: len(end) == COUNT and len(volts) == COUNT)
     assert [m.fluid_pressure for m in end] == [2e5 + 3e4 + 7.0 * k for k in range(COUNT)]
     assert [m.data for m in volts] == [5.0 + k // 50 for k in range(COUNT)]

@@ -4,9 +4,9 @@
 from pathlib import Path
 
 import pytest
-from pneu_workbench.files import LARGEST, Folder, dropped_name
 
 from pneu_common.errors import InputError
+from pneu_workbench.files import LARGEST, Folder, dropped_name
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ import asyncio
 from typing import Any
 
 import pytest
+
 from pneu_workbench.gate import CLOSED, REFUSAL, Gate
 
 TOKEN = "a-token-that-nobody-guesses"

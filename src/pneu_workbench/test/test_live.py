@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pneu_workbench.live.link import SHOWN_S, Course, Live
-from pneu_workbench.live.samples import KEPT_S, Samples
 
 from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sysid.problem import record_for
 from pneu_sysid.records.write import write_bag
+from pneu_workbench.live.link import SHOWN_S, Course, Live
+from pneu_workbench.live.samples import KEPT_S, Samples
 
 ROOT = Path(__file__).resolve().parents[3]
 RIG = ROOT / "rigs" / "rig_a_fitted.yaml"

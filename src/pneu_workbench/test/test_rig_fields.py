@@ -4,6 +4,11 @@
 from pathlib import Path
 
 import pytest
+
+from pneu_common.documents import read_yaml
+from pneu_common.errors import InputError
+from pneu_sim.init import TEMPLATES
+from pneu_sim.rig import load_rig
 from pneu_workbench.rig_fields import (
     UNITS,
     channels_of,
@@ -13,11 +18,6 @@ from pneu_workbench.rig_fields import (
     with_number,
     with_value,
 )
-
-from pneu_common.documents import read_yaml
-from pneu_common.errors import InputError
-from pneu_sim.init import TEMPLATES
-from pneu_sim.rig import load_rig
 
 ROOT = Path(__file__).resolve().parents[3]
 FILES = sorted([*(ROOT / "rigs").glob("*.yaml"), *TEMPLATES.glob("*.yaml")])

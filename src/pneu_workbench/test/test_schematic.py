@@ -6,9 +6,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from pneu_workbench.schematic import SHORTEST_PX, layout, links_of, schematic
 
 from pneu_sim.rig.load import load_rig
+from pneu_workbench.schematic import SHORTEST_PX, layout, links_of, schematic
 
 RIGS = sorted((Path(__file__).resolve().parents[3] / "rigs").glob("*.yaml"))
 

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+
 from pneu_workbench.traces import Pyramid, packed
 
 N = 500_000

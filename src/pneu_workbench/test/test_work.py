@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from pneu_common.errors import InputError
 from pneu_workbench.packed import SESSION, unpack
 from pneu_workbench.versions import Version, Versions
 from pneu_workbench.view import Part
 from pneu_workbench.work import Work
-
-from pneu_common.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[3]
 BAG = str(ROOT / "data" / "bags" / "a_leak")
