@@ -4,8 +4,15 @@
 import os
 import random
 
+SHARE = "PNEU_TEST_SHARE"
+"""Environment variable with the first share of a part of the tests; tools/run_tests.py sets it."""
+
+SHARES, DOMAINS = 6, 16
+"""Shares, and domains of each: those up to 101 keep clear of ephemeral ports."""
+
 
 def own_domain_id():
-    """A domain at random, out of the share of this worker of pytest-xdist."""
+    """A domain at random, out of the share of this worker of this part of the tests."""
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-    return 1 + 25 * (worker % 4) + random.SystemRandom().randrange(25)
+    share = (int(os.environ.get(SHARE, "0")) + worker) % SHARES
+    return 1 + DOMAINS * share + random.SystemRandom().randrange(DOMAINS)

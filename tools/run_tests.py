@@ -2,9 +2,9 @@
 """Run the tests in parts, some of them side by side, and report what was left out.
 
 1. The kernels are compiled, beside tests that need none, and beside ruff and mypy with `--lint`.
-2. What runs against the clock runs at ordinary priority. It waits a third of its time, which what
-   computes fills at idle priority: the kernel's scheduler hands a processor over at once where a
-   task of ordinary priority wants it.
+2. Then follows what runs against the clock.
+3. What computes fills, from the beginning and at idle priority, the time that the others wait: the
+   scheduler hands a processor over at once where a task of ordinary priority wants it.
 
 The marks in the files say which part a test belongs to (`pyproject.toml`); `--long` runs those that
 are marked long instead. Another user may stall a machine, so what runs against the clock has three
@@ -37,6 +37,7 @@ CLOCK = "what runs against the clock"
 NONE_COLLECTED = 5
 
 sys.path.insert(0, str(ROOT))
+from tests.domains import SHARE  # noqa: E402
 from tests.measured import NOT_PROVEN, SAFE_WITHIN_S  # noqa: E402
 
 
@@ -62,13 +63,13 @@ class Part:
 
 
 BEGINNING = "compiles or kernel_free"
-STAGES = (
-    (Part("kernels, and what needs none", f"({BEGINNING}) and not realtime", BEGINNING),),
-    (
-        Part("what computes", f"not realtime and not ({BEGINNING})", idle=True),
-        Part(CLOCK, "realtime", "realtime", words=("--reruns", "2")),
-    ),
+FILLING = Part("what computes", f"not realtime and not ({BEGINNING})", idle=True)
+FOLLOWING = (
+    Part("kernels, and what needs none", f"({BEGINNING}) and not realtime", BEGINNING),
+    Part(CLOCK, "realtime", "realtime", words=("--reruns", "2")),
 )
+"""Parts one after the other, beside the part that fills the time that they wait."""
+PARTS = (FILLING, *FOLLOWING)
 
 
 def main():
@@ -86,13 +87,14 @@ def main():
     outcomes, worst, running = [], 0, []
     with tempfile.TemporaryDirectory(prefix="pneu-tests-") as folder:
         try:
-            for stage in STAGES:
-                running = [Running(part, options, Path(folder)) for part in stage]
-                for part in sorted(running, key=lambda one: one.part.idle):
-                    worst = max(worst, part.wait())
-                    outcomes += part.outcome()
-                    for other in running:
-                        other.at_idle_priority(False)  # nothing is left that it could delay
+            running.append(Running(FILLING, options, Path(folder)))
+            for part in FOLLOWING:
+                running.append(Running(part, options, Path(folder)))
+                worst = max(worst, running[-1].wait())
+                outcomes += running[-1].outcome()
+            running[0].at_idle_priority(False)  # nothing is left that it could delay
+            worst = max(worst, running[0].wait())
+            outcomes += running[0].outcome()
             failed = [name for name, process in checks if process.wait() != 0]
         except KeyboardInterrupt:
             for process in [*(one.process for one in running), *(one for _, one in checks)]:
@@ -123,8 +125,10 @@ class Running:
         command = [sys.executable, "-m", "pytest", "-m", marks, f"--outcome={self._path}"]
         command += [f"--numprocesses={part.workers}", "--dist=loadfile", "--no-loadscope-reorder"]
         command += [*part.words, *(options.paths or files_of(part))]
+        share = sum(other.workers for other in PARTS[: PARTS.index(part)])
         self.process = subprocess.Popen(
             command,
+            env={**os.environ, SHARE: str(share)},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
