@@ -282,6 +282,7 @@ def test_a_chosen_plan_tells_more_than_a_random_one_and_keeps_to_its_limits(tmp_
     )
 
 
+@pytest.mark.long
 def test_what_no_experiment_can_tell_is_said_before():
     """With one tap, a valve that acts late and a clock that is late are one and the same.
 

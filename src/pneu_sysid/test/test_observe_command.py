@@ -30,6 +30,7 @@ def run(*words: str):
     return CliRunner().invoke(build_app([ENTRY]), ["observe", *words])
 
 
+@pytest.mark.long
 def test_a_tap_that_lags_is_named_and_one_never_shown_is_reproduced(tmp_path):
     out, table, picture = (tmp_path / name for name in ("o.json", "o.csv", "o.png"))
     used = [word for tap in ("supply", *SEEN, "exhaust") for word in ("--used", tap)]
