@@ -83,6 +83,12 @@ def _part(name: str) -> Any:
     return service_class(name) if registry().is_service(name) else message_class(name)
 
 
+def _provided() -> set[str]:
+    """Return the names of the packages that the embedded runtime provides."""
+    embedded = {path.parent.name for path in _EMBEDDED.glob("*/__init__.py")}
+    return embedded | {name.split("/")[0] for name in known_types()}
+
+
 class _Finder(importlib.abc.MetaPathFinder):
     """Finds what this package provides, unless something real is installed under that name."""
 
@@ -147,8 +153,10 @@ def _genuine_fails() -> str:
                 if not hasattr(module, name):
                     raise ImportError(f"pneu_msgs lacks {prefix}{name}: it is of another version")
     except Exception as error:
+        # The genuine rclpy imports messages; they must not stay where ours are to be imported.
+        ours = _provided()
         for module_name in set(sys.modules) - before:
-            if module_name.partition(".")[0] in ("rclpy", "pneu_msgs"):
+            if module_name.partition(".")[0] in ours:
                 del sys.modules[module_name]
         return f"{type(error).__name__}: {error}"
     return ""

@@ -71,6 +71,7 @@ def genuine(tmp_path):
     for package in ("rclpy", "std_msgs", "std_msgs/msg"):
         (tmp_path / package).mkdir()
         (tmp_path / package / "__init__.py").write_text("genuine = True\n")
+    (tmp_path / "rclpy" / "__init__.py").write_text("import std_msgs.msg\ngenuine = True\n")
 
     def add_pneu_msgs(without=()):
         for kind in ("msg", "srv", "action"):
@@ -140,8 +141,7 @@ def test_an_rclpy_that_cannot_be_imported_is_not_used_and_one_line_says_so(genui
     """As with ROS sourced for another Python: found, but not to be used, nor its messages."""
     folder, add_pneu_msgs = genuine
     add_pneu_msgs()
-    (folder / "rclpy" / "__init__.py").write_text("import no_such_yaml\n")
-    (folder / "std_msgs" / "msg" / "__init__.py").write_text("raise ImportError('native')\n")
+    (folder / "rclpy" / "__init__.py").write_text("import std_msgs.msg, no_such_yaml\n")
     said = run(EMBEDDED, folder, PYTHONPATH=str(folder))
     assert said.startswith("std_msgs.msg.String(data='x') 1 pneu: the rclpy in ")
     assert "No module named 'no_such_yaml'" in said

@@ -72,9 +72,10 @@ class Places(NamedTuple):
 
 @functools.cache
 def places() -> Places:
-    """Returns the folders for this process; the first that can be written is the last that is read.
+    """Return the folders for this process; the one that is written is the last that is read.
 
-    They are in NUMBA_CACHE_DIR where that is set, beside the sources, and in the user's cache.
+    They are in NUMBA_CACHE_DIR where that is set, in the user's cache, and beside the sources:
+    there first in a checkout, and last in an installation, whose removal would leave them.
     """
     code = (sys.implementation.cache_tag, numba.__version__, llvmlite.__version__, np.__version__)
     machine = (llvmlite.binding.get_host_cpu_name(), _features())
@@ -82,25 +83,35 @@ def places() -> Places:
     name = FOLDER + hashlib.sha256(told.encode()).hexdigest()[:16]
     config: Any = numba_config  # its types know none of its settings
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    parents = [Path(config.CACHE_DIR)] if config.CACHE_DIR else []
-    parents.append(_PACKAGE / "__pycache__")
+    parents = [_PACKAGE / "__pycache__"]
     if os.path.isabs(home):
-        parents.append(Path(home, "pneu"))
-    read, faults = [], []
+        parents.insert(len(parents) if in_checkout() else 0, Path(home, "pneu"))
+    if config.CACHE_DIR:
+        parents.insert(0, Path(config.CACHE_DIR))
+    faults = []
     for parent in parents:
-        read.append(parent / name)
+        folder = parent / name
         try:
-            is_new = not read[-1].is_dir()
-            read[-1].mkdir(parents=True, exist_ok=True)
-            tempfile.TemporaryFile(dir=read[-1]).close()
-            os.utime(read[-1])  # for what is removed first
+            is_new = not folder.is_dir()
+            folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+            os.utime(folder)  # for what is removed first
         except OSError as error:
             faults.append(f"{parent} ({error.strerror})")
             continue
         if is_new:
             _remove_old(parent)
-        return Places(tuple(read), read[-1], ", ".join(faults))
-    return Places(tuple(read), None, ", ".join(faults))
+        # A folder that was asked for is the only one; else those of an image are read as well.
+        asked_for = bool(config.CACHE_DIR) and parent == parents[0]
+        others = [one / name for one in parents if one != parent and (one / name).is_dir()]
+        others = [] if asked_for else others
+        return Places((*others, folder), folder, ", ".join(faults))
+    return Places(tuple(parent / name for parent in parents), None, ", ".join(faults))
+
+
+def in_checkout() -> bool:
+    """Return whether the sources are those of a checkout, and not of an installation."""
+    return _PACKAGE.parents[1].name == "src"
 
 
 def _features() -> list[str]:

@@ -126,7 +126,8 @@ def test_a_change_in_a_file_that_a_kernel_calls_into_is_compiled(
     before, hits, log = leaks(copy, tmp_path)
     assert before > 0.0 and hits == 0 and "they are kept" in log[0]
     assert leaks(copy, tmp_path) == (before, 1, [])
-    (folder,) = folders(copy / "pneu_sim" / "__pycache__")
+    (folder,) = folders(tmp_path / ".cache" / "pneu")
+    assert not folders(copy / "pneu_sim" / "__pycache__"), "removing the copy leaves none of it"
     # a file that is damaged is as one that is missing
     for index in folder.glob("*.nbi"):
         index.write_bytes(b"")
@@ -221,7 +222,7 @@ def test_a_kernel_of_another_package_follows_its_own_file(tmp_path: Path) -> Non
 
 
 def test_folders_of_old_versions_are_removed(copy: Path, tmp_path: Path) -> None:
-    cache = copy / "pneu_sim" / "__pycache__"
+    cache = tmp_path / ".cache" / "pneu"
     long_ago = time.time() - 86400.0
     for k in range(10):
         (cache / f"pneu-kernels-{k}").mkdir(parents=True)

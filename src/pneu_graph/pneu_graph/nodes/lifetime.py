@@ -11,6 +11,8 @@ from collections.abc import Iterator
 import rclpy
 from rclpy.executors import ExternalShutdownException
 
+from pneu_common.errors import InputError
+
 
 @contextlib.contextmanager
 def initialised(args: list[str] | None) -> Iterator[None]:
@@ -21,8 +23,14 @@ def initialised(args: list[str] | None) -> Iterator[None]:
 
     Raises:
         ExternalShutdownException: The context was shut down by a signal in the middle of something.
+        InputError: The arguments after `--ros-args` are wrong.
     """
-    rclpy.init(args=args)
+    try:
+        rclpy.init(args=args)
+    except Exception as error:  # classes of the native half, which have no public name
+        if type(error).__name__ in ("RCLInvalidROSArgsError", "UnknownROSArgsError"):
+            raise InputError(str(error)) from error
+        raise
     try:
         yield
     except RuntimeError as error:
