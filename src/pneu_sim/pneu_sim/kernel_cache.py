@@ -214,6 +214,10 @@ class KernelCache(FunctionCache):
         written = places().written
         if written is not None:
             try:
-                super().save_overload(sig, data)
+                try:
+                    super().save_overload(sig, data)
+                except (EOFError, pickle.UnpicklingError):  # a damaged index
+                    self._cache_file.flush()
+                    super().save_overload(sig, data)
             except OSError as error:
                 _tell_not_kept(written, error.strerror or str(error))
