@@ -229,7 +229,8 @@ def test_a_trigger_after_the_end_is_no_error(spun):
 
 
 def test_an_exception_ends_the_spinning(spun):
-    if isinstance(spun.executor, EventsExecutor) and "embedded" not in rclpy.__file__:
+    # (EventsExecutor itself is a function there)
+    if type(spun.executor).__name__ == "EventsExecutor" and "embedded" not in rclpy.__file__:
         pytest.skip("a task that fails crashes the interpreter there (seen with rclpy 7.1.6)")
 
     def fail():

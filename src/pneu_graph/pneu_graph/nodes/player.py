@@ -243,9 +243,12 @@ def play_bag(path: Path, options: PlayOptions, ros_arguments: list[str]) -> int:
     outcome: list[bool | BaseException] = []
     with initialised(ros_arguments):
         looking = rclpy.create_node("_player_looking", use_global_arguments=False)
-        settle(looking)
-        looking.destroy_node()
-        node = Player(bag, options)
+        try:
+            settle(looking)
+            # With its last node a participant of Fast DDS ends, and all that it has found.
+            node = Player(bag, options)
+        finally:
+            looking.destroy_node()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
 
