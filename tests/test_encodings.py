@@ -55,6 +55,8 @@ def run(surroundings, *words):
         (["check", b"missing\xff.yaml"], 2),
         (["init", b"made\xff", "--kind", "tee"], 0),
         (["bag", "info", b"bag\xff"], 0),
+        (["bag", "record", "-a", "-o", b"made\xff"], 2),
+        (["bag", "record", "-a", "-o", "made", "--attach", b"rig\xff.yaml"], 2),
         (["launch", "--print", b"own\xff.launch.yaml"], 0),
         (["launch", b"own\xff.launch.yaml"], 0),
     ],
@@ -87,7 +89,7 @@ def test_results_of_names_that_are_no_text_are_utf_8(surroundings):
     with open(folder + b"/result\xff.json", encoding="utf-8") as result:
         assert "bag" in json.dumps(json.load(result))
     with open(folder + b"/report\xff.html", encoding="utf-8") as report:
-        assert "a_leak" in report.read()
+        assert "bag" in report.read()
 
 
 LOGGING = """

@@ -87,7 +87,7 @@ def interrupt(words: list[str], number: int, after_s: float, folder: Path) -> tu
         start_new_session=True,
     ) as command:
         try:
-            while not handles(command.pid, signal.SIGTERM):
+            while command.poll() is None and not handles(command.pid, signal.SIGTERM):
                 time.sleep(0.002)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 command.wait(after_s)

@@ -68,6 +68,12 @@ def record(
 
     if not (topics or everything or regex):
         raise InputError("record: name topics, or say --all or --regex")
+    for path in (output, *map(str, attach or ())):
+        if path.encode(errors="replace").decode() != path:
+            raise InputError(
+                f"{path}: the name holds bytes that are no text, which a ROS parameter cannot hold;"
+                " give another name"
+            )
     hook.install()
     from pneu_graph.nodes import recorder
 
