@@ -222,7 +222,8 @@ class Executor:
             Task: Its result will be that of the function.
         """
         task = Task(callback, args, kwargs, executor=self)
-        self._add_task(task)
+        self._tasks.append(task)
+        self.wake()
         return task
 
     def create_future(self) -> Future:
@@ -232,10 +233,6 @@ class Executor:
             Future: The future.
         """
         return Future(executor=self)
-
-    def _add_task(self, task: Task) -> None:
-        self._tasks.append(task)
-        self.wake()
 
     # Waiting
 
