@@ -83,7 +83,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> LumpedModel:
         side=np.array(sides, dtype=np.int64),
         area=rig.lumped.discharge * area,
         linear=np.minimum(full.port[:, L.Q_LAMINAR], MOST_LINEAR),
-        source=full.reservoir[:, [L.R_PRESSURE, L.R_TEMPERATURE]],
+        source=np.take(full.reservoir, (L.R_PRESSURE, L.R_TEMPERATURE), axis=1),
         volume=volume,
         cells=cells,
         tap=np.array(of_taps, dtype=np.int64),
