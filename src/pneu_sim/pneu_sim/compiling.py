@@ -50,17 +50,51 @@ def _use_whole_vectors() -> None:
 _use_whole_vectors()
 
 
-def _compile(function: Callable[..., Any], **options: Any) -> Any:
+def _compile(
+    function: Callable[..., Any], variant: str = "", apart: bool = False, **options: Any
+) -> Any:
     """A function that is compiled when it is first called, and kept on disk.
 
     Nobody takes one by its address in C; without that wrapper a tenth less is to be compiled.
     """
     settings: dict[str, Any] = {"no_cfunc_wrapper": True, **options}  # its types do not know it
     compiled: Any = njit(nogil=True, error_model="numpy", **settings)(function)
+    if apart:
+        compiler = compiled._compiler
+        flags_of = compiler._customize_flags
+
+        def without_alias(flags: Any) -> Any:
+            flags = flags_of(flags)
+            flags.noalias = True  # Numba has the flag, and no option that sets it
+            return flags
+
+        compiler._customize_flags = without_alias
     if not Path(function.__code__.co_filename).is_file():  # from an interactive session
         return compiled
-    compiled._cache = KernelCache(function)
+    compiled._cache = KernelCache(function, variant)
     return compiles_once(compiled)
+
+
+def _inside(function: Callable[..., Any], **options: Any) -> Any:
+    """A function for other kernels, compiled without the wrapper by which Python would call it.
+
+    A quarter of the time in which all kernels are compiled, and of that in which a process loads
+    them, goes into such wrappers. Python may call it all the same, as tests do, and then calls a
+    second one, which has a wrapper: slowly, since the dispatcher does not know it.
+    """
+    made = _compile(function, no_cpython_wrapper=True, **options)
+    second: list[Any] = []
+
+    def add_overload(result: Any) -> None:
+        made.overloads[tuple(result.signature.args)] = result
+
+    def compile_for_args(*arguments: Any, **keywords: Any) -> Any:
+        if not second:
+            second.append(_compile(function, "called", **options))
+        return second[0]._compile_for_args(*arguments, **keywords)
+
+    made.add_overload, made._compile_for_args = add_overload, compile_for_args
+    return made
 
 
 def compiled(function: Callable[..., Any]) -> Any:
@@ -119,6 +153,15 @@ def branching(function: Callable[..., Any]) -> Any:
     Args:
         function: The pass.
     """
+    return _inside(function, _nrt=False)
+
+
+def entry(function: Callable[..., Any]) -> Any:
+    """Compiles a pass that Python calls, in exact IEEE arithmetic.
+
+    Args:
+        function: The pass.
+    """
     return _compile(function, _nrt=False)
 
 
@@ -128,7 +171,7 @@ def folded(function: Callable[..., Any]) -> Any:
     Args:
         function: The function.
     """
-    return _compile(function, _nrt=False, forceinline=True)
+    return _inside(function, _nrt=False, forceinline=True)
 
 
 def vectorised(function: Callable[..., Any]) -> Any:
@@ -141,17 +184,7 @@ def vectorised(function: Callable[..., Any]) -> Any:
     Args:
         function: The pass; no NaN or infinity comes into it, and no row twice that it writes to.
     """
-    made = _compile(function, _nrt=False, fastmath=FAST)
-    compiler = made._compiler
-    flags_of = compiler._customize_flags
-
-    def apart(flags: Any) -> Any:
-        flags = flags_of(flags)
-        flags.noalias = True  # Numba has the flag, and no option that sets it
-        return flags
-
-    compiler._customize_flags = apart
-    return made
+    return _inside(function, apart=True, _nrt=False, fastmath=FAST)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
@@ -160,7 +193,7 @@ def inlined(function: Callable[..., Any]) -> Any:
     Args:
         function: The function; no NaN or infinity comes into it.
     """
-    return _compile(function, _nrt=False, fastmath=FAST, forceinline=True)
+    return _inside(function, _nrt=False, fastmath=FAST, forceinline=True)
 
 
 class _Compilations(event.Listener):

@@ -151,7 +151,7 @@ class _Locator:
 class _Entry(CompileResultCacheImpl):
     """Name of a kernel's files, and what of a kernel is stored, which is up to Numba."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], variant: str) -> None:
         # Numba's own constructor looks for a folder, and raises an exception where it finds none.
         path, line = Path(function.__code__.co_filename), function.__code__.co_firstlineno
         if path.is_relative_to(_PACKAGE):
@@ -162,20 +162,21 @@ class _Entry(CompileResultCacheImpl):
             module = f"{path.stem}-{place[:8]}"
         self._locator, self._lineno = _Locator(function), line
         name = function.__qualname__.replace("<", "").replace(">", "")
-        self._filename_base = f"{module}.{name}-{line}"
+        self._filename_base = f"{module}.{name}-{line}{variant}"
 
 
 class KernelCache(FunctionCache):
     """The cache of one kernel. A folder that cannot be used is as one without kernels."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], variant: str) -> None:
         """Finds its files.
 
         Args:
             function: The kernel, of a file that exists.
+            variant: What its files are named after besides, where it is compiled in two ways.
         """
         self._name, self._py_func = repr(function), function
-        self._impl = entry = _Entry(function)
+        self._impl = entry = _Entry(function, variant)
         self._files = [
             IndexDataCacheFile(str(folder), entry.filename_base, entry.stamp)
             for folder in places().read

@@ -13,7 +13,7 @@ from types import FunctionType
 from typing import Any
 
 from pneu_sim import layout as L
-from pneu_sim.compiling import sequence, uncached
+from pneu_sim.compiling import entry, sequence, uncached
 from pneu_sim.kernel.bodies import foresee, move
 from pneu_sim.kernel.chambers import find_chambers, find_middle, heat_chambers
 from pneu_sim.kernel.encoders import correct_motion, read_encoders
@@ -113,7 +113,7 @@ def _act_of_walls(gas, scheme, dt, s, cells):
         give_back(cells)
 
 
-@sequence
+@entry
 def advance(rigs, moving, clock, opening, record):
     """Advance a batch of rigs in place and record its taps.
 
@@ -213,6 +213,9 @@ def advance(rigs, moving, clock, opening, record):
                 correct_chambers(chambers, taps)
             if moving is not None and shifted:
                 correct_motion(cells, chambers, moving.cylinders, moving.bodies, moving.encoders)
+
+
+advance.sequence = True  # on a GPU: the only one that Python calls
 
 
 @functools.lru_cache(maxsize=16)

@@ -10,7 +10,7 @@ Dry friction is an impulse that takes the velocity of a joint or piston away, as
 import math
 
 from pneu_sim import layout as L
-from pneu_sim.compiling import branching, folded
+from pneu_sim.compiling import branching, entry, folded
 from pneu_sim.kernel.equations.kinds import RAIL, levers, mechanics
 from pneu_sim.kernel.play import (
     LEANS,
@@ -626,7 +626,7 @@ def move(dt, bodies, cylinders):
             _move_body(b, j, dt, bodies, cylinders)
 
 
-@branching
+@entry
 def stand(bodies, cylinders):
     """Put pistons where the joints of their bodies have them.
 

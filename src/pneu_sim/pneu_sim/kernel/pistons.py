@@ -10,7 +10,7 @@ to rounding.
 import math
 
 from pneu_sim import layout as L
-from pneu_sim.compiling import branching, folded
+from pneu_sim.compiling import branching, entry, folded
 from pneu_sim.kernel.faces import limited
 from pneu_sim.kernel.orifices import orifice_flow
 
@@ -101,7 +101,7 @@ def _lay(k, side, j, cells, cylinders):
         cells.par[L.INV_VOLUME, i] = 1.0 / (area * length) if n < count else 0.0
 
 
-@branching
+@entry
 def settle(cells, chambers, cylinders):
     """Volumes and lengths as the pistons stand; what a call begins from.
 
@@ -120,7 +120,7 @@ def settle(cells, chambers, cylinders):
                     _lay(k, side, j, cells, cylinders)
 
 
-@branching
+@entry
 def count_cells(lanes, cylinders):
     """How many cells of each side are in use, wherever its piston was put.
 
@@ -388,7 +388,7 @@ def _side_gas(k, side, j, cells, chambers, cylinders):
     return cylinders.par[k, L.PY_ROOM_P, j], cylinders.par[k, L.PY_ROOM_T, j]
 
 
-@branching
+@entry
 def lean(cells, chambers, cylinders):
     """Force of gas and room on every piston by the pressures beside it, no wave being on its way.
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_sim import layout as L
-from pneu_sim.compiling import branching, folded
+from pneu_sim.compiling import branching, entry, folded
 from pneu_sim.kernel.regulators import fill_opening, regulate, vent_opening
 from pneu_sim.lumped.model import (
     RELIEF_COLUMNS,
@@ -45,7 +45,7 @@ def flow_function(x: float, gamma: float) -> float:
     return math.sqrt(2.0 * gamma / (gamma - 1.0) * max(root * (root - x), 0.0))
 
 
-@branching
+@entry
 def port_flow(
     p_a: float,
     t_a: float,
@@ -434,7 +434,7 @@ def _write_down(
         chambers[k, c, j] = rig.source[-1 - v, 0] if v < 0 else _bulk(v, rig, shares)
 
 
-@branching
+@entry
 def begin_volumes(rigs: Volumes, shares: Shares) -> None:
     """Shares of volumes that stand at rest at the room's temperature.
 
@@ -455,7 +455,7 @@ def begin_volumes(rigs: Volumes, shares: Shares) -> None:
             shares.now[j, masses + v] = p * size / (rigs.r_gas * rigs.room[j, 1])
 
 
-@branching
+@entry
 def advance_volumes(
     rigs: Volumes,
     shares: Shares,

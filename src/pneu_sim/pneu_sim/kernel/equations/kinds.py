@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Equations of all kinds of body by number: one line each; see ``pneu_sim.bodies.kinds``."""
 
-from pneu_sim.compiling import branching
+from pneu_sim.compiling import branching, entry
 from pneu_sim.kernel.equations.arm import levers as arm_levers
 from pneu_sim.kernel.equations.arm import mechanics as arm_mechanics
 from pneu_sim.kernel.equations.cart_pole import levers as cart_pole_levers
@@ -43,7 +43,7 @@ def mechanics(kind, par, b, j, q, v, mass, force):
         dog_mechanics(par, b, j, q, v, mass, force)
 
 
-@branching
+@entry
 def levers(kind, par, b, j, q, extension, lever):
     """Extensions of the cylinders of a body of any kind, and their growth per motion of joints.
 
