@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run the tests in parts, some of them side by side, and report what was left out.
 
-1. The kernels are compiled, beside tests that need none, and beside ruff and mypy with `--lint`.
+1. The kernels are compiled, beside tests that need none.
 2. Then follows what runs against the clock.
-3. What computes fills, from the beginning and at idle priority, the time that the others wait: the
-   scheduler hands a processor over at once where a task of ordinary priority wants it.
+3. What computes, and with `--lint` ruff and mypy, fill from the beginning and at idle priority the
+   time that the others wait: the scheduler hands a processor over at once where a task of ordinary
+   priority wants it.
 
 The marks in the files say which part a test belongs to (`pyproject.toml`); `--long` runs those that
 are marked long instead. Another user may stall a machine, so what runs against the clock has three
@@ -84,6 +85,7 @@ def main():
         for name, words in CHECKS.items():
             command = [sys.executable, "-m", *words]
             checks.append((name, subprocess.Popen(command, cwd=ROOT, start_new_session=True)))
+            at_idle_priority(checks[-1][1].pid, True)
     outcomes, worst, running = [], 0, []
     with tempfile.TemporaryDirectory(prefix="pneu-tests-") as folder:
         try:
@@ -92,7 +94,7 @@ def main():
                 running.append(Running(part, options, Path(folder)))
                 worst = max(worst, running[-1].wait())
                 outcomes += running[-1].outcome()
-            running[0].at_idle_priority(False)  # nothing is left that it could delay
+            at_idle_priority(running[0].process.pid, False)  # nothing is left that it could delay
             worst = max(worst, running[0].wait())
             outcomes += running[0].outcome()
             failed = [name for name, process in checks if process.wait() != 0]
@@ -135,29 +137,13 @@ class Running:
             errors="replace",
             start_new_session=True,
         )
-        self.at_idle_priority(part.idle)
+        at_idle_priority(self.process.pid, part.idle)
         self._shown = threading.Thread(target=self._show, daemon=True)
         self._shown.start()
 
     def _show(self):
         for line in self.process.stdout:
             print(f"{self.part.name}: {line}", end="", flush=True)
-
-    def at_idle_priority(self, idle):
-        """Move its processes to idle priority or back, where the system has that.
-
-        Args:
-            idle: Whether they are to run only when nothing else wants to.
-        """
-        if not hasattr(os, "SCHED_IDLE"):
-            return
-        policy = os.SCHED_IDLE if idle else os.SCHED_OTHER
-        for task in Path("/proc").glob("[0-9]*/task/[0-9]*"):  # each thread has its own
-            try:
-                if os.getsid(int(task.parts[2])) == self.process.pid:
-                    os.sched_setscheduler(int(task.name), policy, os.sched_param(0))
-            except (ProcessLookupError, PermissionError):
-                continue
 
     def wait(self):
         """Wait for its end; return its exit status, 0 where no test was selected."""
@@ -172,6 +158,24 @@ class Running:
         outcome = json.loads(self._path.read_text(encoding="utf-8"))
         took_s = time.monotonic() - self._begun_s
         return [{**outcome, "part": self.part.name, "took_s": took_s}]
+
+
+def at_idle_priority(session, idle):
+    """Move processes to idle priority or back, where the system has that.
+
+    Args:
+        session: The session that they are of.
+        idle: Whether they are to run only when nothing else wants to.
+    """
+    if not hasattr(os, "SCHED_IDLE"):
+        return
+    policy = os.SCHED_IDLE if idle else os.SCHED_OTHER
+    for task in Path("/proc").glob("[0-9]*/task/[0-9]*"):  # each thread has its own
+        try:
+            if os.getsid(int(task.parts[2])) == session:
+                os.sched_setscheduler(int(task.name), policy, os.sched_param(0))
+        except (ProcessLookupError, PermissionError):
+            continue
 
 
 def files_of(part):

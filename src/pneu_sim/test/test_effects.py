@@ -115,9 +115,12 @@ def with_limits(rig: Rig) -> Rig:
     return copy
 
 
+KOKORO = load_rig(HOUSE / "rigs" / "kokoro.yaml")
+
+
 def robot() -> Rig:
     """A joint that a cylinder turns, on a coarse grid; its seals give way before they slide."""
-    rig = load_rig(HOUSE / "rigs" / "kokoro.yaml")
+    rig = KOKORO.model_copy(deep=True)
     rig.grid.dx_m = 0.25
     friction = rig.cylinders["forearm"].friction
     friction.presliding_m_n, friction.presliding_n_s_m = 1e-5, 300.0

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.coarse import coarsened
 
 from pneu_common.errors import InputError
 from pneu_workbench.packed import SESSION, unpack
@@ -18,7 +19,12 @@ from pneu_workbench.work import Work
 
 ROOT = Path(__file__).resolve().parents[3]
 BAG = str(ROOT / "data" / "bags" / "a_leak")
-RIG = str(ROOT / "rigs" / "rig_a_fitted.yaml")
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> str:
+    folder = tmp_path_factory.mktemp("rig")
+    return str(coarsened(ROOT / "rigs" / "rig_a_fitted.yaml", folder / "rig_a_fitted.yaml"))
 
 
 def _version(title: str) -> Version:
@@ -51,10 +57,10 @@ def _until_done(work: Work, seconds: float = 240.0) -> None:
         time.sleep(0.05)
 
 
-def test_what_cannot_be_done_is_said(tmp_path: Path) -> None:
+def test_what_cannot_be_done_is_said(tmp_path: Path, rig: str) -> None:
     work = Work(tmp_path / "session")
     with pytest.raises(InputError, match="none was chosen"):
-        work.open([], RIG)
+        work.open([], rig)
     for what in (work.suspect, work.report, work.rig_text):
         with pytest.raises(InputError, match="nothing is open yet"):
             what()
@@ -79,15 +85,15 @@ def test_a_session_that_is_none_is_refused(tmp_path: Path) -> None:
         Work(tmp_path / "file")
 
 
-def test_a_recording_is_opened_kept_and_come_back_to(tmp_path: Path) -> None:
+def test_a_recording_is_opened_kept_and_come_back_to(tmp_path: Path, rig: str) -> None:
     work = Work(tmp_path / "session", workers=1)
     work.open([BAG], str(tmp_path / "no.yaml"))
     _until_done(work)
     assert work.task is not None and "there is no such file" in work.task.fault
     assert work.versions.now is None
-    work.open([BAG], RIG)
+    work.open([BAG], rig)
     with pytest.raises(InputError, match="is still going on; cancel it, or wait"):
-        work.open([BAG], RIG)
+        work.open([BAG], rig)
     _until_done(work)
     assert work.task.fault == ""
     now = work.versions.now
@@ -175,10 +181,10 @@ def test_a_file_that_is_no_session_is_refused(tmp_path: Path) -> None:
         unpack(tmp_path / "text.zip", tmp_path / "text")
 
 
-def test_what_was_open_is_back_where_another_recording_is_not_opened(tmp_path: Path) -> None:
+def test_what_was_open_is_back_where_another_recording_is_not_opened(tmp_path: Path, rig: str) -> None:
     """What was measured is shown before the model has run, and gone again where it never does."""
     work = Work(tmp_path / "session", workers=1)
-    work.open([BAG], RIG)
+    work.open([BAG], rig)
     _until_done(work)
     before = work.versions.now
     assert before is not None
@@ -195,7 +201,7 @@ def test_what_was_open_is_back_where_another_recording_is_not_opened(tmp_path: P
             work.cancel()
 
     work._changed = changed  # type: ignore[method-assign]
-    work.open([BAG], RIG)
+    work.open([BAG], rig)
     _until_done(work)
     assert early == [True, True, True]
     assert work.task is not None and work.task.fault == "cancelled"
@@ -204,9 +210,9 @@ def test_what_was_open_is_back_where_another_recording_is_not_opened(tmp_path: P
     work.close()
 
 
-def test_a_task_that_is_cancelled_leaves_nothing(tmp_path: Path) -> None:
+def test_a_task_that_is_cancelled_leaves_nothing(tmp_path: Path, rig: str) -> None:
     work = Work(tmp_path / "session", workers=1)
-    work.open([BAG], RIG)
+    work.open([BAG], rig)
     end = time.monotonic() + 60.0
     while work.task is not None and work.task.stage == "starting" and time.monotonic() < end:
         time.sleep(0.02)
