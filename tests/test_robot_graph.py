@@ -120,7 +120,11 @@ def dead(robot):
 # What an encoder may report is tried on the bridge alone too, in test_robot_faults.py.
 @pytest.mark.parametrize(
     "begin",
-    [frozen, dead, killed, *(pytest.param(one, marks=pytest.mark.long) for one in (jumps, beyond))],
+    [
+        frozen,
+        dead,
+        *(pytest.param(one, marks=pytest.mark.long) for one in (killed, jumps, beyond)),
+    ],
 )
 def test_both_valves_are_safe_in_time(robot, begin):
     robot.swings()

@@ -78,9 +78,8 @@ def _compile(
 def _inside(function: Callable[..., Any], **options: Any) -> Any:
     """A function for other kernels, compiled without the wrapper by which Python would call it.
 
-    A quarter of the time in which all kernels are compiled, and of that in which a process loads
-    them, goes into such wrappers. Python may call it all the same, as tests do, and then calls a
-    second one, which has a wrapper: slowly, since the dispatcher does not know it.
+    A quarter of the time in which all kernels are compiled goes into such wrappers. Where Python
+    calls it all the same, as tests do, a second one gets a wrapper, and is found from then on.
     """
     made = _compile(function, no_cpython_wrapper=True, **options)
     second: list[Any] = []
@@ -88,10 +87,14 @@ def _inside(function: Callable[..., Any], **options: Any) -> Any:
     def add_overload(result: Any) -> None:
         made.overloads[tuple(result.signature.args)] = result
 
-    def compile_for_args(*arguments: Any, **keywords: Any) -> Any:
+    def compile_for_args(*arguments: Any) -> Any:
         if not second:
             second.append(_compile(function, "called", **options))
-        return second[0]._compile_for_args(*arguments, **keywords)
+        found = second[0]._compile_for_args(*arguments)
+        for types, result in second[0].overloads.items():
+            if result.entry_point is found:
+                made._insert([one._code for one in types], found, False)
+        return found
 
     made.add_overload, made._compile_for_args = add_overload, compile_for_args
     return made

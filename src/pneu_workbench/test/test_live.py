@@ -16,12 +16,12 @@ from pneu_workbench.live.link import SHOWN_S, Course, Live
 from pneu_workbench.live.samples import KEPT_S, Samples
 
 ROOT = Path(__file__).resolve().parents[3]
-RIG = ROOT / "rigs" / "rig_a_fitted.yaml"
+RIG = load_rig(ROOT / "rigs" / "rig_a_fitted.yaml")
 BEGIN_S = 1.79e9
 
 
 def _samples(seconds: float, step_s: float = 0.01) -> Samples:
-    samples = Samples(load_rig(RIG))
+    samples = Samples(RIG)
     samples.add("voltage", BEGIN_S, 3.0)
     for k in range(round(seconds / step_s)):
         at = BEGIN_S + step_s * k
@@ -33,7 +33,7 @@ def _samples(seconds: float, step_s: float = 0.01) -> Samples:
 
 
 def test_the_last_seconds_are_a_recording(tmp_path: Path) -> None:
-    samples, rig = _samples(8.0), load_rig(RIG)
+    samples, rig = _samples(8.0), RIG
     samples.add("end", BEGIN_S + 9.0, math.nan)
     samples.add("nobody", BEGIN_S + 9.0, 1.0)
     last = samples.last(2.0)
@@ -70,7 +70,7 @@ def test_time_that_begins_anew_forgets_what_was() -> None:
 
 def _window(end_s: float, **other: Any) -> dict[str, Any]:
     time = np.linspace(end_s - 0.5, end_s, 50).tolist()
-    names = list(load_rig(RIG).taps)
+    names = list(RIG.taps)
     courses = {name: [time, [2e5] * 50, [2.1e5] * 50] for name in names}
     of = dict.fromkeys(names, 500.0)
     window = dict(end_s=end_s, level=2, times=9.5, worst="end", noise=of, rms=of, courses=courses)
@@ -84,7 +84,7 @@ def test_what_is_shown_is_of_late(tmp_path: Path) -> None:
         live.take(5.0, lambda path: None)
     assert live.shown() == ({}, {}) and live.state() == []
     live._forget()
-    live.courses = {name: Course("Pa") for name in load_rig(RIG).taps}
+    live.courses = {name: Course("Pa") for name in RIG.taps}
     for k in range(200):
         live._heard(_window(BEGIN_S + 0.5 * (k + 1)))
     sensors, _ = live.shown()

@@ -181,7 +181,9 @@ def test_a_file_that_is_no_session_is_refused(tmp_path: Path) -> None:
         unpack(tmp_path / "text.zip", tmp_path / "text")
 
 
-def test_what_was_open_is_back_where_another_recording_is_not_opened(tmp_path: Path, rig: str) -> None:
+def test_what_was_open_is_back_where_another_recording_is_not_opened(
+    tmp_path: Path, rig: str
+) -> None:
     """What was measured is shown before the model has run, and gone again where it never does."""
     work = Work(tmp_path / "session", workers=1)
     work.open([BAG], rig)
