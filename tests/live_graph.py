@@ -43,6 +43,19 @@ class Graph:
         self.executor.add_node(node)
         return node
 
+    def do(self, what):
+        """Runs a function between the callbacks of the nodes, as a transition runs that is asked for.
+
+        Args:
+            what: The function.
+
+        Returns:
+            What it returns.
+        """
+        task = self.executor.create_task(what)
+        wait_for(task.done, PATIENCE_S)
+        return task.result()
+
     def listen(self, kind, topic, qos=qos_profile_sensor_data):
         got = self.got.setdefault(topic, [])
         self.probe.create_subscription(kind, topic, got.append, qos)
