@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from tests.measured import MachineStalledError
 
 from pneu_hw_bridge.lab.plant import Plant
 from pneu_sim.rig.load import load_rig
@@ -50,8 +51,11 @@ def test_a_held_up_thread_changes_nothing(plant, rig_file):
     asked = []
     for k, volts in enumerate((7.0, 4.5, 6.5, 5.0)):
         time.sleep(max(began_s + 0.01 + 0.05 * k - time.monotonic(), 0.0))
+        before_s = time.monotonic()
         plant.apply({"voltage": volts})
         changes.append((volts, time.monotonic() - began_s))
+        if began_s + changes[-1][1] - before_s > 1e-3:
+            raise MachineStalledError("it is not known when the voltage changed")
         time.sleep(0.02)
         asked.append(time.monotonic())
     assert plant.readings(asked[-1]) is None, "not simulated yet, so not known"
