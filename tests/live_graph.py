@@ -44,7 +44,7 @@ class Graph:
         return node
 
     def do(self, what):
-        """Runs a function between the callbacks of the nodes, as a transition runs that is asked for.
+        """Runs a function between the callbacks of nodes, as a transition runs that is asked for.
 
         Args:
             what: The function.
