@@ -28,16 +28,19 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # under nohup
 
 
 def pytest_collection_modifyitems(items):
-    """Begin with the files that take longest: no worker is left alone with one at the end."""
+    """Begin with files that need no kernels, which may have to be compiled, then with the longest.
 
-    def takes_s(item):
+    No worker is left alone with a long one at the end.
+    """
+
+    def turn(item):
         mark = item.get_closest_marker("takes")
-        return mark.args[0] if mark else 0.0
+        return item.get_closest_marker("kernel_free") is None, -mark.args[0] if mark else 0.0
 
     files = {}
     for item in items:
-        files[item.path] = max(files.get(item.path, 0.0), takes_s(item))
-    items.sort(key=lambda item: -files[item.path])
+        files[item.path] = min(files.get(item.path, (True, 0.0)), turn(item))
+    items.sort(key=lambda item: files[item.path])
 
 
 def pytest_addoption(parser):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run the tests in parts, some of them side by side, and report what was left out.
 
-1. The kernels are compiled, beside tests that need none.
+1. The kernels are compiled, by tests that need most of them.
 2. Then follows what runs against the clock.
 3. What computes, and with `--lint` ruff and mypy, fill from the beginning and at idle priority the
    time that the others wait: the scheduler hands a processor over at once where a task of ordinary
@@ -48,26 +48,23 @@ class Part:
 
     Attributes:
         name: What the lines of its output begin with.
-        marks: Expression that selects them.
-        files: Mark of which a file has to speak to hold any of them; None where any file may.
+        mark: Of its tests, named in each file that has any; None for those that have no such mark.
         workers: Processes side by side.
         words: Further words for pytest.
         idle: Whether they run at idle priority.
     """
 
     name: str
-    marks: str
-    files: str | None = None
+    mark: str | None
     workers: int = 2
     words: tuple[str, ...] = ()
     idle: bool = False
 
 
-BEGINNING = "compiles or kernel_free"
-FILLING = Part("what computes", f"not realtime and not ({BEGINNING})", idle=True)
+FILLING = Part("what computes", None, idle=True)
 FOLLOWING = (
-    Part("kernels, and what needs none", f"({BEGINNING}) and not realtime", BEGINNING),
-    Part(CLOCK, "realtime", "realtime", words=("--reruns", "2")),
+    Part("kernels", "compiles", workers=1),
+    Part(CLOCK, "realtime", words=("--reruns", "2")),
 )
 """Parts one after the other, beside the part that fills the time that they wait."""
 PARTS = (FILLING, *FOLLOWING)
@@ -123,7 +120,8 @@ class Running:
         self.part = part
         self._path = folder / f"{part.name}.json"
         self._begun_s = time.monotonic()
-        marks = f"({part.marks}) and {'long' if options.long else 'not long'}"
+        marks = part.mark or " and ".join(f"not {other.mark}" for other in FOLLOWING)
+        marks += " and long" if options.long else " and not long"
         command = [sys.executable, "-m", "pytest", "-m", marks, f"--outcome={self._path}"]
         command += [f"--numprocesses={part.workers}", "--dist=loadfile", "--no-loadscope-reorder"]
         command += [*part.words, *(options.paths or files_of(part))]
@@ -189,10 +187,11 @@ def files_of(part):
         for pattern in ("tests/**/test_*.py", "src/*/test/test_*.py")
         for path in sorted(ROOT.glob(pattern))
     }
-    whole = re.compile(r"^pytestmark = .*mark\.(realtime|compiles|kernel_free)\b", re.M)
-    if part.files is None:
+    if part.mark is None:
+        marks = "|".join(str(other.mark) for other in FOLLOWING)
+        whole = re.compile(rf"^pytestmark = .*mark\.({marks})\b", re.M)
         return [f"--ignore={path}" for path, text in sources.items() if whole.search(text)]
-    mark = re.compile(rf"mark\.({'|'.join(part.files.split(' or '))})\b")
+    mark = re.compile(rf"mark\.{part.mark}\b")
     return [str(path) for path, text in sources.items() if mark.search(text)]
 
 
