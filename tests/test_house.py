@@ -77,12 +77,16 @@ def test_the_repository_is_found():
     assert len(PYTHON_FILES) > 5
 
 
-@pytest.mark.parametrize("path", PYTHON_FILES, ids=relative)
-def test_source_starts_with_licence_and_says_what_it_is_about(path):
-    text = path.read_text(encoding="utf-8")
-    lines = [line for line in text.splitlines()[:2] if not line.startswith("#!")]
-    assert lines and lines[0] == SPDX, f"first line of {relative(path)} is not '{SPDX}'"
-    assert ast.get_docstring(ast.parse(text)), f"{relative(path)} has no module docstring"
+def test_sources_start_with_licence_and_say_what_they_are_about():
+    wrong = []
+    for path in PYTHON_FILES:
+        text = path.read_text(encoding="utf-8")
+        lines = [line for line in text.splitlines()[:2] if not line.startswith("#!")]
+        if not lines or lines[0] != SPDX:
+            wrong.append(f"first line of {relative(path)} is not '{SPDX}'")
+        if not ast.get_docstring(ast.parse(text)):
+            wrong.append(f"{relative(path)} has no module docstring")
+    assert not wrong, "\n".join(wrong)
 
 
 @pytest.mark.parametrize("name", ["Makefile", ".ci/run"])

@@ -128,7 +128,8 @@ class Running:
         share = sum(other.workers for other in PARTS[: PARTS.index(part)])
         self.process = subprocess.Popen(
             command,
-            env={**os.environ, SHARE: str(share)},
+            # OpenBLAS has a thread for each processor, which keeps it busy while it waits for work.
+            env={"OPENBLAS_NUM_THREADS": "1", **os.environ, SHARE: str(share)},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
