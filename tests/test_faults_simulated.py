@@ -129,6 +129,7 @@ def test_kill_9_of_the_controller(rig):
     rig.tracks(since)
 
 
+@pytest.mark.long  # as in test_faults.py
 @pytest.mark.parametrize("reliability", [ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT])
 def test_a_subscriber_slower_than_the_publisher(rig, reliability):
     """It gets what is new, and nobody else gets less for it."""
@@ -164,6 +165,7 @@ def test_a_subscriber_slower_than_the_publisher(rig, reliability):
     assert len(stamps) > 0.9 * expected
 
 
+@pytest.mark.long
 def test_the_recording_is_intact(rig):
     """Readable, though its time was set back in the middle; what it lost it reports."""
     status, log = rig.nodes.end("recorder"), rig.nodes.log("recorder").read_text()

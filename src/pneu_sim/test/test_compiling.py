@@ -19,6 +19,8 @@ from pneu_sim.compiling import vectorised
 from pneu_sim.kernel import faces, lines, walls
 from pneu_sim.kernel_cache import MOST_VERSIONS
 
+pytestmark = pytest.mark.takes(20)
+
 LEAK = """
 from numba.core.event import install_recorder
 from pneu_sim.kernel.leaks import leak_flow

@@ -33,8 +33,6 @@ from pneu_sysid.problem import make_problem, pull_of
 from pneu_sysid.records import Recording
 from pneu_sysid.stages import brought_back, steps_of
 
-pytestmark = pytest.mark.takes(30)
-
 ROOT = Path(__file__).parents[3]
 
 BANDWIDTH = "valves.valve.spool.bandwidth_hz"
@@ -293,12 +291,14 @@ def test_what_nothing_shows_where_it_was_driven_is_brought_back() -> None:
     assert rig is true
 
 
+@pytest.mark.long
 def test_warnings_are_three_lines_at_most(
     calibrated: tuple[Rig, Recording, FitOutcome, Rig],
 ) -> None:
     assert len(calibrated[2].warnings) <= 4  # three on parameters, one on what was not visited
 
 
+@pytest.mark.long
 def test_what_was_known_beforehand_stays_that(
     calibrated: tuple[Rig, Recording, FitOutcome, Rig],
 ) -> None:

@@ -19,8 +19,6 @@ from pneu_sysid.fit_step import taken
 from pneu_sysid.observed.noise import with_noise
 from pneu_sysid.stages import Step
 
-pytestmark = pytest.mark.takes(30)
-
 ROOT = Path(__file__).resolve().parents[3]
 SLIDER = "bodies.arm.slider"
 PIVOT, CRANK, CLOSED = (f"{SLIDER}.{name}_m" for name in ("pivot", "crank", "closed_length"))
@@ -54,6 +52,7 @@ def larger(rig: Rig, factor: float) -> Rig:
     return with_parameters(rig, sizes)
 
 
+@pytest.mark.long
 def test_a_joint_that_is_too_large_as_a_whole_comes_back() -> None:
     """What is known of its linkage says so, and its valley is straight enough to go along."""
     known = with_encoders(load_rig(ROOT / "rigs" / "rig_j.yaml"))

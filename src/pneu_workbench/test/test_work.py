@@ -17,6 +17,8 @@ from pneu_workbench.versions import Version, Versions
 from pneu_workbench.view import Part
 from pneu_workbench.work import Work
 
+pytestmark = pytest.mark.takes(15)
+
 ROOT = Path(__file__).resolve().parents[3]
 BAG = str(ROOT / "data" / "bags" / "a_leak")
 
