@@ -52,7 +52,7 @@ def test_reads_and_writes(server, wait_until):
 
 
 def test_command_rate_and_latency(server, wait_until):
-    """500 commands a second, each seen in the register, while the machine lets these threads run."""
+    """500 commands a second, each seen in the register, as far as the machine lets it run."""
     owner = Owner()
     with open_bus(server.port, owner) as bus:
         wait_until(lambda: owner.samples)
