@@ -81,6 +81,12 @@ def pytest_runtest_makereport(item, call):
     return report
 
 
+def _cause(report):
+    """The first line of why a test failed."""
+    crash = getattr(report.longrepr, "reprcrash", None)
+    return (crash.message if crash else str(report.longrepr)).partition("\n")[0]
+
+
 def pytest_terminal_summary(terminalreporter, config):
     """Writes what became of the tests, for the lines at the very end."""
     path = config.getoption("--outcome")
@@ -102,7 +108,7 @@ def pytest_terminal_summary(terminalreporter, config):
         },
         "failed": [r.nodeid for kind in ("failed", "error") for r in stats.get(kind, [])],
         "skipped": skipped,
-        "repeated": sorted({report.nodeid for report in stats.get("rerun", [])}),
+        "repeated": sorted({f"{r.nodeid}: {_cause(r)}" for r in stats.get("rerun", [])}),
         "safe_after_s": times,
     }
     path.write_text(json.dumps(outcome, indent=2), encoding="utf-8")
