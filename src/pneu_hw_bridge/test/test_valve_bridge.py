@@ -389,7 +389,7 @@ def test_a_restart_forgets_no_stop(how, healthy_lab, graph, wait_until, tmp_path
             assert graph.call(Trigger, "valve_bridge/e_stop").success
         elif how == "tripped":
             lab.ask("fault", name="out_of_range", channel="end", value=9.5e5)
-            wait_until(lambda: "tripped" in graph.status().message)
+            wait_until(lambda: graph.status() and "tripped" in graph.status().message)
             lab.ask("clear")
             time.sleep(0.2)
         bridge.send_signal(signal.SIGKILL if how == "killed" else signal.SIGTERM)
