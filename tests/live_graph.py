@@ -43,16 +43,16 @@ class Graph:
         self.executor.add_node(node)
         return node
 
-    def do(self, what):
-        """Runs a function between the callbacks of nodes, as a transition runs that is asked for.
+    def run_in_executor(self, function):
+        """Runs a function in the executor's thread, where services of the life cycle run as well.
 
         Args:
-            what: The function.
+            function: The function.
 
         Returns:
-            What it returns.
+            Its result.
         """
-        task = self.executor.create_task(what)
+        task = self.executor.create_task(function)
         wait_for(task.done, PATIENCE_S)
         return task.result()
 

@@ -129,7 +129,7 @@ def test_kill_9_of_the_controller(rig):
     rig.tracks(since)
 
 
-@pytest.mark.long  # as in test_faults.py
+@pytest.mark.long  # test_faults.py has a subscriber that hangs
 @pytest.mark.parametrize("reliability", [ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT])
 def test_a_subscriber_slower_than_the_publisher(rig, reliability):
     """It gets what is new, and nobody else gets less for it."""

@@ -118,11 +118,11 @@ def arm_behind_its_bridge(graph: Graph, devices: Path, udp: int, web: int) -> No
         device_timeout_s=0.1,
         sensor_timeout_s=0.1,
     )
-    graph.do(bridge.trigger_configure)
+    graph.run_in_executor(bridge.trigger_configure)
     hold = Hold(graph, -0.1)
     time.sleep(0.5)
     assert not got["joints"] or abs(got["joints"][-1].position[2]) < 0.05  # it is not active
-    graph.do(bridge.trigger_activate)
+    graph.run_in_executor(bridge.trigger_activate)
     wait_for(lambda: reaches(got, -0.1))
     wait_for(lambda: all(len(v) > 20 for v in got.values()))
     stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in got["joints"]]
@@ -137,7 +137,7 @@ def arm_behind_its_bridge(graph: Graph, devices: Path, udp: int, web: int) -> No
     assert "called for by service" in graph.status("phantom_bridge: safety").message
     assert graph.call(Trigger, "phantom_bridge/reset_e_stop", Trigger.Request()).success
     wait_for(lambda: reaches(got, 0.1))
-    graph.do(bridge.end)
+    graph.run_in_executor(bridge.end)
 
 
 def test_a_bridge_without_a_device_says_so(graph: Graph, tmp_path: Path) -> None:
@@ -149,8 +149,8 @@ def test_a_bridge_without_a_device_says_so(graph: Graph, tmp_path: Path) -> None
         net_ft_web_port=free_port(1),
         wait_s=0.0,
     )
-    assert graph.do(bridge.trigger_configure).name == "FAILURE"
-    graph.do(bridge.end)
+    assert graph.run_in_executor(bridge.trigger_configure).name == "FAILURE"
+    graph.run_in_executor(bridge.end)
 
 
 def test_a_policy_pushes_what_is_simulated_along_its_path(graph: Graph) -> None:

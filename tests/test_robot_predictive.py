@@ -33,7 +33,7 @@ def test_it_follows_its_targets(robot):
     robot.follow(0.5)
 
 
-@pytest.mark.long  # killed, a node of another controller is as little use: test_robot_control.py
+@pytest.mark.long  # test_robot_control.py kills the same node with another controller
 def test_killed_both_valves_are_safe_and_no_planner_is_left(robot):
     wait_for(robot.commanded, 60.0)
     node = robot.nodes.pids()["robot"]

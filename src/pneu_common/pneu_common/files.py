@@ -73,21 +73,22 @@ def write_whole(path: Path, text: str) -> None:
         aside.write_text(text, encoding="utf-8", errors="backslashreplace", newline="")
 
 
-def check_name_of_bag(path: Path) -> None:
-    """Refuse a name for a bag that its metadata, which is YAML, cannot hold.
+def check_name_is_text(name: str, holder: str) -> None:
+    """Refuse the name of a file where what is to hold it can hold text alone.
 
     Args:
-        path: The folder of the bag.
+        name: The name, or the whole path.
+        holder: What is to hold it, for the message.
 
     Raises:
         InputError: The name holds bytes that are no text.
     """
     try:
-        path.name.encode()
+        name.encode()
     except UnicodeEncodeError:
         raise InputError(
-            f"{path}: the name holds bytes that are no text, which metadata.yaml of a bag cannot"
-            " hold; give another name"
+            f"{name}: the name holds bytes that are no text, which {holder} cannot hold;"
+            " give another name"
         ) from None
 
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import pytest
 from pymodbus.constants import ExcCodes
-from tests.measured import waited_s
+from tests.measured import MachineStalledError, waited_s
 from tests.modbus_devices import PRESSURES, Owner, Server, open_bus, rival, serial_bus
 
 from pneu_common.errors import InputError
@@ -52,7 +52,7 @@ def test_reads_and_writes(server, wait_until):
 
 
 def test_command_rate_and_latency(server, wait_until):
-    """500 commands a second, each seen in the register, as far as the machine lets it run."""
+    """500 commands a second, each seen in the register."""
     owner = Owner()
     with open_bus(server.port, owner) as bus:
         wait_until(lambda: owner.samples)
@@ -72,10 +72,11 @@ def test_command_rate_and_latency(server, wait_until):
         waited = waited_s(os.getpid()) - waited
         cycles = len(owner.samples) - cycles
     latencies = sorted(t - sent[v] for t, v in server.written if v in sent)
-    ran = max(1.0 - waited / took, 0.0)
-    assert len(latencies) > 300 * ran
-    assert latencies[len(latencies) // 2] < 0.01 + waited / 500
-    assert cycles / took > 250.0 * ran
+    if cycles <= 250.0 * took and cycles > 250.0 * (took - waited):
+        raise MachineStalledError(f"a thread waited {waited:.2f} of {took:.2f} s for a processor")
+    assert cycles > 250.0 * took
+    assert len(latencies) > 300
+    assert latencies[len(latencies) // 2] < 0.01
 
 
 def test_vent_is_written_and_read_back(server, wait_until):

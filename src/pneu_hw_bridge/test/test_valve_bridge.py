@@ -181,6 +181,13 @@ def pneu_stop(*words):
 
 
 @pytest.fixture
+def healthy_lab(healthy_lab, wait_until):
+    """With its valves closed: a killed bridge leaves them to the watchdog of the device."""
+    wait_until(lambda: healthy_lab.volts() == 0.0)
+    return healthy_lab
+
+
+@pytest.fixture
 def bridge(healthy_lab):
     """An active bridge."""
     with running_bridge(healthy_lab.port, "autostart:=true") as process:

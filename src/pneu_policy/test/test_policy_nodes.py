@@ -569,6 +569,6 @@ def test_a_predictive_controller_goes_on_without_its_tap_for_a_while(graph, tmp_
     plant.settles_at(5.0)
     plant.readings = True
     wait_for(lambda: plant.volts() > 5.01)
-    graph.do(node.trigger_deactivate)
+    graph.run_in_executor(node.trigger_deactivate)
     node.destroy_node()
     assert not beside._process.is_alive()

@@ -148,7 +148,7 @@ def test_deactivated_it_says_the_safe_voltage_once(graph, pid):
     node = graph.add(RobotNode, autostart=True, rig=str(KOKORO), controller=str(pid))
     body = Body(graph)
     body.settles_at(5.8, 4.2)
-    graph.do(node.trigger_deactivate)
+    graph.run_in_executor(node.trigger_deactivate)
     body.settles_at(5.0, 5.0)
     count = len(body.commands)
     time.sleep(0.2)

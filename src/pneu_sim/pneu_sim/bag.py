@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
-from pneu_common.files import check_name_of_bag, scratch_beside
+from pneu_common.files import check_name_is_text, scratch_beside
 from pneu_runtime import interfaces
 from pneu_sim.channels import Channel
 from pneu_sim.rig.schema import Rig
@@ -137,7 +137,7 @@ def write_bag(
     if begin_s + min(earliest_s, 0.0) <= 0.0:
         begin_s = FIRST_STAMP_S - min(earliest_s, 0.0)
     begin_ns = round(begin_s * 1e9)
-    check_name_of_bag(path)
+    check_name_is_text(path.name, "metadata.yaml of a bag")
     with scratch_beside(path) as aside:
         name = path.name.removesuffix(".mcap")
         _write(aside / name, signals, begin_ns, groups, rig.name)

@@ -75,29 +75,31 @@ def _compile(
     return compiles_once(compiled)
 
 
-def _inside(function: Callable[..., Any], **options: Any) -> Any:
-    """A function for other kernels, compiled without the wrapper by which Python would call it.
+def _for_kernels(function: Callable[..., Any], **options: Any) -> Any:
+    """A function that kernels call, compiled without the wrapper by which Python would call it.
 
     A quarter of the time in which all kernels are compiled goes into such wrappers. Where Python
-    calls it all the same, as tests do, a second one gets a wrapper, and is found from then on.
+    calls one all the same, as tests do, it is compiled once more with a wrapper, which the
+    dispatcher finds from then on.
     """
-    made = _compile(function, no_cpython_wrapper=True, **options)
-    second: list[Any] = []
+    kernel = _compile(function, no_cpython_wrapper=True, **options)
+    wrapped: list[Any] = []  # the dispatcher with a wrapper, made when it is needed
 
     def add_overload(result: Any) -> None:
-        made.overloads[tuple(result.signature.args)] = result
+        # not told to the part of the dispatcher that Python calls, which would find no wrapper
+        kernel.overloads[tuple(result.signature.args)] = result
 
     def compile_for_args(*arguments: Any) -> Any:
-        if not second:
-            second.append(_compile(function, "called", **options))
-        found = second[0]._compile_for_args(*arguments)
-        for types, result in second[0].overloads.items():
+        if not wrapped:
+            wrapped.append(_compile(function, "called", **options))
+        found = wrapped[0]._compile_for_args(*arguments)
+        for types, result in wrapped[0].overloads.items():
             if result.entry_point is found:
-                made._insert([one._code for one in types], found, False)
+                kernel._insert([one._code for one in types], found, False)
         return found
 
-    made.add_overload, made._compile_for_args = add_overload, compile_for_args
-    return made
+    kernel.add_overload, kernel._compile_for_args = add_overload, compile_for_args
+    return kernel
 
 
 def compiled(function: Callable[..., Any]) -> Any:
@@ -156,7 +158,7 @@ def branching(function: Callable[..., Any]) -> Any:
     Args:
         function: The pass.
     """
-    return _inside(function, _nrt=False)
+    return _for_kernels(function, _nrt=False)
 
 
 def entry(function: Callable[..., Any]) -> Any:
@@ -174,7 +176,7 @@ def folded(function: Callable[..., Any]) -> Any:
     Args:
         function: The function.
     """
-    return _inside(function, _nrt=False, forceinline=True)
+    return _for_kernels(function, _nrt=False, forceinline=True)
 
 
 def vectorised(function: Callable[..., Any]) -> Any:
@@ -187,7 +189,7 @@ def vectorised(function: Callable[..., Any]) -> Any:
     Args:
         function: The pass; no NaN or infinity comes into it, and no row twice that it writes to.
     """
-    return _inside(function, apart=True, _nrt=False, fastmath=FAST)
+    return _for_kernels(function, apart=True, _nrt=False, fastmath=FAST)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
@@ -196,7 +198,7 @@ def inlined(function: Callable[..., Any]) -> Any:
     Args:
         function: The function; no NaN or infinity comes into it.
     """
-    return _inside(function, _nrt=False, fastmath=FAST, forceinline=True)
+    return _for_kernels(function, _nrt=False, fastmath=FAST, forceinline=True)
 
 
 class _Compilations(event.Listener):

@@ -15,7 +15,7 @@ from pneu_sim.plant import Plant
 from pneu_sim.rig import Rig, load_rig
 from pneu_sim.rig.schema import AttachedEffect, Ripple
 
-pytestmark = pytest.mark.compiles  # what moves nothing, and the lumped models
+pytestmark = pytest.mark.compiles  # kernels of rigs without bodies, and of lumped models
 
 RIGS = Path(__file__).parents[3] / "rigs"
 INTERVALS, INTERVAL_S, DX_M = 60, 1e-3, 0.25

@@ -5,7 +5,7 @@ import dataclasses
 from pathlib import Path
 
 from pneu_common.errors import InputError
-from pneu_common.files import check_name_of_bag
+from pneu_common.files import check_name_is_text
 from pneu_graph.bag.file_writer import BagFile
 from pneu_graph.bag.metadata import BagMetadata, Topic
 
@@ -53,7 +53,7 @@ class BagWriter:
         self._records: list[tuple[str, dict[str, str]]] = []
         self._file: BagFile | None = None
         self._finishing: BagFile | None = None
-        check_name_of_bag(folder)
+        check_name_is_text(folder.name, "metadata.yaml of a bag")
         try:
             folder.mkdir(parents=True)
         except FileExistsError:

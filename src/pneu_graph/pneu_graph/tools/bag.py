@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from pneu_common.errors import InputError
+from pneu_common.files import check_name_is_text
 from pneu_graph.bag.info import info_text
 from pneu_graph.bag.reader import BagReader
 from pneu_graph.bag.recover import recover_bag
@@ -69,11 +70,7 @@ def record(
     if not (topics or everything or regex):
         raise InputError("record: name topics, or say --all or --regex")
     for path in (output, *map(str, attach or ())):
-        if path.encode(errors="replace").decode() != path:
-            raise InputError(
-                f"{path}: the name holds bytes that are no text, which a ROS parameter cannot hold;"
-                " give another name"
-            )
+        check_name_is_text(path, "a ROS parameter")
     hook.install()
     from pneu_graph.nodes import recorder
 

@@ -215,7 +215,7 @@ def advance(rigs, moving, clock, opening, record):
                 correct_motion(cells, chambers, moving.cylinders, moving.bodies, moving.encoders)
 
 
-advance.sequence = True  # on a GPU: the only one that Python calls
+advance.sequence = True  # for the GPU, as `sequence` says of those that only kernels call
 
 
 @functools.lru_cache(maxsize=16)
