@@ -51,6 +51,13 @@ def running_robot(folder, rig, controller):
             one.nodes.close()
 
 
+def _state(volts):
+    """Whether all valves are closed, vented or neither."""
+    if all(abs(one - 5.0) < 0.02 for one in volts.values()):
+        return "closed"
+    return "open" if any(volts.values()) else "vented"
+
+
 class Robot:
     """Lab, bridge, controller and targets of a Kokoro."""
 
@@ -87,8 +94,19 @@ class Robot:
         return any(self.lab.ask("status")["volts"].values())
 
     def closed(self):
-        volts = self.lab.ask("status")["volts"].values()
-        return all(abs(one - 5.0) < 0.02 for one in volts)
+        return _state(self.lab.ask("status")["volts"]) == "closed"
+
+    def asked_since(self, time_s):
+        """What the valves were asked for since then, first to last; or are now."""
+        told = (
+            self.lab.ask("status")["volts"],
+            *(
+                change["volts"]
+                for change in self.lab.ask("history")["history"]
+                if change["steady_s"] >= time_s
+            ),
+        )
+        return [_state(volts) for volts in told]
 
     def watch(self):
         return Watch(self.lab, [self.lab.process.pid, *self.nodes.pids().values(), os.getpid()])

@@ -56,8 +56,10 @@ def test_without_targets_it_commands_the_safe_voltage(robot):
     try:
         wait_for(lambda: "no target" in robot.graph.status("robot: control").message, 15.0)
         wait_for(robot.closed, 10.0)
+        closed_s = time.monotonic()
         time.sleep(0.3)
-        assert robot.closed()
+        # The bridge may vent them, where the machine is too busy for commands in time.
+        assert set(robot.asked_since(closed_s)) <= {"closed", "vented"}
     finally:
         robot.nodes.launch("joint_target")
     wait_for(robot.commanded, 40.0)
