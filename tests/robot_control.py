@@ -51,11 +51,8 @@ def running_robot(folder, rig, controller):
             one.nodes.close()
 
 
-def _state(volts):
-    """Whether all valves are closed, vented or neither."""
-    if all(abs(one - 5.0) < 0.02 for one in volts.values()):
-        return "closed"
-    return "open" if any(volts.values()) else "vented"
+def _near(volts, wanted):
+    return abs(volts - wanted) < 0.02
 
 
 class Robot:
@@ -94,19 +91,15 @@ class Robot:
         return any(self.lab.ask("status")["volts"].values())
 
     def closed(self):
-        return _state(self.lab.ask("status")["volts"]) == "closed"
+        return all(_near(one, 5.0) for one in self.lab.ask("status")["volts"].values())
 
-    def asked_since(self, time_s):
-        """What the valves were asked for since then, first to last; or are now."""
-        told = (
-            self.lab.ask("status")["volts"],
-            *(
-                change["volts"]
-                for change in self.lab.ask("history")["history"]
-                if change["steady_s"] >= time_s
-            ),
-        )
-        return [_state(volts) for volts in told]
+    def opened_since(self, time_s):
+        """Voltages since then with which a valve was neither closed nor vented."""
+        told = [self.lab.ask("status")["volts"]]
+        history = self.lab.ask("history")["history"]
+        told += [change["volts"] for change in history if change["steady_s"] >= time_s]
+        volts = [one for each in told for one in each.values()]
+        return [one for one in volts if not (_near(one, 5.0) or _near(one, 0.0))]
 
     def watch(self):
         return Watch(self.lab, [self.lab.process.pid, *self.nodes.pids().values(), os.getpid()])

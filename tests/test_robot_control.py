@@ -59,7 +59,7 @@ def test_without_targets_it_commands_the_safe_voltage(robot):
         closed_s = time.monotonic()
         time.sleep(0.3)
         # The bridge may vent them, where the machine is too busy for commands in time.
-        assert set(robot.asked_since(closed_s)) <= {"closed", "vented"}
+        assert not robot.opened_since(closed_s)
     finally:
         robot.nodes.launch("joint_target")
     wait_for(robot.commanded, 40.0)
