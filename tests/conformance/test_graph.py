@@ -2,8 +2,15 @@
 """What a node can ask the graph."""
 
 import pytest
+from rclpy.duration import Duration, Infinite
 from rclpy.node import NodeNameNonExistentError
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 from rclpy.topic_endpoint_info import TopicEndpointTypeEnum
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -92,6 +99,46 @@ def test_endpoint_information(graph):
     )
     (info,) = asking.get_subscriptions_info_by_topic("/space/in")
     assert info.endpoint_type == TopicEndpointTypeEnum.SUBSCRIPTION
+
+
+# Each policy unlike its default, and each duration unlike the others.
+UNUSUAL = {
+    "reliability": ReliabilityPolicy.BEST_EFFORT,
+    "durability": DurabilityPolicy.TRANSIENT_LOCAL,
+    "deadline": Duration(seconds=1, nanoseconds=500_000_000),
+    "lifespan": Duration(seconds=3, nanoseconds=250_000_000),
+    "liveliness": LivelinessPolicy.MANUAL_BY_TOPIC,
+    "liveliness_lease_duration": Duration(seconds=2, nanoseconds=750_000_000),
+}
+
+
+@pytest.mark.parametrize("unusual", [True, False])
+def test_each_policy_is_in_the_endpoint_information(make_node, executor, spin_until, unusual):
+    asking, asked = make_node("asking"), make_node("asked")
+    executor.add_node(asking)
+    profile = QoSProfile(depth=7, **(UNUSUAL if unusual else {}))
+    asked.create_publisher(String, "out", profile)
+    asked.create_subscription(String, "in", lambda message: None, profile)
+    expected = {
+        "reliability": ReliabilityPolicy.RELIABLE,
+        "durability": DurabilityPolicy.VOLATILE,
+        "deadline": Infinite,
+        "lifespan": Infinite,
+        "liveliness": LivelinessPolicy.AUTOMATIC,
+        "liveliness_lease_duration": Infinite,
+    } | (UNUSUAL if unusual else {})
+    look = asking.get_publishers_info_by_topic, asking.get_subscriptions_info_by_topic
+    assert spin_until(lambda: look[0]("/out") and look[1]("/in"))
+    (offered,), (requested,) = look[0]("/out"), look[1]("/in")
+    if offered.qos_profile.history != HistoryPolicy.UNKNOWN:  # not every middleware announces it
+        assert (offered.qos_profile.history, offered.qos_profile.depth) == (
+            HistoryPolicy.KEEP_LAST,
+            7,
+        )
+    for name, value in expected.items():
+        assert getattr(offered.qos_profile, name) == value, name
+        if name != "lifespan":  # which a subscription has not
+            assert getattr(requested.qos_profile, name) == value, name
 
 
 def test_what_is_destroyed_leaves_the_graph(graph, spin_until):

@@ -100,7 +100,36 @@ def test_short_keys():
             {"liveliness": LivelinessPolicy.MANUAL_BY_TOPIC},
             QoSCompatibility.ERROR,
         ),
+        (
+            {"liveliness": LivelinessPolicy.MANUAL_BY_TOPIC},
+            {"liveliness": LivelinessPolicy.AUTOMATIC},
+            QoSCompatibility.OK,
+        ),
+        ({}, {"liveliness_lease_duration": Duration(seconds=1)}, QoSCompatibility.ERROR),
+        (
+            {"liveliness_lease_duration": Duration(seconds=2)},
+            {"liveliness_lease_duration": Duration(seconds=1)},
+            QoSCompatibility.ERROR,
+        ),
+        (
+            {"liveliness_lease_duration": Duration(seconds=1)},
+            {"liveliness_lease_duration": Duration(seconds=2)},
+            QoSCompatibility.OK,
+        ),
+        ({"liveliness_lease_duration": Duration(seconds=1)}, {}, QoSCompatibility.OK),
+        ({"deadline": Duration(seconds=1)}, {"deadline": Duration(seconds=1)}, QoSCompatibility.OK),
+        ({"lifespan": Duration(seconds=2)}, {}, QoSCompatibility.OK),
         ({"reliability": ReliabilityPolicy.SYSTEM_DEFAULT}, {}, QoSCompatibility.WARNING),
+        (
+            {"durability": DurabilityPolicy.SYSTEM_DEFAULT},
+            {"durability": DurabilityPolicy.TRANSIENT_LOCAL},
+            QoSCompatibility.WARNING,
+        ),
+        (
+            {"liveliness": LivelinessPolicy.SYSTEM_DEFAULT},
+            {"liveliness": LivelinessPolicy.MANUAL_BY_TOPIC},
+            QoSCompatibility.WARNING,
+        ),
     ],
 )
 def test_compatibility(offered, requested, expected):
@@ -110,3 +139,5 @@ def test_compatibility(offered, requested, expected):
     )
     assert compatibility == expected
     assert bool(reason) == (expected != QoSCompatibility.OK)
+    for name in requested if expected == QoSCompatibility.ERROR else ():
+        assert name.split("_")[0] in reason.lower().replace("transient local", "durability")

@@ -159,6 +159,45 @@ def test_policies_are_overridden(ros):
     assert node.describe_parameter(f"{name}.depth").read_only
 
 
+OVERRIDES = {
+    QoSPolicyKind.HISTORY: ("keep_all", HistoryPolicy.KEEP_ALL),
+    QoSPolicyKind.DEPTH: (3, 3),
+    QoSPolicyKind.RELIABILITY: ("best_effort", ReliabilityPolicy.BEST_EFFORT),
+    QoSPolicyKind.DURABILITY: ("transient_local", DurabilityPolicy.TRANSIENT_LOCAL),
+    QoSPolicyKind.LIVELINESS: ("manual_by_topic", LivelinessPolicy.MANUAL_BY_TOPIC),
+    QoSPolicyKind.DEADLINE: (1_500_000_000, Duration(nanoseconds=1_500_000_000)),
+    QoSPolicyKind.LIFESPAN: (3_250_000_000, Duration(nanoseconds=3_250_000_000)),
+    QoSPolicyKind.LIVELINESS_LEASE_DURATION: (
+        2_750_000_000,
+        Duration(nanoseconds=2_750_000_000),
+    ),
+}
+
+
+@pytest.mark.parametrize("side", ["publisher", "subscription"])
+def test_every_policy_can_be_overridden(ros, side):
+    node = ros.node(
+        "every",
+        parameter_overrides=[
+            Parameter(f"qos_overrides./chat.{side}.{kind.name.lower()}", value=value)
+            for kind, (value, _) in OVERRIDES.items()
+        ],
+    )
+    options = QoSOverridingOptions(tuple(OVERRIDES))
+    if side == "publisher":
+        made = node.create_publisher(String, "chat", 10, qos_overriding_options=options)
+    else:
+        made = node.create_subscription(
+            String, "chat", lambda msg: None, 10, qos_overriding_options=options
+        )
+    for kind, (_, policy) in OVERRIDES.items():
+        name = f"qos_overrides./chat.{side}.{kind.name.lower()}"
+        if side == "subscription" and kind == QoSPolicyKind.LIFESPAN:  # it has none
+            assert not node.has_parameter(name)
+        else:
+            assert getattr(made.qos_profile, kind.name.lower()) == policy, kind
+
+
 def test_several_entities_of_a_topic_are_told_apart(ros):
     node = ros.node("apart", namespace="/rig")
     for entity in ("fast", "slow"):

@@ -4,12 +4,17 @@
 import json
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cyclonedds.builtin as builtin
 import pytest
+from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
 from tests.domains import own_domain_id
 
 from pneu_runtime import interfaces
@@ -24,6 +29,7 @@ from pneu_runtime.transport import (
     Waiter,
     domain,
 )
+from pneu_runtime.transport.dds import INFINITY_NS
 from pneu_runtime.transport.idl import topic_type
 
 pytestmark = pytest.mark.kernel_free
@@ -351,8 +357,8 @@ def captured_qos(kind, topic):
     return sorted(first["qos"])
 
 
-def seen_qos(kind, topic):
-    """The policies of an endpoint as Cyclone's own Python layer shows them."""
+def announced_qos(kind, topic):
+    """The policies of an endpoint as Cyclone's own Python layer reads them."""
     participant = DomainParticipant(DOMAIN)
     topics = {
         "writer": builtin.BuiltinTopicDcpsPublication,
@@ -361,9 +367,129 @@ def seen_qos(kind, topic):
     reader = builtin.BuiltinDataReader(participant, topics[kind])
     found = []
     until(lambda: found.extend(e for e in reader.take(100) if e.topic_name == topic) or found)
-    return sorted(
-        str(policy) for policy in found[0].qos if not str(policy).startswith("Policy.Userdata")
+    return found[0].qos
+
+
+def seen_qos(kind, topic):
+    """The same as text, without what identifies the endpoint."""
+    policies = map(str, announced_qos(kind, topic))
+    return sorted(policy for policy in policies if not policy.startswith("Policy.Userdata"))
+
+
+# One policy by another, each unlike its default and unlike all other values here.
+POLICIES = {
+    "history": (EndpointQos(history=2, depth=0), Policy.History.KeepAll),
+    "depth": (EndpointQos(depth=7), Policy.History.KeepLast(7)),
+    "reliability": (EndpointQos(reliability=2), Policy.Reliability.BestEffort),
+    "durability": (EndpointQos(durability=1), Policy.Durability.TransientLocal),
+    "lifespan": (EndpointQos(lifespan_ns=3_250_000_000), Policy.Lifespan(3_250_000_000)),
+    "deadline": (EndpointQos(deadline_ns=1_500_000_000), Policy.Deadline(1_500_000_000)),
+    "liveliness": (
+        EndpointQos(liveliness=3, liveliness_lease_duration_ns=2_750_000_000),
+        Policy.Liveliness.ManualByTopic(2_750_000_000),
+    ),
+    "lease": (
+        EndpointQos(liveliness_lease_duration_ns=4_125_000_000),
+        Policy.Liveliness.Automatic(4_125_000_000),
+    ),
+}
+# What other programs may announce and ROS has no word for (rmw_cyclonedds, `dds_qos_to_rmw_qos`).
+WORDLESS = {
+    "transient": (EndpointQos(durability=3), Policy.Durability.Transient),
+    "persistent": (EndpointQos(durability=3), Policy.Durability.Persistent),
+    "by_participant": (
+        EndpointQos(liveliness=4, liveliness_lease_duration_ns=2_250_000_000),
+        Policy.Liveliness.ManualByParticipant(2_250_000_000),
+    ),
+}
+DEFAULT_POLICIES = Qos(
+    Policy.History.KeepLast(10),
+    Policy.Reliability.Reliable(INFINITY_NS),
+    Policy.Durability.Volatile,
+    Policy.Lifespan(INFINITY_NS),
+    Policy.Deadline(INFINITY_NS),
+    Policy.Liveliness.Automatic(INFINITY_NS),
+)
+
+
+@dataclass
+class PlainString(IdlStruct, typename="std_msgs.msg.dds_.String_"):
+    """The type as a program of plain DDS has it."""
+
+    data: str
+
+
+def with_policy(policy, *, writer):
+    """The default policies with one replaced; readers have no lifespan."""
+    scope = policy.__scope__
+    chosen = [one for one in DEFAULT_POLICIES if one.__scope__ != scope] + [policy]
+    return Qos(*(one for one in chosen if writer or one.__scope__ != "Lifespan"))
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_each_policy_is_announced(session, node, name):
+    """By an independent reader of what an endpoint announces."""
+    qos, policy = POLICIES[name]
+    session.create_publication(node, "/offered", STRING, qos)
+    session.create_subscription(node, "/requested", STRING, qos)
+    for kind, topic in (("writer", "rt/offered"), ("reader", "rt/requested")):
+        announced = announced_qos(kind, topic)
+        for expected in with_policy(policy, writer=kind == "writer"):
+            assert announced[expected] == expected
+
+
+@pytest.mark.parametrize("name", [*POLICIES, *WORDLESS])
+def test_each_policy_of_a_peer_is_read(session, name):
+    """From a program of plain DDS, as writer and as reader."""
+    qos, policy = {**POLICIES, **WORDLESS}[name]
+    participant = DomainParticipant(DOMAIN)
+    ends = (
+        DataWriter(
+            participant,
+            Topic(participant, "rt/offered", PlainString),
+            with_policy(policy, writer=True),
+        ),
+        DataReader(
+            participant,
+            Topic(participant, "rt/requested", PlainString),
+            with_policy(policy, writer=False),
+        ),
     )
+    until(lambda: session.publishers_info("/offered") and session.subscriptions_info("/requested"))
+    (offered,) = session.publishers_info("/offered")
+    (requested,) = session.subscriptions_info("/requested")
+    assert offered.qos == qos
+    assert requested.qos == replace(qos, lifespan_ns=INFINITY_NS)
+    assert (offered.writer, requested.writer) == (True, False)
+    assert (offered.topic_type, requested.topic_type) == (STRING, STRING)
+    del ends
+
+
+def test_a_topic_may_go_without_the_prefix_of_ros(session, node):
+    bare = EndpointQos(avoid_ros_namespace_conventions=True)
+    session.create_publication(node, "/bare/offered", STRING, bare)
+    session.create_subscription(node, "/bare/requested", STRING, bare)
+    names = dict(session.topic_names_and_types(no_demangle=True))
+    assert {"bare/offered", "bare/requested"} <= set(names)
+    assert session.topic_names_and_types() == []
+    (info,) = session.publishers_info("bare/offered", no_mangle=True)
+    assert info.node_name == "probe"
+
+
+@pytest.mark.parametrize("reliability", [1, 2])
+@pytest.mark.parametrize("durability", [1, 2])
+def test_best_available_is_what_the_peers_offer(session, node, reliability, durability):
+    offer = EndpointQos(reliability=reliability, durability=durability)
+    session.create_publication(node, "/words", STRING, offer)
+    best = session.create_subscription(
+        node, "/words", STRING, EndpointQos(reliability=4, durability=4)
+    )
+    assert (best.qos.reliability, best.qos.durability) == (reliability, durability)
+    assert best.matched_count() == 1
+    writer = session.create_publication(
+        node, "/others", STRING, EndpointQos(reliability=4, durability=4)
+    )
+    assert (writer.qos.reliability, writer.qos.durability) == (1, 1)
 
 
 def test_policies_are_those_of_a_real_ros(session, node):
@@ -414,20 +540,9 @@ def test_a_missed_deadline_is_noticed(session, node, waiter):
     assert missed.take()["total_count"] >= 1
 
 
-def test_best_available_takes_what_is_offered(session, node):
-    session.create_publication(node, "/words", STRING, EndpointQos(reliability=2))
-    best = EndpointQos(reliability=4, durability=4)
-    subscription = session.create_subscription(node, "/words", STRING, best)
-    assert (subscription.qos.reliability, subscription.qos.durability) == (2, 2)
-    assert subscription.matched_count() == 1
-
-
 def test_a_program_of_plain_dds_is_heard(session, node):
     """One that announces its type, which then has to be the same structure."""
-    from cyclonedds.core import Policy, Qos
-    from cyclonedds.idl import IdlStruct, types
-    from cyclonedds.pub import DataWriter
-    from cyclonedds.topic import Topic
+    from cyclonedds.idl import types
 
     @dataclass
     class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):

@@ -54,6 +54,10 @@ class Liveliness(IntEnum):
     BEST_AVAILABLE = 5
 
 
+# dds_durability_kind_t and dds_liveliness_kind_t; others have no word in ROS.
+_DURABILITY = {0: Durability.VOLATILE, 1: Durability.TRANSIENT_LOCAL}
+_LIVELINESS = {0: Liveliness.AUTOMATIC, 2: Liveliness.MANUAL_BY_TOPIC}
+
 # dds_qos_policy_id_t -> rmw_qos_policy_kind_t
 POLICY_KIND = {2: 1 << 1, 4: 1 << 2, 8: 1 << 3, 11: 1 << 4, 13: 1 << 5, 14: 1 << 6}
 
@@ -184,27 +188,26 @@ def read_user_data(policies: int) -> bytes:
         dds.free(pointer)
 
 
-def read_qos(policies: int, remote: bool = False) -> EndpointQos:
+def read_qos(policies: int) -> EndpointQos:
     """Returns the policies that a peer announced.
 
     Args:
         policies: Pointer to them.
-        remote: Whether they came over the network, where the history is not sent.
     """
     kind, count, duration = ct.c_int(), ct.c_int32(), ct.c_int64()
     history, depth = int(History.UNKNOWN), 0
-    if not remote and dds.qget_history(policies, ct.byref(kind), ct.byref(count)):
+    if dds.qget_history(policies, ct.byref(kind), ct.byref(count)):
         history = History.KEEP_ALL if kind.value else History.KEEP_LAST
         depth = max(count.value, 0)
     reliability = Reliability.BEST_EFFORT
     if dds.qget_reliability(policies, ct.byref(kind), ct.byref(duration)) and kind.value:
         reliability = Reliability.RELIABLE
     durability = Durability.VOLATILE
-    if dds.qget_durability(policies, ct.byref(kind)) and kind.value:
-        durability = Durability.TRANSIENT_LOCAL
+    if dds.qget_durability(policies, ct.byref(kind)):
+        durability = _DURABILITY.get(kind.value, Durability.UNKNOWN)
     liveliness, lease = Liveliness.AUTOMATIC, dds.INFINITY_NS
     if dds.qget_liveliness(policies, ct.byref(kind), ct.byref(duration)):
-        liveliness = Liveliness.MANUAL_BY_TOPIC if kind.value == 2 else Liveliness.AUTOMATIC
+        liveliness = _LIVELINESS.get(kind.value, Liveliness.UNKNOWN)
         lease = duration.value
     lifespan = deadline = dds.INFINITY_NS
     if dds.qget_lifespan(policies, ct.byref(duration)):
