@@ -25,7 +25,13 @@ from pneu_graph.bag.bag_writer import Attachment, BagWriter
 from pneu_graph.bag.info import info_text
 from pneu_graph.bag.metadata import read_metadata
 from pneu_graph.bag.playback import Pacer
-from pneu_graph.bag.qos import OfferedQos, adapt_to_publishers, adapt_to_recorded, parse_profiles
+from pneu_graph.bag.qos import (
+    OfferedQos,
+    adapt_to_publishers,
+    adapt_to_recorded,
+    parse_profiles,
+    profiles_text,
+)
 from pneu_graph.bag.reader import BagReader, side_records
 from pneu_graph.bag.recording import Recording
 from pneu_graph.bag.recover import recover_bag
@@ -373,14 +379,116 @@ def test_the_recording_thread_never_waits_for_the_disk(genuine, tmp_path):
     assert BagReader(tmp_path / "bag").metadata.message_count == 300 - status.dropped
 
 
-def test_qos_is_read_in_words_and_in_numbers():
-    words = OfferedQos(depth=5, reliability="best_effort", durability="transient_local")
-    assert parse_profiles(words.text(), "x") == [words]
-    numbers = "- {history: 1, depth: 5, reliability: 2, durability: 1, liveliness: 1}"
-    assert parse_profiles(numbers, "x") == [words]
+UNUSUAL = OfferedQos(
+    history="keep_all",
+    depth=7,
+    reliability="best_effort",
+    durability="transient_local",
+    deadline_ns=1_500_000_001,
+    lifespan_ns=3_250_000_002,
+    liveliness="manual_by_topic",
+    lease_ns=2_750_000_003,
+    avoid_ros_namespace_conventions=True,
+)
+"""Each policy unlike its default, and each duration unlike the others."""
+
+UNUSUAL_TEXT = """\
+- history: keep_all
+  depth: 7
+  reliability: best_effort
+  durability: transient_local
+  deadline:
+    sec: 1
+    nsec: 500000001
+  lifespan:
+    sec: 3
+    nsec: 250000002
+  liveliness: manual_by_topic
+  liveliness_lease_duration:
+    sec: 2
+    nsec: 750000003
+  avoid_ros_namespace_conventions: true"""
+"""As rosbag2 writes it."""
+
+
+def test_each_policy_is_written_and_read():
+    assert UNUSUAL.text() == UNUSUAL_TEXT
+    assert parse_profiles(UNUSUAL_TEXT, "x") == [UNUSUAL]
+    both = profiles_text([OfferedQos(), UNUSUAL])
+    assert parse_profiles(both, "x") == [OfferedQos(), UNUSUAL]
+    nothing_asked = "- {history: 3, depth: 0, deadline: {sec: 0, nsec: 0}}"
+    (found,) = parse_profiles(nothing_asked, "x")
+    assert (found.deadline_ns, found.lifespan_ns, found.lease_ns) == (2**63 - 1,) * 3
     assert parse_profiles("", "x") == []
     with pytest.raises(InputError, match="reliability of a QoS profile is one of"):
         parse_profiles("- {reliability: sometimes}", "bag: /t")
+
+
+# The numbers of rmw/types.h, which Humble and older wrote.
+NUMBERS = {
+    "history": ["system_default", "keep_last", "keep_all", "unknown"],
+    "reliability": ["system_default", "reliable", "best_effort", "unknown", "best_available"],
+    "durability": ["system_default", "transient_local", "volatile", "unknown", "best_available"],
+    "liveliness": ["system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown",
+                   "best_available"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("policy", "number", "word"),
+    [(policy, k, word) for policy, words in NUMBERS.items() for k, word in enumerate(words)],
+)
+def test_numbers_of_policies_are_read(policy, number, word):
+    (found,) = parse_profiles(f"- {{{policy}: {number}}}", "x")
+    assert getattr(found, policy) == word
+    with pytest.raises(InputError, match=policy):
+        parse_profiles(f"- {{{policy}: {len(NUMBERS[policy])}}}", "x")
+
+
+@pytest.mark.parametrize("offered", [UNUSUAL, OfferedQos(), OfferedQos(depth=3)])
+def test_each_policy_goes_into_a_profile_and_back(offered):
+    from pneu_runtime import hook
+
+    hook.install()
+    # a profile of rclpy for a topic of ROS always has its prefix
+    expected = dataclasses.replace(offered, avoid_ros_namespace_conventions=False)
+    assert OfferedQos.from_profile(offered.profile()) == expected
+
+
+def test_an_endpoint_is_shown_with_each_policy():
+    from pneu_runtime import hook
+
+    hook.install()
+    from rclpy.topic_endpoint_info import TopicEndpointInfo, TopicEndpointTypeEnum
+
+    from pneu_graph.tools.endpoint_text import endpoint_text
+
+    endpoint = TopicEndpointInfo(
+        node_name="talker",
+        node_namespace="/rig",
+        topic_type="std_msgs/msg/String",
+        endpoint_type=TopicEndpointTypeEnum.SUBSCRIPTION,
+        endpoint_gid=[1, 0xAB, *range(2, 16)],
+        qos_profile=UNUSUAL.profile(),
+    )
+    assert endpoint_text(endpoint).splitlines() == [
+        "Node name: talker",
+        "Node namespace: /rig",
+        "Topic type: std_msgs/msg/String",
+        "Topic type hash: INVALID",
+        "Endpoint type: SUBSCRIPTION",
+        "GID: 01.ab.02.03.04.05.06.07.08.09.0a.0b.0c.0d.0e.0f",
+        "QoS profile:",
+        "  Reliability: BEST_EFFORT",
+        "  History (Depth): KEEP_ALL (7)",
+        "  Durability: TRANSIENT_LOCAL",
+        "  Lifespan: 3250000002 nanoseconds",
+        "  Deadline: 1500000001 nanoseconds",
+        "  Liveliness: MANUAL_BY_TOPIC",
+        "  Liveliness lease duration: 2750000003 nanoseconds",
+    ]
+    endpoint.qos_profile = OfferedQos().profile()
+    assert "  Liveliness lease duration: Infinite" in endpoint_text(endpoint).splitlines()
 
 
 def test_qos_matches_every_publisher():
@@ -389,8 +497,14 @@ def test_qos_matches_every_publisher():
     assert adapt_to_publishers([reliable, lossy], 10).reliability == "best_effort"
     assert adapt_to_publishers([latched, latched], 10).durability == "transient_local"
     assert adapt_to_publishers([latched, reliable], 10).durability == "volatile"
-    assert adapt_to_recorded([latched]) == latched
-    assert adapt_to_recorded([]).reliability == "reliable"
+    assert adapt_to_publishers([latched], 7) == OfferedQos(depth=7, durability="transient_local")
+    assert adapt_to_recorded([UNUSUAL, UNUSUAL]) == UNUSUAL
+    assert adapt_to_recorded([OfferedQos(depth=0)]) == OfferedQos(depth=10)
+    assert adapt_to_recorded([OfferedQos(depth=3), latched, OfferedQos(depth=8)]) == OfferedQos(
+        depth=8
+    )
+    assert adapt_to_recorded([reliable, lossy]) == lossy
+    assert adapt_to_recorded([]) == OfferedQos()
 
 
 def test_pacer_keeps_rate_pause_and_step():
@@ -399,6 +513,7 @@ def test_pacer_keeps_rate_pause_and_step():
     pacer.begin(0)
     assert pacer.wait_until(10**9)
     assert 0.1 <= time.monotonic() - begin < 0.3
+    assert not pacer.step()  # which is not kept for a later pause
     pacer.pause()
     stood = pacer.now_ns()
     time.sleep(0.05)
