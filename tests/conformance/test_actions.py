@@ -251,6 +251,24 @@ def test_only_goals_up_to_a_time_are_cancelled(pair):
     assert [goal.is_cancel_requested for goal in goals] == [True, False]
 
 
+def test_a_goal_and_those_up_to_a_time_are_cancelled(pair):
+    goals = deferred(pair, cancel_callback=lambda handle: CancelResponse.ACCEPT)
+    early = pair.send()
+    time.sleep(0.1)
+    pair.send()
+    named = pair.send()
+    client = pair.asking.create_client(CancelGoal, "identify/_action/cancel_goal")
+    assert pair.ros.spin_until(client.service_is_ready)
+    request = CancelGoal.Request()
+    request.goal_info.goal_id = named.goal_id
+    until_ns = early.stamp.sec * 10**9 + early.stamp.nanosec + 50_000_000
+    request.goal_info.stamp.sec, request.goal_info.stamp.nanosec = divmod(until_ns, 10**9)
+    response = pair.ros.result(client.call_async(request))
+    cancelled = {bytes(info.goal_id.uuid) for info in response.goals_canceling}
+    assert cancelled == {bytes(early.goal_id.uuid), bytes(named.goal_id.uuid)}
+    assert [goal.is_cancel_requested for goal in goals] == [True, False, True]
+
+
 def test_unknown_and_ended_goals_are_not_cancelled(pair):
     pair.serve(cancel_callback=lambda handle: CancelResponse.ACCEPT)
     handle = pair.send()

@@ -110,9 +110,55 @@ def test_jump_callbacks():
     assert events == ["before", 3_000_000_000]
     set_clock(clock, 12)
     assert events[2:] == ["before", -2_000_000_000]
+    events.clear()
+    set_clock(clock, 11.5)  # half of what counts backward
+    set_clock(clock, 13.25)  # and less than what counts forward
+    assert events == []
+    set_clock(clock, 15.25)  # as much as counts
+    set_clock(clock, 14.25)
+    assert events == ["before", 2_000_000_000, "before", -1_000_000_000]
+    clock._set_ros_time_is_active(False)
+    clock._set_ros_time_is_active(True)
     handle.unregister()
     set_clock(clock, 50)
     assert len(events) == 4
+
+
+def test_a_timer_tells_when_its_call_was_due(node, executor, spin_until):
+    """On the grid from its start, however late the call; calls that were missed are left out."""
+    executor.add_node(node)
+    clock = ROSClock()
+    set_clock(clock, 100.5)
+    clock._set_ros_time_is_active(True)
+    infos = []
+    timer = node.create_timer(2.0, lambda info: infos.append(info), clock=clock)
+    for now_s, due_s, next_s in ((103, 102.5, 104.5), (104.5, 104.5, 106.5), (111, 106.5, 112.5)):
+        count = len(infos)
+        set_clock(clock, now_s)
+        assert spin_until(lambda count=count: len(infos) > count)
+        assert not spin_until(lambda count=count: len(infos) > count + 1, timeout_s=0.05)
+        info = infos[-1]
+        assert info.expected_call_time == Time(seconds=due_s, clock_type=ClockType.ROS_TIME)
+        assert info.actual_call_time == Time(seconds=now_s, clock_type=ClockType.ROS_TIME)
+        assert timer.time_until_next_call() == round((next_s - now_s) * 1e9)
+        assert timer.time_since_last_call() == 0
+    set_clock(clock, 111.75)
+    assert timer.time_since_last_call() == 750_000_000
+    assert timer.time_until_next_call() == 750_000_000
+
+
+def test_time_already_waited_counts_where_simulated_time_begins(node):
+    clock = ROSClock()
+    set_clock(clock, 50)
+    timer = node.create_timer(1000.0, lambda: None, clock=clock)
+    time.sleep(0.05)
+    clock._set_ros_time_is_active(True)
+    left_ns = timer.time_until_next_call()
+    assert 0 < left_ns <= 1000_000_000_000 - 50_000_000
+    set_clock(clock, 50 + left_ns // 10**9)
+    assert not timer.is_ready()
+    set_clock(clock, 51 + left_ns // 10**9)
+    assert timer.is_ready()
 
 
 def test_thresholds_are_checked():

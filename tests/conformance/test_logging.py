@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Logging: levels, children, filters, the console and /rosout."""
 
+import inspect
 import os
 import re
 import subprocess
 import sys
+import time
 
 import pytest
 import rclpy
@@ -176,7 +178,10 @@ def test_messages_go_to_rosout(ros):
     node = ros.node("logging", namespace="/rig")
     received = []
     ros.node("listening").create_subscription(Log, "/rosout", received.append, LATCHED)
+    before_ns = time.time_ns()
     node.get_logger().warning("look here")
+    line = inspect.currentframe().f_lineno - 1
+    after_ns = time.time_ns()
     node.get_logger().get_child("part").error("and here")
     node.get_logger().debug("not here")
     logs = {}
@@ -191,9 +196,10 @@ def test_messages_go_to_rosout(ros):
     assert warning.level == int(LoggingSeverity.WARN)
     assert warning.function == "test_messages_go_to_rosout"
     assert warning.file.endswith("test_logging.py")
-    assert warning.line > 0
-    assert warning.stamp.sec > 0
+    assert warning.line == line
+    assert before_ns <= warning.stamp.sec * 10**9 + warning.stamp.nanosec <= after_ns
     assert logs["and here"].name == "rig.logging.part"
+    assert logs["and here"].level == int(LoggingSeverity.ERROR)
     assert "not here" not in logs
 
 

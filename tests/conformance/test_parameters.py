@@ -250,26 +250,35 @@ def test_read_only_parameters_do_not_change(ros):
 
 
 @pytest.mark.parametrize(
-    ("value", "allowed"), [(0, True), (3, True), (10, True), (4, False), (-1, False), (11, False)]
+    ("value", "allowed"),
+    [(-2, True), (1, True), (7, True), (9, True), (0, False), (3, False), (-3, False), (10, False)],
 )
 def test_integers_keep_to_their_range(ros, value, allowed):
     node = ros.node("integers")
-    limits = IntegerRange(from_value=0, to_value=10, step=3)  # the upper bound is no step
-    node.declare_parameter("p", 0, ParameterDescriptor(integer_range=[limits]))
+    limits = IntegerRange(from_value=-2, to_value=9, step=3)  # the upper bound is no step
+    node.declare_parameter("p", 4, ParameterDescriptor(integer_range=[limits]))
     assert node.set_parameters([Parameter("p", value=value)])[0].successful == allowed
-    assert node.get_parameter("p").value == (value if allowed else 0)
+    assert node.get_parameter("p").value == (value if allowed else 4)
 
 
 @pytest.mark.parametrize(
     ("value", "allowed"),
-    [(0.0, True), (0.3, True), (1.0, True), (0.35, False), (-0.1, False), (1.1, False)],
+    [
+        (-0.25, True),
+        (0.05, True),
+        (1.0, True),
+        (0.1, False),
+        (0.3, False),
+        (-0.35, False),
+        (1.05, False),
+    ],
 )
 def test_doubles_keep_to_their_range(ros, value, allowed):
     node = ros.node("doubles")
-    limits = FloatingPointRange(from_value=0.0, to_value=1.0, step=0.1)
-    node.declare_parameter("p", 0.0, ParameterDescriptor(floating_point_range=[limits]))
+    limits = FloatingPointRange(from_value=-0.25, to_value=1.0, step=0.1)
+    node.declare_parameter("p", 0.45, ParameterDescriptor(floating_point_range=[limits]))
     assert node.set_parameters([Parameter("p", value=value)])[0].successful == allowed
-    assert node.get_parameter("p").value == (value if allowed else 0.0)
+    assert node.get_parameter("p").value == (value if allowed else 0.45)
 
 
 def test_nan_is_in_no_range(ros):
@@ -461,6 +470,18 @@ def test_describe_by_service(ros, client):
     (described,) = ros.result(client.describe_parameters(["count"])).descriptors
     assert (described.name, described.type) == ("count", ParameterType.PARAMETER_INTEGER)
     assert (described.integer_range[0].from_value, described.integer_range[0].to_value) == (0, 10)
+    given = ParameterDescriptor(
+        description="a gain",
+        additional_constraints="odd",
+        read_only=True,
+        floating_point_range=[FloatingPointRange(from_value=-1.5, to_value=2.5, step=0.25)],
+    )
+    client.served.declare_parameter("gain", 0.5, given)
+    _, described = ros.result(client.describe_parameters(["count", "gain"])).descriptors
+    given.name, given.type = "gain", ParameterType.PARAMETER_DOUBLE
+    assert described == given
+    (described,) = ros.result(client.describe_parameters(["free"])).descriptors
+    assert described.dynamic_typing and not described.read_only
 
 
 def test_list_by_service(ros, client):

@@ -4,11 +4,15 @@
 import time
 
 import pytest
+from action_msgs.msg import GoalStatusArray
 from builtin_interfaces.msg import Time as TimeMsg
+from pneu_msgs.action import Identify
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.action import ActionClient, ActionServer
 from rclpy.clock import ClockChange, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, qos_profile_action_status_default
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMsg
 
@@ -124,6 +128,49 @@ def test_timers_follow_simulated_time(simulated):
     simulated.set(2.5)
     assert simulated.ros.spin_until(lambda: calls)
     assert calls == [2_500_000_000]
+
+
+def test_changes_of_parameters_are_stamped_in_simulated_time(simulated):
+    events = []
+    simulated.source.create_subscription(ParameterEvent, "/parameter_events", events.append, 100)
+    topic = "/parameter_events"
+    assert simulated.ros.spin_until(lambda: simulated.source.count_publishers(topic) == 2)
+    simulated.set(12.25)
+    simulated.node.declare_parameter("gain", 0)
+
+    def told():
+        gain = simulated.node.get_parameter("gain").value
+        simulated.node.set_parameters([Parameter("gain", value=gain + 1)])
+        simulated.ros.spin_until(lambda: False, timeout_sec=0.02)
+        return any(event.changed_parameters for event in events if event.node == "/simulated")
+
+    assert simulated.ros.spin_until(told)
+    changes = [e for e in events if e.node == "/simulated" and e.changed_parameters]
+    assert {(change.stamp.sec, change.stamp.nanosec) for change in changes} == {(12, 250_000_000)}
+
+
+def test_goals_are_stamped_in_simulated_time(simulated):
+    simulated.set(12.25)
+
+    def execute(handle):
+        handle.succeed()
+        return Identify.Result()
+
+    server = ActionServer(simulated.node, Identify, "count", execute)
+    client = ActionClient(simulated.source, Identify, "count")
+    assert simulated.ros.spin_until(client.server_is_ready)
+    handle = simulated.ros.result(client.send_goal_async(Identify.Goal()))
+    assert handle.stamp == TimeMsg(sec=12, nanosec=250_000_000)
+    simulated.ros.result(handle.get_result_async())
+    statuses = []
+    simulated.source.create_subscription(
+        GoalStatusArray, "count/_action/status", statuses.append, qos_profile_action_status_default
+    )
+    assert simulated.ros.spin_until(lambda: statuses)
+    (status,) = statuses[-1].status_list
+    assert status.goal_info.stamp == handle.stamp
+    server.destroy()
+    client.destroy()
 
 
 def test_timers_live_on_after_a_jump_back(simulated):
