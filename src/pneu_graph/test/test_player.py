@@ -466,8 +466,13 @@ def test_the_command_line_may_wait_before_it_begins(outside, bag, flag):
     """For so long that the player is stopped before."""
     heard = Heard(outside.create_subscription)
     client = outside.create_client(Trigger, "/player/play_next")
-    meanwhile = functools.partial(wait_for, client.service_is_ready)
-    result = run_command("play", bag.path, "-r", FAST, flag, 1000, meanwhile=meanwhile)
+
+    def meanwhile():
+        wait_for(client.service_is_ready)
+        wait_for(client.call_async(Trigger.Request()).done)
+        time.sleep(0.1)  # without the delay the first message is heard by now
+
+    result = run_command("play", bag.path, "-r", SLOW, flag, 1000, meanwhile=meanwhile)
     assert (result.exit_code, heard.messages) == (130, {})
 
 
