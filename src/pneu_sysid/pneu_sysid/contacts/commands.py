@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `pneu fit`, `compare`, `diagnose` and `learn` do where they are given a scene for a rig."""
 
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -95,28 +96,16 @@ def compare(
         report: Where the HTML report goes.
         console: Where it is told.
     """
-    table = NamedTable(
-        "off over the whole recording, mean",
-        [Column("scene"), Column("sensor"), Column("unit"), Column("mean", "number"),
-         Column("median", "number"), Column("worst", "number"), Column("in", "words")],
-    )  # fmt: skip
-    first = None
+    results: list[tuple[str, SceneCompareResult]] = []
     foretold: dict[str, list[Foreseen]] = {}
     for path in paths:
         loaded, tracks = _read(bags, path, console)
         with progress("foretelling"):
             foreseen = foresee(loaded, tracks)
-        result = result_of_compare(path, loaded, tracks, foreseen)
-        first = first or result
+        results.append((loaded.scene.name, result_of_compare(path, loaded, tracks, foreseen)))
         foretold[path.stem if path.stem not in foretold else str(path)] = foreseen
-        for sensor, unit in result.sensors.items():
-            each = {f.track.name: f.mean(sensor) for f in foreseen}
-            worst = max(each, key=lambda name: each[name])
-            shown = [result.mean[sensor], result.median[sensor], each[worst]]
-            told = ["ran away" if x is None or not np.isfinite(x) else f"{x:.4g}" for x in shown]
-            table.add_row(loaded.scene.name, sensor, unit, *told, worst)
-    console.print(table)
-    assert first is not None
+    console.print(misread_table(results))
+    _, first = results[0]
     console.print(f"From the first {first.start_s:g} s of each recording, over all of it.")
     _write(first, json_path, console)
     if report is not None:
@@ -194,18 +183,8 @@ def learn(
             Physics(workers),
             lambda note, done: tell("learning", done, note),
         )
-    table = NamedTable(
-        "cost per knot of what is kept aside",
-        [Column("added"), Column("strength", "words"), Column("cost", "number")],
-    )
     result = result_of_learning(path, loaded, tracks, found, output)
-    for step in result.steps:
-        name = "nothing yet" if step.added is None else f"{step.added}@{step.place}"
-        strength = (
-            "" if step.strength is None else f"{step.strength:.3g} ± {step.std_error or 0.0:.1g}"
-        )
-        table.add_row(name, f"{strength} {step.unit or ''}".strip(), f"{step.held_out_loss:.4g}")
-    console.print(table)
+    console.print(step_table(result))
     console.print(found.sentence, style="bold")
     save_scene(loaded, found.values, output / "scene.yaml")
     write_json(output / "learn.json", result)
@@ -262,6 +241,51 @@ def _write(
         console.print(f"wrote {json_path}")
 
 
+def misread_table(results: Sequence[tuple[str, SceneCompareResult]]) -> NamedTable:
+    """Return the error of each sensor of several scenes, with the recording where it is largest.
+
+    Args:
+        results: Name and comparison of each scene.
+    """
+    table = NamedTable(
+        "off over the whole recording, mean",
+        [Column("scene"), Column("sensor"), Column("unit"), Column("mean", "number"),
+         Column("median", "number"), Column("worst", "number"), Column("in", "words")],
+    )  # fmt: skip
+    for name, result in results:
+        for sensor, unit in result.sensors.items():
+            # a model that ran away is worse than any that did not
+            each = {
+                recording: math.inf if (mean := off[sensor].mean) is None else mean
+                for recording, off in result.off.items()
+            }
+            worst = max(each, key=lambda recording: each[recording])
+            shown = [result.mean[sensor], result.median[sensor], each[worst]]
+            told = ["ran away" if x is None or x == math.inf else f"{x:.4g}" for x in shown]
+            table.add_row(name, sensor, unit, *told, worst)
+    return table
+
+
+def step_table(result: SceneLearnResult) -> NamedTable:
+    """Return the held-out cost after every added effect.
+
+    Args:
+        result: What was learned.
+    """
+    table = NamedTable(
+        "cost per knot of what is kept aside",
+        [Column("added"), Column("strength", "words"), Column("cost", "number")],
+    )
+    for step in result.steps:
+        name = "nothing yet" if step.added is None else f"{step.added}@{step.place}"
+        strength = (
+            "" if step.strength is None else f"{step.strength:.3g} ± {step.std_error or 0.0:.1g}"
+        )
+        cost = "-" if step.held_out_loss is None else f"{step.held_out_loss:.4g}"
+        table.add_row(name, f"{strength} {step.unit or ''}".strip(), cost)
+    return table
+
+
 def parameter_table(result: SceneFitResult, title: str) -> NamedTable:
     """Fitted parameters as a table.
 
@@ -276,9 +300,9 @@ def parameter_table(result: SceneFitResult, title: str) -> NamedTable:
     )  # fmt: skip
     for p in result.parameters:
         error = "-" if p.std_error is None else f"{p.std_error:.2g}"
+        start, value = ("-" if x is None else f"{x:.5g}" for x in (p.start, p.value))
         note = "at bound" if p.at_bound else ""
-        name = f"{p.effect}@{p.place}"
-        table.add_row(name, f"{p.start:.5g}", f"{p.value:.5g}", error, p.unit or "-", note)
+        table.add_row(f"{p.effect}@{p.place}", start, value, error, p.unit or "-", note)
     return table
 
 
