@@ -204,6 +204,15 @@ def huber(z: Floats) -> Floats:
     return np.where(size <= HUBER, 0.5 * z**2, HUBER * (size - 0.5 * HUBER))
 
 
+def huber_weight(z: Floats) -> Floats:
+    """Return the slope of Huber's loss over the misreading.
+
+    Args:
+        z: Misreadings in standard deviations.
+    """
+    return np.asarray(np.minimum(1.0, HUBER / np.maximum(np.abs(z), 1e-12)))
+
+
 def losses(predictions: Sequence[Prediction], scales: Floats) -> Floats:
     """(chains,) mean Huber loss per reading of each chain.
 
@@ -282,7 +291,7 @@ def polish(
             # a change that a roll-out tips over by says nothing of its slope
             most = 10.0 / np.maximum(steps, 1e-300)
             J = np.clip(J, -most, most)
-            weight = np.minimum(1.0, HUBER / np.maximum(np.abs(z), 1e-12)) / max(len(z), 1)
+            weight = huber_weight(z) / max(len(z), 1)
             H.append(J.T @ (J * weight[:, None]))
             g.append(J.T @ (z * weight))
         whole, slope = np.sum(H, axis=0) / len(H), np.sum(g, axis=0) / len(g)

@@ -154,8 +154,7 @@ class Bench:
         """
         y = self.problem.simulate(rigs, strict=False).readings
         left = np.where(self.seen, self.problem.measured - y, 0.0)
-        wild = LOST * self.spread_pa
-        return np.where(np.abs(left) < wild, left, wild) * self.seen
+        return saturated(left, LOST * self.spread_pa) * self.seen
 
     def mean(self, left: Floats) -> Floats:
         """(..., n_taps) mean squares, Pa^2.
@@ -172,6 +171,19 @@ class Bench:
             left: (..., n_stretches, horizon, n_taps), Pa.
         """
         return np.asarray(0.5 * np.sum(np.log(self.mean(left) + self.floor_pa**2), axis=-1))
+
+
+def saturated(left: Floats, wild: Floats) -> Floats:
+    """Return residuals no larger than a limit, with their sign; the limit where there is none.
+
+    A residual that passes the lower limit must not jump to the upper one: differences over a step
+    would take the jump for a slope.
+
+    Args:
+        left: (..., n_taps) residuals; NaN where nothing could be simulated.
+        wild: (n_taps,) limits, positive.
+    """
+    return np.asarray(np.clip(np.where(np.isnan(left), wild, left), -wild, wild))
 
 
 @dataclass
