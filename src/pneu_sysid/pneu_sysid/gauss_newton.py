@@ -44,6 +44,9 @@ LAST_LOOKS = 6
 gains."""
 SECANT_WORTH = 0.05
 """A step that takes away so much of the cost is followed by one with the same Jacobian."""
+ROUNDING = 1e-7
+"""A step that changes residuals by no more than this share of them does not correct the Jacobian:
+what it seems to show is rounding, divided by the length of the step."""
 MOST_FORECAST = 2.0
 """A cluster that is left out counts with no more than this times the usual residual."""
 HUBER = 3.0
@@ -248,8 +251,9 @@ def minimise(
                 break
         if gain > 0.0:
             # nor is it spoilt along what residuals hardly show by how they bend along a step
-            if not looks:
-                j = _secant(j, found[best] - r, (trials[best] - x) / span, span)
+            change = found[best] - r
+            if not looks and np.linalg.norm(change) > ROUNDING * np.linalg.norm(r):
+                j = _secant(j, change, (trials[best] - x) / span, span)
             x, r = trials[best], found[best]
             history.append(costs[best])
             if progress is not None:
