@@ -2,6 +2,7 @@
 """Recordings are read at their own times, and each defect is found, handled and told."""
 
 import os
+import re
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -838,3 +839,88 @@ def test_spoilt_rows_of_text(tmp_path: Path) -> None:
     assert "holds no rows" in refusal(path, commands={}, pressures=taps)
     path.write_bytes(b"\xff\xfe\x00\x81" * 9)
     assert "is not text" in refusal(path, commands={}, pressures=taps)
+
+
+LAYOUTS = [
+    TextFormat(delimiter=";", time="t", time_scale=1e-3, decimal=","),
+    TextFormat(time="t", time_scale=60.0),
+    TextFormat(delimiter="|", comment="%", time=2, skip_rows=2),
+    TextFormat(delimiter=" ", time="t", time_scale=1e-6),
+    TextFormat(delimiter="\t", time="t", thousands_separator="'", time_scale=1e-3),
+    TextFormat(time="when", names=("b", "a", "when", "c"), skip_rows=1),
+    TextFormat(delimiter=";", time="t", decimal=".", thousands_separator=".", time_scale=1e-3),
+]
+
+
+@pytest.mark.parametrize("guess", [False, True], ids=["told", "guessed"])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_each_layout_of_text(tmp_path: Path, layout: TextFormat, guess: bool) -> None:
+    """Time is the third of four columns, and every channel has another scale and offset."""
+    rng = np.random.default_rng(2)
+    time_s = np.cumsum(rng.integers(50, 150, 40)) * 1e-3
+    raw = {name: np.round(rng.uniform(-5000.0, 5000.0, 40), 3) for name in "bac"}
+
+    def word(value: float, places: int) -> str:
+        text = f"{abs(value):.{places}f}"
+        head, _, tail = text.partition(".")
+        group = layout.thousands_separator
+        if group:
+            head = re.sub(r"(?<=\d)(?=(\d{3})+$)", group, head)
+        return ("-" if value < 0 else "") + head + layout.decimal + tail
+
+    delimiter = layout.delimiter or ","
+    rows = [
+        delimiter.join(
+            [word(raw["b"][k], 3), word(raw["a"][k], 3), word(time_s[k] / layout.time_scale, 12),
+             word(raw["c"][k], 3)]
+        )
+        for k in range(40)
+    ]  # fmt: skip
+    head = [] if layout.names or layout.time == 2 else [delimiter.join("batc")]
+    junk = [f"1{delimiter}2{delimiter}3{delimiter}4"] * layout.skip_rows
+    notes = [f"{layout.comment} a note"] if layout.comment != "#" or not layout.skip_rows else []
+    path = tmp_path / "run.txt"
+    path.write_text("\n".join([*junk, *notes, *head, *rows]) + "\n")
+    by_number = layout.time == 2
+
+    def column(name: str) -> str | int:
+        return "ba_c".index(name) if by_number else name
+
+    taps = {
+        "first": Channel(column=column("a"), scale=1e2, offset=9e5),
+        "second": Channel(column=column("c"), scale=-3.0, offset=2e5),
+    }
+    commands = {"volts": Channel(column=column("b"), scale=0.001, offset=-2.5)}
+    told = layout
+    if guess and delimiter in ";\t, ":
+        told = layout.model_copy(update={"delimiter": None})
+    recording = read(path, commands=commands, pressures=taps, text=told)
+    begin = time_s[0]
+    for signal, values in (
+        (recording.pressures["first"], 1e2 * raw["a"] + 9e5),
+        (recording.pressures["second"], -3.0 * raw["c"] + 2e5),
+        (recording.commands["volts"], 1e-3 * raw["b"] - 2.5),
+    ):
+        np.testing.assert_allclose(signal.values, values, rtol=1e-12)
+        np.testing.assert_allclose(signal.time_s - signal.time_s[0], time_s - begin, atol=2e-9)
+
+
+@pytest.mark.parametrize("stamp", ["auto", "header", "log"])
+def test_each_clock(tmp_path: Path, stamp: Literal["auto", "header", "log"]) -> None:
+    """Readings arrive late by times that differ; commands have no header."""
+    t = even(120)
+    late = (1_000_000 + 100_000 * (np.arange(120) % 7)).astype(np.int64)
+    rows = tap_rows(t, ramp(t), t + late) + valve_rows(t, np.arange(120.0))
+    path = write_bag(tmp_path / "run", sorted(rows, key=lambda row: row[2]))
+    tap = {"end": PRESSURES["end"].model_copy(update={"stamp": stamp})}
+    signal = read(path, pressures=tap).pressures["end"]
+    wanted = t + late if stamp == "log" else t
+    same(signal, seconds(wanted, int(wanted[0])), ramp(t))
+
+
+def test_a_unit_is_converted_before_it_is_judged() -> None:
+    """Scale first, then offset, of every sign; what is beyond all sensors is infinite."""
+    raw = np.array([-2.5, 0.0, 0.5, 4.0, 1e25, -1e26])
+    found = Channel(column=0, scale=-2e5, offset=7e3).convert(raw)
+    np.testing.assert_allclose(found[:4], [507e3, 7e3, -93e3, -793e3])
+    assert (found[4:] == np.inf).all()

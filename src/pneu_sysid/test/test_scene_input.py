@@ -139,6 +139,44 @@ def test_a_scene_that_is_written_is_the_same(scenes: Path) -> None:
     assert again.mjcf.resolve() == loaded.mjcf.resolve()
 
 
+@pytest.mark.parametrize("timed", [True, False])
+def test_columns_of_a_csv_in_their_units_at_their_times(tmp_path: Path, timed: bool) -> None:
+    """Columns in another order than the sensors' own, each sensor in a unit of its own."""
+    (tmp_path / "wand.xml").write_text(WAND)
+    columns = {
+        "turn": (["deg"], np.pi / 180.0), "force": (["fz", "fx", "fy"], 1000.0),
+        "torque": (["ty", "tz", "tx"], 1.0), "rate": (["gx", "gy", "gz"], 0.25),
+        "acceleration": (["az", "ay", "ax"], 9.81), "place": (["py", "px", "pz"], 0.001),
+    }  # fmt: skip
+    scene = WAND_SCENE.replace("name: wand\n", "name: wand\nrate_hz: 40.0\n")
+    for name, (own, unit) in columns.items():
+        scene = re.sub(
+            rf"  {name}: {{topic: [^,]*,", f"  {name}: {{columns: {own}, unit: {unit!r},", scene
+        )
+    scene = re.sub(r"pose: {topic: [^,]*,", "pose: {columns: [qw, qx, qy, qz],", scene)
+    scene = re.sub(r"drive: {.*}", "drive: {column: volts, unit: 0.2}", scene)
+    (tmp_path / "wand.yaml").write_text(scene)
+    names = ["volts", *sorted(c for own, _ in columns.values() for c in own)]
+    table = 0.5 + np.random.default_rng(1).normal(size=(12, len(names)))
+    time = 7.5 + np.cumsum(np.linspace(0.01, 0.05, 12))
+    turns = Rotation.from_rotvec(np.outer(np.linspace(0.1, 2.9, 12), [0.6, 0.0, -0.8]))
+    q = turns.as_quat(scalar_first=True) * np.array([1.0, -1.0] * 6)[:, None]
+    heads = [*(["time_s"] if timed else []), *names, "qx", "qz", "qw", "qy"]
+    rows = np.column_stack([*([time] if timed else []), table, q[:, [1, 3, 0, 2]]])
+    lines = [",".join(heads), *(",".join(f"{x:.15g}" for x in row) for row in rows)]
+    (tmp_path / "run.csv").write_text("\n".join(lines))
+    track = read_track(tmp_path / "run.csv", load_scene(tmp_path / "wand.yaml"))
+    at = time - time[0] if timed else np.arange(12) / 40.0
+    for name, (own, unit) in columns.items():
+        wanted = unit * table[:, [names.index(c) for c in own]]
+        np.testing.assert_allclose(track.sensors[name].values, wanted, rtol=1e-12)
+        np.testing.assert_allclose(track.sensors[name].time_s, at, atol=1e-12)
+    np.testing.assert_allclose(track.controls["drive"].values, 0.2 * table[:, :1])
+    pose = track.sensors["pose"].values
+    np.testing.assert_allclose(np.abs(np.sum(pose * q, axis=1)), 1.0)
+    assert (np.sum(pose[1:] * pose[:-1], axis=1) > 0.0).all()  # no jump of sign
+
+
 # ---- bags ----------------------------------------------------------------------------------
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -248,6 +286,23 @@ def test_a_bag_of_joints_wrenches_inertial_units_and_poses(tmp_path: Path) -> No
         off = chain.misreadings(channel, said, setup)
         sigma = 1.0 / np.sqrt(2.0 * channel.norm.weight)
         assert np.sqrt(np.mean(off**2)) < sigma, channel.name
+
+
+def test_units_of_a_bag(tmp_path: Path) -> None:
+    """Each sensor and control is scaled by its own unit; orientations by none."""
+    bag = write_wand(tmp_path)
+    plain = read_track(bag, load_scene(tmp_path / "wand.yaml"))
+    units = {"turn": 0.0174, "force": 1000.0, "torque": 3.0, "rate": 0.25, "acceleration": 9.81,
+             "place": 0.001, "drive": 0.2}  # fmt: skip
+    text = WAND_SCENE
+    for name, unit in units.items():
+        text = text.replace(f"  {name}: {{topic", f"  {name}: {{unit: {unit}, topic")
+    (tmp_path / "other.yaml").write_text(text)
+    found = read_track(bag, load_scene(tmp_path / "other.yaml"))
+    for name, series in {**plain.sensors, **plain.controls}.items():
+        own = {**found.sensors, **found.controls}[name]
+        np.testing.assert_allclose(own.values, units.get(name, 1.0) * series.values, rtol=1e-12)
+        np.testing.assert_array_equal(own.time_s, series.time_s)
 
 
 def test_a_force_in_another_frame_is_named_with_its_turn(tmp_path: Path) -> None:
