@@ -15,7 +15,7 @@ from tests.pages import check, shown
 from pneu_sim.rig.schema import FitParameter
 from pneu_sysid import cells, encoder_check, gauss_newton, slopes, watch
 from pneu_sysid.contacts import rollouts
-from pneu_sysid.contacts.manifold import SMALL, exponential, logarithm, turned_by
+from pneu_sysid.contacts.manifold import SMALL, cross_matrix, exponential, logarithm, turned_by
 from pneu_sysid.contacts.norms import STEEPEST, Norm
 from pneu_sysid.contacts.track import Series
 from pneu_sysid.design import tracking, waves
@@ -156,8 +156,14 @@ def test_turns_upon_turns_have_the_slope_of_scipys(angle: float) -> None:
 
 def test_turns_have_no_step_where_their_series_ends() -> None:
     axis = np.array([2.0, -3.0, 6.0]) / 7.0
-    inner, outer = (turned_by(angle * axis) for angle in (1e-2 * (1 - 1e-9), 1e-2 * (1 + 1e-9)))
+    ends = (1e-2 * (1 - 1e-9), 1e-2 * (1 + 1e-9))
+    inner, outer = (turned_by(angle * axis) for angle in ends)
     np.testing.assert_allclose(inner, outer, atol=1e-10)
+    # what the square of the cross product is taken by, which is small beside the rest
+    squares = [
+        turned_by(angle * axis) - np.eye(3) - 0.5 * cross_matrix(angle * axis) for angle in ends
+    ]
+    np.testing.assert_allclose(*squares, rtol=1e-7)
 
 
 def test_series_at_their_own_times_between_them_and_beyond() -> None:
@@ -278,6 +284,24 @@ def test_a_lead_has_no_step_where_two_models_are_equal() -> None:
     for part in (1e-6, -1e-6):
         assert lead((1.0 + part) * a, b, blocks) == pytest.approx(0.0, abs=1e-4)
         assert np.sign(lead((1.0 + part) * a, b, blocks)) == -np.sign(part)
+
+
+@pytest.mark.parametrize("together", [-0.3, 0.1, 0.8])
+def test_chance_is_by_what_the_better_model_leaves(together: float) -> None:
+    """How its residual goes along with the difference, block by block, or as noise would."""
+    rng = np.random.default_rng(6)
+    blocks = np.arange(200).reshape(2, 100) // 20
+    apart = rng.normal(size=(2, 100))
+    left = rng.normal(size=(2, 100)) + together * apart
+    gain = float(np.sum((left + apart) ** 2) - np.sum(left**2))
+    along = [float(np.sum((left * apart)[blocks == b])) for b in range(10)]
+    chance = 2.0 * math.sqrt(max(sum(x**2 for x in along), float(np.sum(apart**2))))
+    assert gain > 0.0
+    assert lead(left, left + apart, blocks) == pytest.approx(gain / chance)
+    assert lead(left + apart, left, blocks) == pytest.approx(-gain / chance)
+    doubtful = 0.5 * apart
+    more = math.hypot(chance, 2.0 * float(np.sum(doubtful * apart)))
+    assert lead(left, left + apart, blocks, doubtful) == pytest.approx(gain / more)
 
 
 def test_readings_that_are_lost_count_alike_on_both_sides() -> None:
