@@ -172,6 +172,9 @@ def test_a_prior_weighs_less_than_data_that_scatter_more_than_noise() -> None:
     prior = np.diag((wanted / std) ** 2)
     x = np.linalg.solve(flat.T @ flat + prior, flat.T @ y.ravel())
     np.testing.assert_allclose(found.values, x, rtol=1e-3)
+    # errors that last are told by what leaving out clusters does, not by white noise
+    assert (np.diag(found.covariance) > 2.0 * np.diag(found.gain)).all()
+    np.testing.assert_allclose(found.std_errors, np.sqrt(np.diag(found.covariance)))
 
 
 @pytest.mark.parametrize("robust", [False, True])

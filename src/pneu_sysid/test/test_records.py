@@ -877,7 +877,8 @@ def test_each_layout_of_text(tmp_path: Path, layout: TextFormat, guess: bool) ->
         for k in range(40)
     ]  # fmt: skip
     head = [] if layout.names or layout.time == 2 else [delimiter.join("batc")]
-    junk = [f"1{delimiter}2{delimiter}3{delimiter}4"] * layout.skip_rows
+    # rows that would do as readings, were they not skipped
+    junk = [delimiter.join(["1", "2", f"{0.01 * k:.2f}", "4"]) for k in range(layout.skip_rows)]
     notes = [f"{layout.comment} a note"] if layout.comment != "#" or not layout.skip_rows else []
     path = tmp_path / "run.txt"
     path.write_text("\n".join([*junk, *notes, *head, *rows]) + "\n")
