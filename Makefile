@@ -20,7 +20,7 @@ ROS_VENV   := .venv-ros
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: help demo demo-robot test test-long ros-venv test-ros bench lint format gpu bags observer predictive predictive-live tosses experiments hand-force hand-tables pushing kokoro simple-model ablations configurations cell-sizes learning folder-is-named exact calibration thinned \
-	confusion thresholds moved faults fuzz study-pressure clean clean-kernels
+	confusion thresholds moved faults fuzz mutate study-pressure clean clean-kernels
 
 help:  ## list the targets
 	@$(PYTHON) tools/make_help.py $(firstword $(MAKEFILE_LIST))
@@ -131,6 +131,9 @@ faults: $(VENV)/.ready-dev  ## slow: what a bridge has to survive, idle and busy
 fuzz: $(VENV)/.ready-dev  ## slow: mutated rig files, bags, CSVs and command lines
 	@$(RUN) -m studies.fuzz
 
+mutate: $(VENV)/.ready-mutate  ## slow: faults in the source, and whether the tests notice; ARGS=options
+	@$(RUN) -m studies.mutation $(ARGS)
+
 study-pressure: $(VENV)/.ready-study  ## slow: train, tune and prove pressure controllers (an hour)
 	@$(RUN) -m studies.pressure
 
@@ -146,6 +149,9 @@ $(VENV)/.ready-run: pyproject.toml tools/environment.py
 
 $(VENV)/.ready-dev: pyproject.toml tools/environment.py
 	@$(PYTHON) tools/environment.py $(VENV) --extra dev
+
+$(VENV)/.ready-mutate: pyproject.toml tools/environment.py
+	@$(PYTHON) tools/environment.py $(VENV) --extra mutate
 
 $(VENV)/.ready-study: pyproject.toml tools/environment.py
 	@$(PYTHON) tools/environment.py $(VENV) --extra study

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The results as a page: rates by group and by class, survivors, and faults that change nothing."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import yaml
+
+from studies.digest import ROOT, digest_of
+from studies.mutation.faults import CRITICAL, GROUPS
+from studies.mutation.operators import CLASSES
+
+PAGE = ROOT / "docs" / "results" / "mutation.md"
+EQUIVALENTS = ROOT / "studies" / "mutation" / "equivalents.yaml"
+MARK, CRITICAL_MARK = 0.85, 0.9
+
+
+def equivalents() -> dict[tuple[str, str, str], str]:
+    """Return why a fault changes nothing that could be noticed, by path, lines before and after."""
+    listed = yaml.safe_load(EQUIVALENTS.read_text(encoding="utf-8")) or []
+    return {(one["path"], one["before"], one["after"]): one["reason"] for one in listed}
+
+
+def _rates(name: str, values: Iterable[str], rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a table of what became of faults by a field."""
+    lines = [
+        f"| {name} | faults | noticed | survived | equivalent | rate |",
+        "|---|---|---|---|---|---|",
+    ]
+    for value in (*values, "all"):
+        of = [row for row in rows if value == "all" or row[name] == value]
+        if not of:
+            continue
+        noticed = sum(row["status"] == "noticed" for row in of)
+        equivalent = sum(row["status"] == "equivalent" for row in of)
+        survived = len(of) - noticed - equivalent
+        rate = noticed / max(len(of) - equivalent, 1)
+        lines.append(
+            f"| {value} | {len(of)} | {noticed} | {survived} | {equivalent} | {rate:.0%} |"
+        )
+    return lines
+
+
+def _code(text: str) -> str:
+    """Return code for a cell of a table."""
+    text = text if len(text) <= 110 else f"{text[:107]}..."
+    return f"`{text.replace('|', chr(92) + '|').replace('`', '')}`" if text else "(nothing)"
+
+
+def page(rows: Sequence[dict[str, Any]], seed: int, each: int) -> str:
+    """Return the page.
+
+    Args:
+        rows: Fields of each fault and of its outcome; a survivor that is argued to be equivalent
+            counts as such.
+        seed: Of the drawing.
+        each: How many faults were drawn per group.
+    """
+    known = equivalents()
+    rows = [dict(row) for row in rows]
+    for row in rows:
+        reason = known.get((row["path"], row["before"], row["after"]))
+        if row["status"] != "noticed" and reason is not None:
+            row.update(status="equivalent", reason=reason)
+    took_s = sum(row["took_s"] for row in rows)
+    lines = [
+        "# Faults that the tests notice",
+        "",
+        "Written by `make mutate`. Cosmic Ray and operators of our own"
+        " (`studies/mutation/operators.py`) put faults into the source, one at a time; the tests of"
+        " `make test` that reach the changed lines are run until one fails. A fault that no test"
+        f" reaches has survived. {each} faults were drawn per group with seed {seed}, classes in"
+        f" turn; {len(rows)} in all took {took_s / 60:.0f} minutes of trials,"
+        f" {took_s / max(len(rows), 1):.0f} s each. Sources {digest_of([ROOT / 'src'])}, tests"
+        f" {digest_of([ROOT / 'tests'])}.",
+        "",
+        f"The mark is {CRITICAL_MARK:.0%} in {', '.join(CRITICAL)}, and {MARK:.0%} elsewhere.",
+        "",
+        *_rates("group", GROUPS, rows),
+        "",
+        *_rates("kind", CLASSES, rows),
+        "",
+        "## Survivors",
+        "",
+        "| group | kind | place | before | after |",
+        "|---|---|---|---|---|",
+    ]
+    for row in rows:
+        if row["status"] in ("survived", "not run"):
+            where = f"{row['path'].removeprefix('src/')}:{row['first']}"
+            shown = _code(row["before"]), _code(row["after"])
+            lines.append(f"| {row['group']} | {row['kind']} | {where} | {shown[0]} | {shown[1]} |")
+    lines += ["", "## Equivalents", "", "| place | before | after | reason |", "|---|---|---|---|"]
+    for row in rows:
+        if row["status"] == "equivalent":
+            where = f"{row['path'].removeprefix('src/')}:{row['first']}"
+            shown = _code(row["before"]), _code(row["after"])
+            lines.append(f"| {where} | {shown[0]} | {shown[1]} | {row['reason']} |")
+    return "\n".join([*lines, ""])

@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Copies of the repository: record what each test reaches, put a fault in, run the tests for it."""
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Mapping
+from pathlib import Path
+
+import coverage
+
+from studies.digest import ROOT
+from studies.mutation import recorder
+from studies.mutation.faults import Fault
+
+OUT = ROOT / "out" / "mutation"
+LONGEST_S = 240.0
+"""No more tests are chosen for a fault than took so long, when they were recorded, s."""
+PATIENCE_S = 120.0
+"""A trial that takes so much longer than its tests took has a fault that hangs, s."""
+CONFIG = """
+[run]
+source_dirs =
+{sources}
+data_file = {data}
+parallel = true
+sigterm = true
+context = ${{{test}-}}
+disable_warnings = no-data-collected,module-not-imported,context-collision
+"""
+START = "import coverage\ncoverage.process_startup()\n"
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """What became of a fault.
+
+    Attributes:
+        status: `noticed`, `survived`, or `not run` where no test reaches the fault.
+        by: The first test that failed, or why else it was noticed.
+        tests: How many tests were chosen.
+        took_s: How long the trial took, s.
+    """
+
+    status: str
+    by: str
+    tests: int
+    took_s: float
+
+
+class Copy:
+    """A clone of the repository's last commit, whose sources are the ones imported."""
+
+    def __init__(self, name: str) -> None:
+        """Make or renew the clone, with the kernels that are compiled already.
+
+        Args:
+            name: Of its folder.
+        """
+        self.root = OUT / name
+        if not (self.root / ".git").is_dir():
+            OUT.mkdir(parents=True, exist_ok=True)
+            _git(ROOT, "clone", "--quiet", str(ROOT), str(self.root))
+        _git(self.root, "fetch", "--quiet", "origin", "HEAD")
+        _git(self.root, "reset", "--quiet", "--hard", "FETCH_HEAD")
+        _git(self.root, "clean", "--quiet", "-df")
+        self.variables = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(map(str, sorted((self.root / "src").iterdir()))),
+            "OPENBLAS_NUM_THREADS": "1",
+            # A file that changes twice within a second must not be taken for the first version.
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
+
+    def pytest(
+        self, words: list[str], timeout_s: float, **variables: str
+    ) -> tuple[int | None, str]:
+        """Run tests; end all their processes after a time.
+
+        Args:
+            words: For pytest.
+            timeout_s: The time, s.
+            variables: Further environment variables.
+
+        Returns:
+            The exit status, None after the timeout; what pytest printed.
+        """
+        process = subprocess.Popen(
+            [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words],
+            cwd=self.root,
+            env={**self.variables, **variables},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+        )
+        try:
+            text, _ = process.communicate(timeout=timeout_s)
+            return process.returncode, text
+        except subprocess.TimeoutExpired:
+            return None, ""
+        finally:
+            # Nodes have sessions of their own; what lives still has the copy as its folder.
+            for entry in Path("/proc").glob("[0-9]*"):
+                try:
+                    if (entry / "cwd").readlink() == self.root and int(entry.name) != os.getpid():
+                        os.kill(int(entry.name), signal.SIGKILL)
+                except (OSError, ProcessLookupError):
+                    continue
+            process.wait()
+
+
+def _git(folder: Path, *words: str) -> None:
+    subprocess.run(["git", "-C", str(folder), *words], check=True)
+
+
+def record(copy: Copy, words: list[str]) -> None:
+    """Run tests and record what they reach.
+
+    Args:
+        copy: Where.
+        words: For pytest: which tests, and in how many processes.
+    """
+    folder = OUT / "recorded"
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.iterdir():
+        old.unlink()
+    packages = sorted(copy.root.glob("src/*/pneu_*"))
+    config = CONFIG.format(
+        sources="\n".join(f"    {package}" for package in packages),
+        data=folder / "coverage",
+        test=recorder.TEST,
+    )
+    (folder / "config").write_text(config, encoding="utf-8")
+    (folder / "sitecustomize.py").write_text(START, encoding="utf-8")
+    path = os.pathsep.join([str(folder), copy.variables["PYTHONPATH"]])
+    copy.pytest(
+        ["-p", "studies.mutation.recorder", *words],
+        7200.0,
+        PYTHONPATH=path,
+        COVERAGE_PROCESS_START=str(folder / "config"),
+        **{recorder.DURATIONS: str(folder)},
+    )
+    combined = coverage.Coverage(config_file=str(folder / "config"))
+    combined.combine([str(folder)])
+    combined.save()
+
+
+class Recorded:
+    """Which tests reach which line, and how long they take."""
+
+    def __init__(self, copy: Copy) -> None:
+        """Read what was recorded.
+
+        Args:
+            copy: Where it was.
+        """
+        folder = OUT / "recorded"
+        self._root = copy.root
+        self._data = coverage.CoverageData(basename=str(folder / "coverage"))
+        self._data.read()
+        self.durations: dict[str, tuple[float, bool]] = {}
+        for file in folder.glob("*.json"):
+            self.durations |= json.loads(file.read_text(encoding="utf-8"))
+        self._of_file: dict[str, list[str]] = defaultdict(list)
+        for test in self.durations:
+            self._of_file[test.partition("::")[0]].append(test)
+
+    def tests(self, fault: Fault) -> list[str]:
+        """Return the tests that reach a fault: those of its own package first, then by duration.
+
+        Args:
+            fault: The fault. Where only imports reach its lines, all tests that run any line of
+                its file count.
+        """
+        reached = self._data.contexts_by_lineno(str(self._root / fault.path))
+        names = self._known(reached, range(fault.first, fault.last + 1))
+        if not names:
+            names = self._known(reached, reached)
+        package = fault.path.split("/")[1]
+
+        def turn(name: str) -> tuple[bool, float]:
+            return not name.startswith(f"src/{package}/"), self.durations[name][0]
+
+        chosen, total_s = [], 0.0
+        for name in sorted(names, key=turn):
+            total_s += self.durations[name][0]
+            if total_s > LONGEST_S and chosen:
+                break
+            chosen.append(name)
+        return chosen
+
+    def _known(self, reached: Mapping[int, list[str]], lines: object) -> set[str]:
+        """Return tests that reach lines; a process they share stands for all tests of a file."""
+        found: set[str] = set()
+        for line in lines:  # type: ignore[attr-defined]
+            for context in reached.get(line, ()):
+                name = context.removeprefix(recorder.PROCESS)
+                if name not in self.durations:  # an import, before the first test
+                    continue
+                shared = name != context and self.durations[name][1]
+                found.update(self._of_file[name.partition("::")[0]] if shared else {name})
+        return found
+
+
+def attempt(copy: Copy, fault: Fault, tests: list[str], recorded: Recorded) -> Outcome:
+    """Put a fault into a copy and run tests until one fails.
+
+    Args:
+        copy: The copy.
+        fault: The fault.
+        tests: Names of the tests.
+        recorded: For their durations.
+    """
+    if not tests:
+        return Outcome("not run", "", 0, 0.0)
+    begun_s = time.monotonic()
+    target = copy.root / fault.path
+    before, after = fault.texts(copy.root)
+    target.write_text(after, encoding="utf-8")
+    status, by = "survived", ""
+    try:
+        # Tests against the clock fail now and then where the machine is busy: they have three tries.
+        for clock, words in ((False, ["-x"]), (True, ["-x", "--reruns=2"])):
+            chosen = [one for one in tests if recorded.durations[one][1] == clock]
+            if not chosen or status == "noticed":
+                continue
+            listed = OUT / f"{copy.root.name}.txt"
+            listed.write_text("\n".join(chosen), encoding="utf-8")
+            expected_s = sum(recorded.durations[one][0] for one in chosen)
+            code, text = copy.pytest([*words, f"@{listed}"], 3.0 * expected_s + PATIENCE_S)
+            if code is None:
+                status, by = "noticed", "the tests hang"
+            elif code not in (0, 5):
+                failed = [one for one in text.splitlines() if one.startswith(("FAILED", "ERROR"))]
+                status, by = (
+                    "noticed",
+                    (failed or ["the tests cannot be run"])[0].partition(" - ")[0],
+                )
+    finally:
+        target.write_text(before, encoding="utf-8")
+    return Outcome(status, by, len(tests), time.monotonic() - begun_s)
