@@ -23,7 +23,6 @@ from studies.mutation.trial import OUT, Copy, Recorded, attempt, record
 
 RESULTS = OUT / "results.json"
 STAGES = ("record", "run", "page")
-QUICK = ["-m", "not long", "--numprocesses=2", "--dist=loadfile"]
 
 
 def _key(fault: Fault, lines: tuple[str, str]) -> str:
@@ -93,7 +92,7 @@ def main(arguments: list[str] | None = None) -> int:
     if unknown := set(stages) - set(STAGES):
         parser.error(f"no stage {', '.join(sorted(unknown))}; there are {', '.join(STAGES)}")
     if "record" in stages:
-        record(Copy("copy0"), QUICK)
+        record(Copy("copy0"))
     kept = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.is_file() else {}
     faults = sample(options.seed, options.each, options.groups)
     if "run" in stages:

@@ -142,7 +142,7 @@ def sample(seed: int, each: int, groups: Iterable[str]) -> list[Fault]:
         for path in (path for path, of in sources().items() if of == group):
             text = (ROOT / path).read_text(encoding="utf-8").splitlines()
             for fault in faults_of(path):
-                # Blank lines and code above do not change what is drawn here, but its own line does.
+                # Code above does not change what is drawn here, but the line itself does.
                 key = (seed, path, fault.operator, text[fault.first - 1], fault.occurrence)
                 rank = hashlib.sha256(repr(key).encode()).hexdigest()
                 by_kind[fault.kind].append((rank, fault))

@@ -47,7 +47,7 @@ class _Own(Operator):
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:
-        """Return no examples; `studies/test` has them."""
+        """Return no examples, which only tests of Cosmic Ray itself use."""
         return ()
 
 

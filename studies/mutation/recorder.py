@@ -7,6 +7,7 @@ test from the environment; one that several tests share has the test that starte
 
 import json
 import os
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,9 @@ PROCESS = "process: "
 """What the context of a process that a test starts begins with."""
 DURATIONS = "PNEU_RECORDED_DURATIONS"
 """Environment variable: folder for a file per process with the duration of its tests."""
+
+LIMIT = "PNEU_RECORDED_LIMIT_S"
+"""Environment variable: time after which each test is ended, s."""
 
 _durations: dict[str, tuple[float, bool]] = {}
 
@@ -36,6 +40,22 @@ def pytest_runtest_protocol(item: pytest.Item) -> Any:
     if measured is not None:
         measured.switch_context(name)
     return (yield)
+
+
+def _end(number: int, frame: Any) -> None:
+    raise TimeoutError
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Any:
+    """End a test that runs for too long: what it reaches, it has reached by then."""
+    if limit_s := os.environ.get(LIMIT):
+        signal.signal(signal.SIGALRM, _end)
+        signal.setitimer(signal.ITIMER_REAL, float(limit_s))
+    try:
+        return (yield)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

@@ -57,6 +57,9 @@ def _compile(
 
     Nobody takes one by its address in C; without that wrapper a tenth less is to be compiled.
     """
+    config: Any = numba_config  # its types know none of its settings
+    if config.DISABLE_JIT:  # NUMBA_DISABLE_JIT=1, for a debugger or for coverage
+        return function
     settings: dict[str, Any] = {"no_cfunc_wrapper": True, **options}  # its types do not know it
     compiled: Any = njit(nogil=True, error_model="numpy", **settings)(function)
     if apart:
@@ -83,6 +86,8 @@ def _for_kernels(function: Callable[..., Any], **options: Any) -> Any:
     dispatcher finds from then on.
     """
     kernel = _compile(function, no_cpython_wrapper=True, **options)
+    if kernel is function:
+        return kernel
     wrapped: list[Any] = []  # the dispatcher with a wrapper, made when it is needed
 
     def add_overload(result: Any) -> None:
