@@ -152,6 +152,12 @@ def test_copies_of_one_content_share_what_is_compiled(copy: Path, tmp_path: Path
     assert leaks(copy, tmp_path, **kept) == (flow, 1, [])
     assert len(folders(tmp_path / "kept")) == 1
     assert not folders(copy / "pneu_sim" / "__pycache__")
+    # Under a debugger kernels are plain Python: nothing is compiled or kept, and no hit is counted.
+    plain, _, log = leaks(
+        copy, tmp_path, NUMBA_DISABLE_JIT="1", NUMBA_CACHE_DIR=str(tmp_path / "n")
+    )
+    assert plain == pytest.approx(flow, rel=1e-14) and log == []
+    assert not folders(tmp_path / "n")
 
 
 def test_kernels_go_to_the_cache_of_the_user_where_the_installation_is_read_only(
