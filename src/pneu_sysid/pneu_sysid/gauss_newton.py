@@ -44,9 +44,10 @@ LAST_LOOKS = 6
 gains."""
 SECANT_WORTH = 0.05
 """A step that takes away so much of the cost is followed by one with the same Jacobian."""
-ROUNDING = 1e-7
-"""A step that changes residuals by no more than this share of them does not correct the Jacobian:
-what it seems to show is rounding, divided by the length of the step."""
+ROUNDING = float(np.sqrt(np.finfo(float).eps))
+"""A step that changes residuals by no more than this share of them does not correct the Jacobian.
+
+Half of the digits of such a change are rounding, which the update divides by the step's length."""
 MOST_FORECAST = 2.0
 """A cluster that is left out counts with no more than this times the usual residual."""
 HUBER = 3.0
