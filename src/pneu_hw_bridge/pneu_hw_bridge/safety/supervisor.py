@@ -471,7 +471,7 @@ class Supervisor:
         ]
         if wrong or self._followed:
             self._wait_from_s = now_s
-            self._waits_for = "; ".join(wrong) or self._waits_for
+            self._waits_for = "; ".join(wrong) or "the commands ended"
 
     def _held_by_fault(self, now_s: float) -> bool:
         """Whether anything but the lack of commands, or the wait after a fault, holds."""
