@@ -14,6 +14,7 @@ import textwrap
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from mcap.reader import make_reader
@@ -507,28 +508,69 @@ def test_qos_matches_every_publisher():
     assert adapt_to_recorded([]) == OfferedQos()
 
 
-def test_pacer_keeps_rate_pause_and_step():
+class PacerTime:
+    """A clock that only waiting moves, and how long was waited each time."""
+
+    def __init__(self, pacer, monkeypatch):
+        self.now_s, self.waited = 1000.0, []
+        clock = SimpleNamespace(monotonic=lambda: self.now_s)
+        monkeypatch.setattr("pneu_graph.bag.playback.time", clock)
+        monkeypatch.setattr(pacer._changed, "wait", self.wait)
+
+    def wait(self, seconds):
+        self.waited.append(seconds)
+        self.now_s += seconds
+
+
+@pytest.mark.parametrize(("rate", "waits_s"), [(10.0, 0.1), (1.0, 1.0), (0.25, 4.0)])
+def test_pacer_keeps_rate(rate, waits_s, monkeypatch):
+    pacer = Pacer(rate)
+    time_ = PacerTime(pacer, monkeypatch)
+    pacer.begin(5 * 10**9)
+    assert pacer.wait_until(6 * 10**9)
+    assert time_.waited == pytest.approx([waits_s])
+    assert pacer.now_ns() == 6 * 10**9
+    assert pacer.wait_until(6 * 10**9) and len(time_.waited) == 1, "it is due already"
+    pacer.set_rate(2.0 * rate)
+    assert pacer.now_ns() == 6 * 10**9, "from now on"
+    assert pacer.wait_until(7 * 10**9)
+    assert time_.waited == pytest.approx([waits_s, 0.5 * waits_s])
+
+
+def test_pacer_stands_while_it_is_paused(monkeypatch):
     pacer = Pacer(10.0)
-    begin = time.monotonic()
+    time_ = PacerTime(pacer, monkeypatch)
     pacer.begin(0)
-    assert pacer.wait_until(10**9)
-    assert 0.1 <= time.monotonic() - begin < 0.3
-    assert not pacer.step()  # which is not kept for a later pause
+    time_.now_s += 0.5
     pacer.pause()
-    stood = pacer.now_ns()
-    time.sleep(0.05)
-    assert pacer.now_ns() == stood
-    passed = []
-    thread = threading.Thread(
-        target=lambda: passed.extend([pacer.wait_until(10**12), pacer.wait_until(2 * 10**12)])
-    )
+    time_.now_s += 3.0
+    assert pacer.paused and pacer.now_ns() == 5 * 10**9
+    pacer.resume()
+    assert not pacer.paused and pacer.now_ns() == 5 * 10**9
+    time_.now_s += 0.25
+    assert pacer.now_ns() == 7_500_000_000
+    assert not pacer.step(), "which only a paused one does"
+
+
+def test_pacer_lets_one_through_for_each_step_and_ends():
+    pacer = Pacer(10.0, paused=True)
+    pacer.begin(0)
+    passed, through = [], threading.Event()
+
+    def play():
+        for due_ns in (10**12, 2 * 10**12, 3 * 10**12):
+            passed.append(pacer.wait_until(due_ns))
+            through.set()
+
+    thread = threading.Thread(target=play, daemon=True)
     thread.start()
     assert pacer.step()
-    time.sleep(0.1)
+    assert through.wait(60.0) and passed == [True]
+    assert pacer.now_ns() == 10**12
     assert thread.is_alive()
     pacer.stop()
-    thread.join(5.0)
-    assert passed == [True, False]
+    thread.join(60.0)
+    assert passed == [True, False, False]
 
 
 def test_side_records_of_a_genuine_file():

@@ -3,19 +3,16 @@
 
 import math
 import random
+import re
 import struct
 
 import pytest
 
 from pneu_common.errors import InputError
 from pneu_hw_bridge.registers.batches import plan, plan_writes
-from pneu_hw_bridge.registers.codec import (
-    count_from_registers,
-    from_registers,
-    to_registers,
-)
+from pneu_hw_bridge.registers.codec import count_from_registers, from_registers, to_registers
 from pneu_hw_bridge.registers.load import load_register_map, parse_register_map, profiles
-from pneu_hw_bridge.registers.schema import Batching, Input
+from pneu_hw_bridge.registers.schema import Batching, Input, Output
 
 pytestmark = pytest.mark.realtime
 
@@ -63,9 +60,32 @@ def test_known_numbers(value, kind, words, octets, registers):
         assert float(exact) == back and isinstance(exact, int)
     if kind == "uint64":
         assert exact == value
+    assert from_registers(registers, kind, words, octets) == value
 
 
-def test_random_numbers_agree_with_struct_and_survive():
+WHOLE = {
+    "int16": (-(2**15), 2**15 - 1),
+    "uint16": (0, 2**16 - 1),
+    "int32": (-(2**31), 2**31 - 1),
+    "uint32": (0, 2**32 - 1),
+    "uint64": (0, 2**64 - 1),
+}
+ORDERS = [(words, octets) for words in ("big", "little") for octets in ("big", "little")]
+
+
+def registers_of(number, kind, words, octets):
+    """Two's complement in arithmetic, apart from `struct`."""
+    width = int(kind.lstrip("uint")) // 16
+    bits = number % 2 ** (16 * width)
+    found = [(bits >> 16 * (width - 1 - k)) & 0xFFFF for k in range(width)]
+    if octets == "little":
+        found = [(one >> 8) | (one & 0xFF) << 8 for one in found]
+    return found if words == "big" else found[::-1]
+
+
+def counts(kind):
+    """Whole numbers of a type: its ends, small ones of either sign, and random ones."""
+    low, high = WHOLE[kind]
     rng = random.Random(3)
     formats = {
         "float32": ">f", "float64": ">d", "int32": ">i", "uint32": ">I", "int16": ">h",
@@ -84,20 +104,172 @@ def test_random_numbers_agree_with_struct_and_survive():
         assert to_registers(number, kind, words, octets) == expected
         again = from_registers(expected, kind, words, octets)
         assert again == struct.unpack(formats[kind], data)[0]
+    near = [
+        n for n in (*range(low, low + 4), *range(-3, 4), *range(high - 3, high + 1)) if n >= low
+    ]
+    return sorted({*near, *(rng.randint(low, high) for _ in range(200))})
+
+
+@pytest.mark.parametrize(("words", "octets"), ORDERS)
+@pytest.mark.parametrize("kind", list(WHOLE))
+def test_whole_numbers_survive_in_every_order(kind, words, octets):
+    for number in counts(kind):
+        expected = registers_of(number, kind, words, octets)
+        assert count_from_registers(expected, kind, words, octets) == number
+        assert from_registers(expected, kind, words, octets) == float(number)
+        # (a float of 53 bits that has no other neighbour than this one)
+        if float(number) == number and abs(number) < 2**53:
+            assert to_registers(float(number), kind, words, octets) == expected
+        assert to_registers(number, kind, words, octets) == expected
+
+
+@pytest.mark.parametrize(("words", "octets"), ORDERS)
+@pytest.mark.parametrize("kind", list(WHOLE))
+def test_a_number_between_two_counts_becomes_the_nearest(kind, words, octets):
+    low, high = WHOLE[kind]
+    for number in counts(kind):
+        if abs(number) > 2**48:  # which has no fraction as a float
+            continue
+        for part in (-0.5, -0.499, -0.4, -0.001, 0.001, 0.3, 0.499, 0.5):
+            value = number + part
+            if not low - 0.5 <= value <= high + 0.499:
+                continue
+            back = count_from_registers(
+                to_registers(value, kind, words, octets), kind, words, octets
+            )
+            assert abs(back - value) <= 0.5
+            if abs(part) < 0.5:
+                assert back == number
+            else:
+                assert back % 2 == 0, "of two that are as near, the even one (IEEE 754)"
+
+
+@pytest.mark.parametrize(("words", "octets"), ORDERS)
+@pytest.mark.parametrize(("kind", "code", "size"), [("float32", "f", 4), ("float64", "d", 8)])
+def test_floats_survive_in_every_order(kind, code, size, words, octets):
+    rng = random.Random(4)
+    values = [0.0, -0.0, 0.5, -2.5, 1e-30, math.inf, -math.inf]
+    values += [rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-30, 30) for _ in range(200)]
+    for value in values:
+        data = struct.pack(f">{code}", value)
+        pairs = [data[k : k + 2] for k in range(0, size, 2)]
+        expected = [int.from_bytes(pair, octets) for pair in pairs]
+        found = to_registers(value, kind, words, octets)
+        assert found == (expected if words == "big" else expected[::-1])
+        back = from_registers(found, kind, words, octets)
+        assert back == struct.unpack(f">{code}", data)[0]
+        if math.isfinite(value):
+            assert back == pytest.approx(value, rel=2.0**-24 if size == 4 else 0.0)
+    assert math.isnan(
+        from_registers(to_registers(math.nan, kind, words, octets), kind, words, octets)
+    )
 
 
 @pytest.mark.parametrize(
     ("value", "kind"),
-    [(40000, "int16"), (-1, "uint16"), (2**32, "uint32"), (math.nan, "int32"), (1e39, "float32")],
+    [
+        *((low - 0.501, kind) for kind, (low, _) in WHOLE.items() if kind != "uint64"),
+        *((high + 0.501, kind) for kind, (_, high) in WHOLE.items() if kind != "uint64"),
+        *((high + 1, kind) for kind, (_, high) in WHOLE.items()),
+        *((low - 1, kind) for kind, (low, _) in WHOLE.items()),
+        *((value, kind) for kind in WHOLE for value in (math.nan, math.inf, -math.inf)),
+        (40000, "int16"),
+        (1e39, "float32"),
+        (-1e39, "float32"),
+    ],
 )
 def test_numbers_that_do_not_fit_are_refused(value, kind):
-    with pytest.raises(ValueError, match="cannot be sent"):
+    with pytest.raises(ValueError, match=f"^{re.escape(repr(value))} cannot be sent as {kind}$"):
         to_registers(value, kind)
 
 
-def test_wrong_count_is_refused():
+@pytest.mark.parametrize(("scale", "offset"), [(0.25, -3.0), (-0.01, 7.0), (1000.0, 101325.0)])
+@pytest.mark.parametrize("kind", list(WHOLE))
+def test_a_channel_scales_first_and_then_adds_its_offset(kind, scale, offset):
+    one = Input(
+        direction="read",
+        table="input",
+        address=5,
+        type=kind,
+        word_order="little",
+        byte_order="little",
+        unit="K",
+        scale=scale,
+        offset=offset,
+        range=(-1.0, 1.0),
+    )
+    low, high = WHOLE[kind]
+    rng = random.Random(5)
+    for _ in range(200):
+        number = rng.randint(max(low, -(2**40)), min(high, 2**40))
+        raw = registers_of(number, kind, "little", "little")
+        value = offset + scale * number
+        assert one.decode(raw) == pytest.approx(value, rel=1e-12)
+        assert one.encode(value) == raw
+        between = value + 0.45 * scale
+        found = one.decode(one.encode(between))
+        assert abs(found - between) <= 0.5 * abs(scale) + 1e-9 * abs(value)
+        assert found == pytest.approx(value, rel=1e-12)
+    assert one.resolution == 0.51 * abs(scale)
+    beyond = [offset + scale * (low - 1)] if low else [offset - scale]
+    for value in (*beyond, offset + scale * (high + 1) * (1.0 + 1e-9)):
+        with pytest.raises(ValueError, match="cannot be sent"):
+            one.encode(value)
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(24.0, 2.0), (-24.0, 26.0)])
+def test_a_bit_is_on_from_its_middle_on(scale, offset):
+    one = Output(
+        direction="write",
+        table="coil",
+        address=5,
+        scale=scale,
+        offset=offset,
+        range=(2.0, 26.0),
+        safe=2.0,
+    )
+    on, off = offset + scale, offset
+    assert (one.decode([1]), one.decode([0])) == (on, off)
+    assert (one.encode(on), one.encode(off)) == ([1], [0])
+    middle = offset + 0.5 * scale
+    assert one.encode(middle) == [1]
+    assert one.encode(middle - 0.001 * scale) == [0]
+    for value in (math.nan, math.inf):
+        with pytest.raises(ValueError, match="cannot be sent as a bit"):
+            one.encode(value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "span", "offset", "resolution"),
+    [
+        ("float64", (-3.0, 2.0), 0.0, 3e-12),
+        ("float64", (-3.0, 5.0), 0.0, 5e-12),
+        ("float64", (-0.5, 0.25), 0.0, 2e-12),  # the scale
+        ("float32", (-8.0, 4.0), 1.0, 2.0**-19),
+        ("float32", (-8.0, 16.0), 1.0, 2.0**-18),
+        ("float32", (-8.0, 16.0), -32.0, 2.0**-17),
+    ],
+)
+def test_the_resolution_of_floats_is_that_of_the_largest_number(kind, span, offset, resolution):
+    one = Input(
+        direction="read",
+        table="input",
+        address=0,
+        type=kind,
+        unit="K",
+        scale=2.0,
+        offset=offset,
+        range=span,
+    )
+    assert one.resolution == pytest.approx(resolution, rel=1e-12)
+
+
+@pytest.mark.parametrize("words", [[], [1], [1, 2, 3]])
+def test_wrong_count_is_refused(words):
+    with pytest.raises(ValueError, match=f"found {len(words)} registers for float32, needed are 2"):
+        from_registers(words, "float32")
     with pytest.raises(ValueError, match="needed are 2"):
-        from_registers([1], "float32")
+        count_from_registers(words, "uint32")
 
 
 @pytest.mark.parametrize("name", profiles())

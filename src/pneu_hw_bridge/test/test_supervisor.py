@@ -163,14 +163,6 @@ def test_valves_do_not_flutter_with_a_controller_that_is_too_slow(pause_s):
     assert outputs[-1] == SAFE_V
 
 
-def test_reset_of_a_trip_needs_to_know_the_pressure():
-    bench = Bench()
-    bench.pressure = 9.5e5
-    bench.step()
-    bench.now += 1.0
-    assert "not known" in bench.supervisor.reset(bench.now)
-
-
 def test_e_stop_is_latched_and_wins():
     bench = Bench()
     bench.step(command=7.0)

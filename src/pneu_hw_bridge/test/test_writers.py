@@ -10,6 +10,7 @@ import importlib.util
 import os
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 from tests.domains import own_domain_id
@@ -190,6 +191,18 @@ def test_a_message_of_somebody_else_than_the_one_that_is_listed_is_not_followed(
     handle = {"publisher_gid": {"data": bytes(range(1, 9)) + bytes(8)}}  # of rmw_cyclonedds
     assert writers.is_known(TOPICS[0], handle) and writers.look(handle) == (1, "")
     assert writers.is_known(TOPICS[0], {})  # of rclpy in Jazzy
+
+
+def test_a_command_counts_from_when_it_was_sent(bench, monkeypatch):
+    """By its stamp, of a clock of its own; the first one tells how far that clock is away."""
+    clock = SimpleNamespace(monotonic=lambda: 64.0 + passed_s)
+    monkeypatch.setattr("pneu_hw_bridge.nodes.writers.time", clock)
+    writers = bench.writers()
+    for passed_s, sent_s, late_s in ((0.0, 900.0, 0.0), (0.5, 900.25, 0.25), (1.0, 901.0, 0.0)):
+        info = {"source_timestamp": round(1e9 * sent_s)}
+        assert writers.sent_s(info) == pytest.approx(64.0 + passed_s - late_s, abs=2e-3)
+    passed_s = 2.0
+    assert writers.sent_s({}) == writers.sent_s({"source_timestamp": 0}) == 66.0
 
 
 def test_the_only_one_listed_is_not_heard(bench):

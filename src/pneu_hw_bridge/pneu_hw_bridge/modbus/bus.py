@@ -164,6 +164,19 @@ class ModbusBus:
         """
         return LOOK_S + 2 * len(self._writer.batches) * self.statistics.reply.quantile(fraction)
 
+    def reads_s(self, fraction: float) -> float:
+        """Return the longest interval between two readings, s.
+
+        At least the period. Slow replies make it longer: before a reading is repeated the outputs
+        may be read back, and on a single connection as many writes may come between.
+
+        Args:
+            fraction: Share of replies that take no longer than assumed.
+        """
+        requests = self._reader.requests + len(self._writer.batches) * self._reader.readable
+        turns = 2 if self.lines == 1 else 1
+        return max(self._period_s, turns * requests * self.statistics.reply.quantile(fraction))
+
     def start(self) -> None:
         """Begins to connect and to work, in a thread of its own."""
         # Every failure is counted and told to the owner; pymodbus would log each one as well.

@@ -76,7 +76,7 @@ class ValveBridge(Bridge):
         self._params = BridgeParameters.declare(self)
         self._readings: ReadingsPublisher | None = None
         self._skipped = 0
-        self._bound: Callable[[float, float], Bound] | None = None
+        self._bound: Callable[[float, float, float], Bound] | None = None
         self._bound_told = False
         self._unwatched: list[str] = []
         self._commands: list[topics.Topic] = []
@@ -162,7 +162,7 @@ class ValveBridge(Bridge):
                 f" {', '.join(self._unwatched)}: nobody would notice a sensor that always says the"
                 " same"
             )
-        self._bound = functools.partial(bound, registers, limits, 1.0 / settings.rate_hz)
+        self._bound = functools.partial(bound, registers, limits)
         self._bus.start()
         return super().on_configure(state)
 
@@ -292,7 +292,7 @@ class ValveBridge(Bridge):
     def _worst(self, link: Link, bus: ModbusBus) -> Bound:
         """How soon the valves are safe, at worst, as replies are now."""
         assert self._bound is not None
-        return self._bound(bus.takes_s(0.95), link.watchdog_s)
+        return self._bound(bus.reads_s(0.95), bus.takes_s(0.95), link.watchdog_s)
 
     def _say_clock(self) -> None:
         """Logs what became of the device's clock."""

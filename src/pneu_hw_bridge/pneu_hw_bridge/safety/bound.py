@@ -60,7 +60,8 @@ def bound(
     Args:
         registers: The device.
         limits: What the bridge goes by.
-        period_s: Interval of readings.
+        period_s: Longest interval of readings, which is more than their period where replies are
+            slow.
         write_s: From a decision until all outputs are written.
         watchdog_s: How long a command is followed now.
     """
