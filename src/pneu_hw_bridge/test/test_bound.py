@@ -6,13 +6,18 @@ import time
 from collections import deque
 
 import pytest
+import rclpy
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from tests.bridges import Rig, safe_since, watch
+from tests.domains import own_domain_id
 from tests.modbus_devices import Owner, Server
 
 from pneu_common.errors import InputError
 from pneu_hw_bridge.link import Link
 from pneu_hw_bridge.modbus.bus import ModbusBus
 from pneu_hw_bridge.modbus.statistics import Durations
+from pneu_hw_bridge.nodes.valve_bridge import ValveBridge
 from pneu_hw_bridge.registers.load import load_register_map
 from pneu_hw_bridge.safety.bound import bound, check
 from pneu_hw_bridge.safety.limits import limits_of
@@ -226,6 +231,48 @@ def test_the_owner_hands_both_quantiles_on_in_their_order():
     link.takes(0.0625, 0.14)
     assert link.watchdog_s == pytest.approx(0.0875)
     assert any("safe after 0.16 s at best" in reason for reason in one.reasons(64.0))
+
+
+def test_the_bridge_promises_its_times_by_replies_as_they_are(server, monkeypatch, tmp_path):
+    """The node itself; of its replies 95 of 100 take 20 ms at most, and half of them 11 ms."""
+    monkeypatch.setenv("PNEU_STATE_DIR", str(tmp_path))
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context, domain_id=own_domain_id())
+    values = {
+        "port": server.port,
+        "rate_hz": 125.0,
+        "watchdog_s": 0.0625,
+        "sensor_timeout_s": 0.09375,
+    }
+    node = ValveBridge(
+        context=context,
+        parameter_overrides=[Parameter(name, value=value) for name, value in values.items()],
+    )
+    try:
+        monkeypatch.setattr(ModbusBus, "start", lambda bus: None)  # replies are what they are
+        assert node.on_configure(None) == TransitionCallbackReturn.SUCCESS
+        bus = node._bus
+        bus.lines = 2
+        bus.statistics.reply = milliseconds(*range(1, 21))
+        bus.statistics.request = milliseconds(*range(1, 101))
+        bus.statistics.command = milliseconds(*range(201, 301))
+        (shown,) = [one for one in node._report() if one.name.endswith(": bus")]
+    finally:
+        node.on_cleanup(None)
+        node.destroy_node()
+        context.try_shutdown()
+    found = {one.key: float(one.value) for one in shown.values if one.key.endswith(" [s]")}
+    write_s = 0.005 + 2 * 0.020
+    assert found == {
+        "safe after a silent controller [s]": pytest.approx(0.0625 + write_s),
+        "safe after a bad reading or a stop [s]": pytest.approx(2 * 0.020 + write_s),
+        "safe after the last reading [s]": pytest.approx(0.09375 + write_s),
+        "safe after a dead line or bridge [s]": pytest.approx(0.1),
+        "request p50 [s]": pytest.approx(0.051),
+        "request p99 [s]": pytest.approx(0.100),
+        "command to confirmation p50 [s]": pytest.approx(0.251),
+        "command to confirmation p99 [s]": pytest.approx(0.300),
+    }
 
 
 @pytest.mark.parametrize("reply_s", [0.02, 0.05])
