@@ -7,6 +7,7 @@ interrupt a node would then wait for it for ever.
 """
 
 import atexit
+import contextlib
 import gc
 import json
 import os
@@ -17,6 +18,8 @@ from pathlib import Path
 
 import pytest
 from tests import measured
+
+from pneu_common.errors import InputError
 
 # Bridges of tests do not meet those of their user, nor those of other workers.
 _BRIDGES = tempfile.mkdtemp(prefix="pneu-test-")
@@ -58,6 +61,23 @@ def pytest_collection_modifyitems(items):
 def pytest_addoption(parser):
     """Adds the option for `tools/run_tests.py`."""
     parser.addoption("--outcome", type=Path, help="write what became of the tests as JSON")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item):
+    """Blames the machine where a fixture of a test against the clock failed as it stalled.
+
+    Fixtures start labs and nodes and wait for them; on a busy machine these may be refused as too
+    slow, or not be ready in time. That proves as little as a time that was missed in a test.
+    """
+    if item.get_closest_marker("realtime") is None:
+        return (yield)
+    with contextlib.closing(measured.Stalls(0.005)) as stalls:
+        try:
+            return (yield)
+        except (AssertionError, TimeoutError, InputError) as error:
+            stalls.blame(error)
+            raise
 
 
 @pytest.hookimpl(wrapper=True)

@@ -23,10 +23,18 @@ ROOT = Path(__file__).parents[1]
 RIG = ROOT / "rigs" / "lab.yaml"
 
 
-def wait_until(condition, timeout_s=5.0, pause_s=0.002):
-    """Waits until something is true, with patience; returns how long that took."""
+def wait_until(condition, timeout_s=5.0, pause_s=0.002, alive=None):
+    """Waits until something is true, with patience; returns how long that took.
+
+    Args:
+        condition: What is waited for.
+        timeout_s: Longest wait, s, if it is longer than `PATIENCE_S`.
+        pause_s: Interval at which the condition is evaluated, s.
+        alive: Whether what is to bring it about still runs; the wait fails at once if not.
+    """
     begun, patience_s = time.monotonic(), max(timeout_s, PATIENCE_S)
     while not condition():
+        assert alive is None or alive(), "what is waited for has ended"
         if time.monotonic() - begun > patience_s:
             raise TimeoutError(f"not within {patience_s} s")
         time.sleep(pause_s)
@@ -114,6 +122,8 @@ class Rig:
 
     @property
     def state(self):
+        """State of the supervisor, while the thread of the bus runs."""
+        assert self.bus._thread.is_alive(), "the thread of the bus has ended"
         return self.link.report().state
 
     def follows(self):

@@ -9,6 +9,7 @@ says that this time was not proven.
 """
 
 import contextlib
+import threading
 import time
 import warnings
 from contextvars import ContextVar
@@ -18,6 +19,10 @@ SAFE_WITHIN_S = 0.15
 PATIENCE_S = 60.0
 """At least so long a test waits for what has to come about: processes may be slow to start on a
 busy machine, and how soon is judged by `Watch`, never by patience coming to its end."""
+STALLED_S = 0.1
+"""A fixture that fails while a thread is kept waiting for longer failed because of the machine."""
+STALLED_SHARE = 0.25
+"""The same for the share of the time that a thread was kept waiting."""
 PROPERTY = "safe after"
 """Under this name times go into the report of a test, s."""
 
@@ -91,6 +96,56 @@ class Watch:
             end_s = stall["begun_s"] + stall["seconds"]
             stalled_s += max(min(end_s, at_s) - max(stall["begun_s"], begun_s), 0.0)
         return stalled_s + (known_s or begun_s) - begun_s
+
+
+class Stalls:
+    """How long a thread of this process that wants to run is kept waiting, until it is closed.
+
+    Attributes:
+        longest_s: The longest such wait, s.
+        total_s: The sum of all, s.
+    """
+
+    PAUSE_S = 0.0005
+
+    def __init__(self, pause_s=PAUSE_S):
+        """Begin.
+
+        Args:
+            pause_s: Interval at which the thread wants to run, s.
+        """
+        self.longest_s = self.total_s = 0.0
+        self._pause_s = pause_s
+        self._begun_s = time.monotonic()
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._thread.start()
+
+    def _look(self):
+        before_s = time.monotonic()
+        while not self._end.wait(self._pause_s):
+            now_s = time.monotonic()
+            late_s = max(now_s - before_s - self._pause_s, 0.0)
+            self.longest_s, self.total_s = max(self.longest_s, late_s), self.total_s + late_s
+            before_s = now_s
+
+    def close(self):
+        """End."""
+        self._end.set()
+        self._thread.join()
+
+    def blame(self, error):
+        """Raise `MachineStalledError` for an error if the machine explains it.
+
+        Args:
+            error: The error of something that had to come about in a time.
+        """
+        took_s = time.monotonic() - self._begun_s
+        if self.longest_s > STALLED_S or self.total_s > STALLED_SHARE * took_s:
+            raise MachineStalledError(
+                f"{error}; of {took_s:.2f} s the machine stalled for {self.total_s:.2f} s,"
+                f" {self.longest_s:.3f} s at a time"
+            ) from error
 
 
 class Processor:

@@ -16,14 +16,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.measured import PATIENCE_S
+from tests.measured import PATIENCE_S, MachineStalledError, Stalls
 
 from pneu_common.errors import InputError
 from pneu_hw_bridge.child import packed
@@ -135,22 +135,28 @@ class Bench:
             at = [JointCommand(0.0, 0.0, flip * self.effort)] * 3
             self.servo.command(at, time.monotonic())
 
+    def wait(self, condition: Callable[[], object], loop: bool = True) -> None:
+        """Waits until something is true; fails at once where what brings it about has ended.
+
+        Args:
+            condition: What is waited for.
+            loop: Whether the loop of the arm has to run for it.
+        """
+        end_s = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert not self.plant.ended, f"the emulated hand: {self.plant.ended}"
+            assert not (loop and self.servo.ended), f"the loop: {self.servo.ended}"
+            assert time.monotonic() < end_s, f"not in time: {self.servo.report}"
+            time.sleep(0.01)
+
     def follow(self) -> None:
         """Waits until torques are given."""
-        end_s = time.monotonic() + PATIENCE_S
-        while time.monotonic() < end_s:
-            if self.torques() and self.state() is State.FOLLOWING:
-                return
-            time.sleep(0.01)
-        raise AssertionError(f"never followed: {self.servo.report}, {self.servo.ended}")
+        self.wait(lambda: self.torques() and self.state() is State.FOLLOWING)
 
     def out_of_range(self) -> bool:
         """Whether the arm lies where its loop lets nobody move it."""
         del self.joints[:]
-        end_s = time.monotonic() + PATIENCE_S
-        while not self.joints:
-            assert time.monotonic() < end_s
-            time.sleep(0.01)
+        self.wait(lambda: self.joints)
         at = self.joints[-1].position_rad
         return not all(
             one.lower_rad <= q <= one.upper_rad
@@ -186,32 +192,15 @@ class Bench:
         self.plant.end()
 
 
-class Stalls:
-    """The longest that a thread which wants to run was kept waiting."""
-
-    def __init__(self) -> None:
-        self.longest_s = 0.0
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._look, daemon=True)
-        self._thread.start()
-
-    def _look(self) -> None:
-        before_s = time.monotonic()
-        while not self._end.wait(0.0005):
-            now_s = time.monotonic()
-            self.longest_s = max(self.longest_s, now_s - before_s - 0.0005)
-            before_s = now_s
-
-    def proven(self, took_s: float, within_s: float) -> None:
-        """Checks what took how long, or says that the machine was in no state to tell."""
-        self._end.set()
-        self._thread.join()
-        if took_s > within_s and self.longest_s > STALLED_S and took_s < math.inf:
-            pytest.skip(
-                f"not proven: torques ended after {1e3 * took_s:.1f} ms, of which the machine"
-                f" stalled for {1e3 * self.longest_s:.1f} ms"
-            )
-        assert took_s <= within_s
+def prove(stalls: Stalls, took_s: float, within_s: float) -> None:
+    """Checks what took how long, or says that the machine was in no state to tell."""
+    stalls.close()
+    if took_s > within_s and stalls.longest_s > STALLED_S and took_s < math.inf:
+        raise MachineStalledError(
+            f"torques ended after {1e3 * took_s:.1f} ms, of which the machine stalled for"
+            f" {1e3 * stalls.longest_s:.1f} ms"
+        )
+    assert took_s <= within_s
 
 
 @pytest.fixture(scope="module")
@@ -239,10 +228,7 @@ def bench(shared: Bench) -> Bench:
 
 def test_it_follows_and_tells_what_it_reads(bench: Bench) -> None:
     del bench.joints[:], bench.wrenches[:]
-    end_s = time.monotonic() + PATIENCE_S
-    while min(len(bench.joints), len(bench.wrenches)) < 300:
-        assert time.monotonic() < end_s
-        time.sleep(0.01)
+    bench.wait(lambda: min(len(bench.joints), len(bench.wrenches)) >= 300)
     numbers = [w.sample for w in bench.wrenches]
     assert numbers == sorted(set(numbers))
     assert numbers[-1] - numbers[0] < 1.2 * len(numbers)
@@ -258,7 +244,7 @@ def test_a_device_that_fails_has_no_torque(bench: Bench, fault: str, knows_s: fl
     stalls = Stalls()
     event_s = time.monotonic()
     bench.plant.tell(arm_fault=fault)
-    stalls.proven(bench.zero_since(event_s), knows_s + WITHIN_S)
+    prove(stalls, bench.zero_since(event_s), knows_s + WITHIN_S)
 
 
 @pytest.mark.parametrize("fault", ["silent", "short", "status"])
@@ -267,7 +253,7 @@ def test_a_force_sensor_that_fails_ends_torques(bench: Bench, fault: str) -> Non
     stalls = Stalls()
     event_s = time.monotonic()
     bench.plant.tell(sensor_fault=fault)
-    stalls.proven(bench.zero_since(event_s), knows_s + WITHIN_S)
+    prove(stalls, bench.zero_since(event_s), knows_s + WITHIN_S)
     assert bench.state() is State.HOLDING
     assert "force sensor" in bench.servo.report["why"]
     bench.plant.tell(sensor_fault="none")
@@ -291,7 +277,7 @@ def test_a_torque_beyond_its_limit_ends_all(bench: Bench) -> None:
     stalls = Stalls()
     event_s = time.monotonic()
     bench.effort = 0.7
-    stalls.proven(bench.zero_since(event_s), 0.004 + WITHIN_S)
+    prove(stalls, bench.zero_since(event_s), 0.004 + WITHIN_S)
     assert "allowed are 0.6 either way" in bench.servo.report["why"]
 
 
@@ -299,7 +285,7 @@ def test_a_loop_that_is_killed_leaves_no_torque(bench: Bench) -> None:
     stalls = Stalls()
     event_s = time.monotonic()
     os.kill(bench.servo.pid, signal.SIGKILL)
-    stalls.proven(bench.zero_since(event_s), WITHIN_S)
+    prove(stalls, bench.zero_since(event_s), WITHIN_S)
     assert bench.servo.ended == "its process has ended"
 
 
@@ -308,7 +294,7 @@ def test_a_loop_that_hangs_leaves_no_torque(bench: Bench) -> None:
     event_s = time.monotonic()
     os.kill(bench.servo.pid, signal.SIGSTOP)
     try:
-        stalls.proven(bench.zero_since(event_s), WITHIN_S)
+        prove(stalls, bench.zero_since(event_s), WITHIN_S)
     finally:
         os.kill(bench.servo.pid, signal.SIGCONT)
 
@@ -335,14 +321,12 @@ def test_a_node_that_is_killed_leaves_no_torque(bench: Bench) -> None:
     settings["watchdog_s"] = 1.0  # not what ends them
     node = subprocess.Popen([sys.executable, "-c", NODE, json.dumps(settings)])
     try:
-        end_s = time.monotonic() + PATIENCE_S
-        while not bench.torques():
-            assert time.monotonic() < end_s
-            time.sleep(0.01)
+        bench.wait(lambda: node.poll() is not None or bench.torques(), loop=False)
+        assert node.poll() is None
         stalls = Stalls()
         event_s = time.monotonic()
         node.kill()
-        stalls.proven(bench.zero_since(event_s), WITHIN_S)
+        prove(stalls, bench.zero_since(event_s), WITHIN_S)
     finally:
         node.kill()
         node.wait()
@@ -350,9 +334,7 @@ def test_a_node_that_is_killed_leaves_no_torque(bench: Bench) -> None:
 
 def test_a_stop_answers_once_torques_are_zero(bench: Bench) -> None:
     assert bench.servo.ask(e_stop="a test")["zero"]
-    end_s = time.monotonic() + PATIENCE_S
-    while bench.torques():
-        assert time.monotonic() < end_s
+    bench.wait(lambda: not bench.torques())
     time.sleep(0.3)
     assert not bench.torques()
     assert bench.servo.ask(reset=True)["refused"] == ""
@@ -387,20 +369,15 @@ def test_openhaptics_drives_a_device_with_its_c_interface(libhd: Path, tmp_path:
         bench.follow()
         del bench.joints[:]
         bench.effort = 0.0
-        end_s = time.monotonic() + PATIENCE_S
-        while len(bench.joints) <= 300:  # it goes on telling; how fast is the machine's affair
-            assert time.monotonic() < end_s
-            time.sleep(0.02)
+        # It goes on telling; how fast is the machine's affair.
+        bench.wait(lambda: len(bench.joints) > 300)
         assert all(j.device_ns < 0 for j in bench.joints)  # HDAPI has no stamps
         bench.effort = 0.1
         bench.follow()
         event_s = time.monotonic()
         bench.plant.tell(arm_fault="gone")
         assert bench.zero_since(event_s) < 0.1
-        end_s = time.monotonic() + PATIENCE_S
-        while not bench.servo.ended:
-            assert time.monotonic() < end_s
-            time.sleep(0.01)
+        bench.wait(lambda: bench.servo.ended, loop=False)
         assert "communication error" in bench.servo.ended
     finally:
         bench.close()

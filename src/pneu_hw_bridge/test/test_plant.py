@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from tests.bridges import wait_until
 from tests.measured import MachineStalledError
 
 from pneu_hw_bridge.lab.plant import Plant
@@ -38,9 +39,14 @@ def plant(rig_file):
 
 def read(plant, at_s):
     """The reading of a moment, waited for as the device does."""
-    while (values := plant.readings(at_s)) is None:
-        time.sleep(0.001)
-    return values
+    found = []
+
+    def known():
+        found[:] = [plant.readings(at_s)]
+        return found[0] is not None
+
+    wait_until(known, pause_s=0.001, alive=plant._thread.is_alive)
+    return found[0]
 
 
 def test_a_held_up_thread_changes_nothing(plant, rig_file):
