@@ -109,15 +109,43 @@ def test_a_step_takes_microseconds(controller):
 
 
 def test_the_policy_is_its_network_on_the_features_of_its_recipe(rig):
-    recipe = Recipe(tap="end", taps=("end", "middle"), preview_s=(0.0, 0.1), past=2, levels=2)
+    recipe = Recipe(tap="end", taps=("middle", "end"), preview_s=(0.0, 0.1), past=2, levels=2)
     policy = make_policy(rig, recipe)
     controller, observer = PolicyController(policy), Observer(recipe, 1)
     for k in range(20):
         taps, targets = told(controller, k)
-        seen = np.array([[taps["end"], taps["middle"]]])
+        seen = np.array([[taps["middle"], taps["end"]]])
         volts = recipe.volts(policy.act(observer.observe(seen, np.array([targets]))[0]))
         observer.acted(np.array([volts]))
         assert controller.step(taps, targets) == pytest.approx(volts, abs=1e-12)
+
+
+@pytest.mark.parametrize("tap", ["middle", "end", "valve_out"])
+def test_every_feature_of_a_pressure_policy_is_what_its_name_says(tap):
+    """Of the second of two rigs, whichever of the taps is controlled."""
+    taps = ("valve_out", "middle", "end")
+    recipe = Recipe(tap=tap, taps=taps, preview_s=(0.0, 0.125), past=2, levels=2, base=3.0)
+    observer = Observer(recipe, 2)
+    first = dict(zip(taps, (310e3, 340e3, 290e3), strict=True))
+    now = dict(zip(taps, (330e3, 335e3, 260e3), strict=True))
+    targets = np.array([[1e5, 2e5], [365e3, 405e3]])
+    observer.observe(np.array([[9e4] * 3, list(first.values())]), targets)
+    observer.acted(np.array([0.0, 7.5]))
+    observer.acted(np.array([0.0, 4.0]))
+    seen = observer.observe(np.array([[9e4] * 3, list(now.values())]), targets)
+    expected = {}
+    for ahead, target in zip(("0", "0.125"), targets[1], strict=True):
+        error = (target - now[tap]) / 1e5
+        expected[f"error at {ahead} s"] = error
+        for zoom in (1, 3):
+            expected[f"sin({zoom} error at {ahead} s)"] = math.sin(zoom * error)
+            expected[f"cos({zoom} error at {ahead} s)"] = math.cos(zoom * error)
+    for one in taps:
+        expected[f"pressure {one}"] = (now[one] - 350e3) / 200e3
+        expected[f"change {one}"] = (now[one] - first[one]) / 1e5
+    expected |= {"command 1 back": -0.2, "command 2 back": 0.5}
+    found = dict(zip(recipe.names(), seen[1].tolist(), strict=True))
+    assert found == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_policy_that_sees_the_gas_of_lines_wants_it(rig):

@@ -153,17 +153,35 @@ def test_step_has_the_length_that_was_asked_for():
     assert kl == pytest.approx(0.5e-5, rel=0.03)
 
 
-def test_a_step_over_its_limit_is_halved():
-    kl = {}
-    for limit in (0.0, 0.5):
-        policy, seen = small_policy(scale=2000.0), observations(count=2000)
-        rng = np.random.default_rng(6)
-        std = policy.log_std.detach().exp()
-        actions = policy(seen).detach() + std * torch.from_numpy(rng.standard_normal((2000, 2)))
-        settings = NpgSettings(delta=2.0, kl_limit=limit)
-        advantage = -((actions[:, 0] - seen[:, 1]) ** 2)
-        kl[limit], _ = npg.improve_policy(policy, seen, actions, advantage, settings)
-    assert kl[0.0] > 0.5 >= kl[0.5] > 0.05
+def step_with(limit, delta=2.0):
+    """KL divergence and step size of one step, with a limit of the divergence."""
+    policy, seen = small_policy(scale=2000.0), observations(count=2000)
+    rng = np.random.default_rng(6)
+    std = policy.log_std.detach().exp()
+    actions = policy(seen).detach() + std * torch.from_numpy(rng.standard_normal((2000, 2)))
+    settings = NpgSettings(delta=delta, kl_limit=limit)
+    advantage = -((actions[:, 0] - seen[:, 1]) ** 2)
+    return npg.improve_policy(policy, seen, actions, advantage, settings)
+
+
+@pytest.mark.parametrize("delta", [2.0, 0.5])
+def test_a_step_is_halved_until_its_divergence_is_within_the_limit(delta):
+    """The limit is a multiple of delta / 2. It is put just above and just below each divergence."""
+    kl, step = step_with(0.0, delta)
+    for _ in range(3):
+        limit = kl / (0.5 * delta)
+        assert step_with(limit * (1.0 + 1e-9), delta) == (pytest.approx(kl), pytest.approx(step))
+        smaller, half = step_with(limit * (1.0 - 1e-9), delta)
+        assert half == pytest.approx(0.5 * step)
+        assert 0.0 < smaller < kl
+        kl, step = smaller, half
+
+
+def test_a_step_is_halved_a_limited_number_of_times():
+    _, whole = step_with(0.0)
+    kl, step = step_with(1e-30)
+    assert step == pytest.approx(whole * 0.5**npg.MOST_HALVINGS, rel=0.51)
+    assert kl > 0.0
 
 
 def test_log_std_stays_above_its_floor():

@@ -22,7 +22,7 @@ from pneu_sim.simulator import Simulator  # noqa: E402
 
 SHORT = "rigs/rig_a_fitted.yaml"
 PLATE = "rigs/rig_a_thin_plate.yaml"
-RECIPE = Recipe(tap="end", taps=("end", "valve_out"))
+RECIPE = Recipe(tap="end", taps=("valve_out", "end"))
 
 
 @pytest.fixture(scope="module")
@@ -210,7 +210,7 @@ def test_episodes_follow_from_their_seed_alone():
 
 
 def test_the_target_shown_ahead_is_the_one_that_comes():
-    recipe = Recipe(tap="end", taps=("end",), preview_s=(0.0, 0.03), past=0, levels=0)
+    recipe = Recipe(tap="end", taps=("middle", "end"), preview_s=(0.0, 0.03), past=0, levels=0)
     env = make_env(small(recipe=recipe, noise_pa=0.0))
     observation, _ = env.reset(seed=1)
     pressure = env.plant.readings()[:, env.plant.taps.index("end")]
@@ -218,6 +218,11 @@ def test_the_target_shown_ahead_is_the_one_that_comes():
     for _ in range(3):
         *_, info = env.step(np.zeros((5, 1)))
     assert np.allclose(info["target_pa"], ahead, atol=1.0)
+    at_end, elsewhere = (
+        env.plant.readings()[:, env.plant.taps.index(tap)] for tap in ("end", "middle")
+    )
+    assert np.array_equal(info["pressure_pa"], at_end)
+    assert not np.allclose(at_end, elsewhere, atol=100.0)
 
 
 def test_the_reward_is_floored_and_falls_with_the_error():
