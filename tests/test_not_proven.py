@@ -48,6 +48,11 @@ def broken():
     failing(False, TimeoutError("not within 60 s"))
 
 @pytest.fixture
+def computing():  # it holds the lock of the interpreter: no excuse
+    sum(range(20_000_000))
+    failing(False, TimeoutError("not within 60 s"))
+
+@pytest.fixture
 def told():
     failing(False, MachineStalledError("a lab stalled"))
 
@@ -65,6 +70,8 @@ def test_called(): failing(False, MachineStalledError("a lab stalled"))
 def test_wrong(wrong): pass
 @pytest.mark.realtime
 def test_broken(broken): pass
+@pytest.mark.realtime
+def test_computing(computing): pass
 def test_without_clock(late): pass
 def test_dead():
     with pytest.raises(AssertionError, match="has ended"):
@@ -92,6 +99,6 @@ def test_a_fixture_that_fails_as_the_machine_stalls_proves_nothing(tmp_path):
     for text in ("not within 60 s", "0.5 times real time", "does not answer", "a lab stalled"):
         assert text in found, done.stdout
     assert "5 skipped" in lines[-1], done.stdout
-    assert "1 passed" in lines[-1] and "3 errors" in lines[-1], done.stdout
+    assert "1 passed" in lines[-1] and "4 errors" in lines[-1], done.stdout
     failed = sorted(line.split("::")[1].split(" ")[0] for line in lines if line.startswith("ERROR"))
-    assert failed == ["test_broken", "test_without_clock", "test_wrong"]
+    assert failed == ["test_broken", "test_computing", "test_without_clock", "test_wrong"]
