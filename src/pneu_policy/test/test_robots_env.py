@@ -16,7 +16,6 @@ from pneu_common.errors import InputError
 pytest.importorskip("torch")
 
 from pneu_policy.control.robot_policy import RobotPolicy
-from pneu_policy.learn import npg
 from pneu_policy.learn.rollout import roll_out
 from pneu_policy.learn.settings import NpgSettings, TrainSettings
 from pneu_policy.learn.trainer import Trainer
@@ -151,54 +150,6 @@ def test_who_leaves_the_range_is_out_and_earns_no_more() -> None:
         assert not episodes.alive[count:, n].any()
     assert episodes.samples == last.sum()
     assert episodes.successful is not None
-
-
-@pytest.mark.long
-def test_what_comes_after_an_end_changes_no_update() -> None:
-    """Advantages and both networks are the same whatever was seen and done after it."""
-    rng = np.random.default_rng(0)
-    steps, count = 12, 5
-    alive = np.ones((steps, count), bool)
-    alive[7:, 1] = alive[4:, 3] = False
-    ended = ~alive[-1]
-    results = []
-    for noise in (0.0, 5.0):
-        draw = np.random.default_rng(1)
-        seen = draw.normal(size=(steps + 1, count, 4)).astype(np.float32)
-        acts = draw.normal(size=(steps, count, 2)).astype(np.float32)
-        rewards = draw.normal(size=(steps, count)).astype(np.float32) * alive
-        junk = noise * rng.normal(size=seen.shape).astype(np.float32)
-        seen[1:] += junk[1:] * ~alive[..., None]
-        acts += junk[:-1, :, :2] * ~alive[..., None]
-        settings = TrainSettings(env=rail().plain(), npg=NpgSettings(value_steps=20))
-        trainer = Trainer(settings, _Fake(4, 2))
-        batch = npg.Batch(seen, acts, rewards, alive, ended)
-        order = np.random.default_rng(2)
-        done = npg.update(
-            trainer.policy, trainer.values, trainer._optimiser, batch, settings.npg, order
-        )
-        results.append((trainer.policy.flat().numpy(), done.kl, done.explained))
-    np.testing.assert_allclose(results[0][0], results[1][0], atol=1e-6)
-    assert results[0][1:] == pytest.approx(results[1][1:], rel=1e-4)
-
-
-class _Fake(Robots):
-    """Spaces alone."""
-
-    def __init__(self, inputs: int, actions: int) -> None:
-        self.unit, self.mark = ("mm", 1e-3), 1.0
-        self.single_observation_space = gymnasium.spaces.Box(-1.0, 1.0, (inputs,), np.float32)
-        self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (actions,), np.float32)
-
-
-def test_an_end_is_worth_nothing_afterwards() -> None:
-    """The value after an end is none, so that falling is not paid for by what might have come."""
-    values = np.array([[1.0], [2.0], [0.0], [0.0]], np.float32)
-    rewards = np.array([[1.0], [1.0], [0.0]], np.float32)
-    by_hand = npg.advantages(rewards, values, 0.9, 0.8)
-    second = 1.0 - 2.0  # reward and nothing after it, less what was expected
-    first = (1.0 + 0.9 * 2.0 - 1.0) + 0.9 * 0.8 * second
-    np.testing.assert_allclose(by_hand[:, 0], [first, second, 0.0], rtol=1e-6)
 
 
 def test_swinging_up_earns_as_the_thesis_has_it() -> None:

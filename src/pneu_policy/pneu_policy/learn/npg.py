@@ -262,12 +262,13 @@ def improve_policy(
         step = math.sqrt(abs(settings.delta / (length + 1e-20)))
         log_std = policy.log_std.detach().clone()
         start = policy.flat()
-        for _ in range(MOST_HALVINGS + 1):
+        for halvings in range(MOST_HALVINGS + 1):
+            if halvings:
+                step *= 0.5
             policy.set_flat(start + step * natural)
             kl = mean_kl(sweeps.mean, log_std, policy(observations), policy.log_std)
             if settings.kl_limit == 0.0 or kl <= settings.kl_limit * 0.5 * settings.delta:
                 break
-            step *= 0.5
     return kl, step
 
 
