@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.references import iso6358
 
 from pneu_common.errors import InputError
 from pneu_policy.control.controllers import (
@@ -17,7 +18,7 @@ from pneu_policy.control.controllers import (
     load_controller,
     save_pid,
 )
-from pneu_policy.control.feed_forward import FeedForward
+from pneu_policy.control.feed_forward import FeedForward, Way
 from pneu_policy.control.identity import rig_identity
 from pneu_policy.control.observations import Observer, Recipe
 from pneu_policy.control.pid import Gains, Pid
@@ -108,16 +109,48 @@ def test_a_step_takes_microseconds(controller):
     assert np.median(spent) < 200e-6
 
 
-def test_the_policy_is_its_network_on_the_features_of_its_recipe(rig):
-    recipe = Recipe(tap="end", taps=("middle", "end"), preview_s=(0.0, 0.1), past=2, levels=2)
-    policy = make_policy(rig, recipe)
+@pytest.mark.parametrize(("factor", "cut"), [(6.0, 1.5), (-6.0, 7.7)])
+def test_the_policy_is_its_network_on_the_features_of_its_recipe(rig, factor, cut):
+    """The controlled tap is not the first; readings come in another order and with one more."""
+    recipe = Recipe(
+        tap="end", taps=("middle", "end"), preview_s=(0.0, 0.1), past=2, levels=2,
+        null_v=4.6, half_v=3.1,
+    )  # fmt: skip
+    *layers, (weight, bias) = make_policy(rig, recipe).weights
+    # so that some actions are cut off, on either side
+    policy = PolicyFile([*layers, (factor * weight, bias)], recipe, rig_identity(rig), {})
     controller, observer = PolicyController(policy), Observer(recipe, 1)
-    for k in range(20):
+    found = []
+    for k in range(60):
         taps, targets = told(controller, k)
         seen = np.array([[taps["middle"], taps["end"]]])
         volts = recipe.volts(policy.act(observer.observe(seen, np.array([targets]))[0]))
         observer.acted(np.array([volts]))
-        assert controller.step(taps, targets) == pytest.approx(volts, abs=1e-12)
+        given = {"supply": 9e5, "end": taps["end"], "middle": taps["middle"]}
+        found.append(controller.step(given, targets))
+        assert found[-1] == pytest.approx(volts, abs=1e-12)
+    assert 0 < sum(abs(volts - cut) < 1e-9 for volts in found) < 56
+
+
+def test_a_feed_forward_pid_takes_each_target_at_its_own_time(rig):
+    """A ramp that bends, so that the targets ahead all differ."""
+    ahead = FeedForward.of_rig(rig, "end", 0.8, 0.05)
+    for lead_s in (0.0, 0.02, 0.04, 0.11):  # before, at and after those of the slope
+        controller, pid = (
+            FeedForwardPid(GAINS, ahead, lead_s, tap="middle", period_s=0.006),
+            Pid(GAINS),
+        )
+        assert set(controller.preview_s) == {0.0, lead_s, 0.04, 0.06}
+        for k in range(30):
+            at = {
+                t: 250e3 + 40e3 * (k * 0.006 + t) + 9e5 * t * t for t in (0.0, lead_s, 0.04, 0.06)
+            }
+            pressure = 240e3 + 300.0 * k
+            wanted = pid.step(at[lead_s], pressure, 0.006, ahead.volts(at[0.04], at[0.06]))
+            taps = {"end": 5e5, "middle": pressure}
+            found = controller.step(taps, [at[t] for t in controller.preview_s])
+            assert found == pytest.approx(wanted, abs=1e-12)
+        assert 0.0 < wanted < 10.0
 
 
 @pytest.mark.parametrize("tap", ["middle", "end", "valve_out"])
@@ -216,6 +249,23 @@ def test_feed_forward_alone_follows_a_ramp_of_the_simulated_vessel(slope):
         seen = plant.step(np.array([5.0 + ahead.volts(early, early + 0.02 * slope)]))
     # Half a tenth of the way: nearly isothermal, and the losses of the lines are small.
     assert seen[0, 0] - start == pytest.approx(0.4 * slope, rel=0.05)
+
+
+@pytest.mark.parametrize("slope", [3e5, -3e5])
+@pytest.mark.parametrize("pressure", [150e3, 320e3, 560e3])
+def test_feed_forward_is_the_quotient_of_the_flows_that_are_needed_and_there(pressure, slope):
+    """Flows by the reference of ISO 6358; choked and not, filling and draining."""
+    fill = Way(7e5, 2.1e-9, 0.31, (4.7, 5.5, 9.0), (0.0, 0.2, 1.0))
+    drain = Way(1e5, 3.3e-9, 0.22, (4.5, 3.0, 0.5), (0.0, 0.5, 1.0))
+    ahead = FeedForward(0.9, 0.05, 1.7e-5, 281.0, 4.6, fill, drain)
+    way, up, down = (fill, 7e5, pressure) if slope > 0.0 else (drain, pressure, 1e5)
+    flow = iso6358.mass_flow(way.conductance_m3_s_pa, way.critical_ratio, up, 281.0, down)
+    opening = 0.9 * 1.7e-5 * 3e5 / (287.05 * 281.0) / flow
+    assert 0.02 < opening < 0.9
+    rising = np.interp(opening, way.fraction, way.voltage_v)
+    found = ahead.volts(pressure - 0.01 * slope, pressure + 0.01 * slope)
+    assert found == pytest.approx(rising - 4.6, rel=2e-3, abs=1e-4)
+    assert ahead.preview_s == (0.04, 0.06)
 
 
 def test_feed_forward_opens_wide_where_the_reservoir_cannot_drive_the_flow(rig):

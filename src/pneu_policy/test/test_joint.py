@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from pneu_common.errors import InputError
 from pneu_policy.control.joint import JointGains, JointPid
@@ -16,22 +17,74 @@ from pneu_sim.simulator import Simulator
 ROOT = Path(__file__).parents[3]
 
 
-def test_each_term_is_the_sum_it_stands_for():
-    pid = JointPid(JointGains(kp_v=4.0, ki_v_s=2.0, kf_v_n=0.01))
-    volts = [pid.step(0.5, 0.1, 20.0, 0.01) for _ in range(11)]
-    assert volts[0] == pytest.approx(4.0 * 0.4 - 0.01 * 20.0)
-    assert volts[10] == pytest.approx(volts[0] + 10 * 0.01 * 2.0 * 0.4)
-    pid = JointPid(JointGains(kp_v=0.0, kd_v_s=0.2))
-    for k in range(200):
-        damped = pid.step(0.0, 3.0 * 0.004 * k, 0.0, 0.004)
-    assert damped == pytest.approx(-0.2 * 3.0, rel=1e-6)
+def test_the_voltage_is_the_sum_of_its_transfer_functions():
+    """P, I, filtered speed and force as discrete transfer functions, by scipy's filters."""
+    rng = np.random.default_rng(2)
+    target, position, force = rng.normal(size=(3, 50)) * [[0.3], [0.2], [30.0]]
+    dt_s, cut = 0.006, 13.0
+    gains = JointGains(
+        kp_v=4.0,
+        ki_v_s=2.5,
+        kd_v_s=0.2,
+        kf_v_n=0.013,
+        derivative_hz=cut,
+        integral_v=40.0,
+        most_v=90.0,
+    )
+    pid = JointPid(gains)
+    rows = list(zip(target, position, force, strict=True))
+    found = [pid.step(*row, dt_s) for row in rows]
+    share = 1.0 - math.exp(-2.0 * math.pi * cut * dt_s)
+    rising = lfilter([dt_s], [1.0, -1.0], np.where(np.arange(50), target - position, 0.0))
+    filtered = [share / dt_s, -share / dt_s], [1.0, share - 1.0]
+    speed = lfilter(*filtered, position - position[0])
+    wanted = 4.0 * (target - position) + 2.5 * rising - 0.2 * speed - 0.013 * force
+    assert found == pytest.approx(wanted, rel=1e-12)
+    pid.reset()
+    assert [pid.step(*row, dt_s) for row in rows] == found
 
 
-def test_the_integral_does_not_wind_up_while_the_valve_is_at_its_limit():
-    pid = JointPid(JointGains(kp_v=20.0, ki_v_s=10.0))
-    for _ in range(100):
-        assert pid.step(1.0, 0.0, 0.0, 0.01) == 5.0
-    assert pid.integral_v == 0.0
+@pytest.mark.parametrize(
+    ("begun", "error", "force", "integral", "volts"),
+    [
+        # volts are 2 error + integral - 0.1 force, within 3; an error of 0.1 adds 0.2 V
+        (0.5, 0.1, 0.0, 0.7, 0.9),
+        (0.5, -0.1, 0.0, 0.3, 0.1),
+        (0.5, 0.1, -21.0, 0.7, 3.0),  # up to the limit and no farther
+        (0.5, 0.1, -21.001, 0.5, 2.8001),
+        (0.5, 0.1, -90.0, 0.5, 3.0),
+        (-0.5, 0.1, -90.0, -0.3, 3.0),  # towards zero
+        (0.5, -0.1, -90.0, 0.3, 3.0),
+        (-0.5, -0.1, 21.0, -0.7, -3.0),
+        (-0.5, -0.1, 21.001, -0.5, -2.8001),
+        (-0.5, -0.1, 90.0, -0.5, -3.0),
+        (0.5, -0.1, 90.0, 0.3, -3.0),
+        (0.95, 0.1, 0.0, 1.1, 1.3),  # the integral's own limits
+        (-0.95, -0.1, 0.0, -1.1, -1.3),
+    ],
+)
+def test_the_integral_waits_while_it_would_drive_the_valve_beyond_its_limit(
+    begun, error, force, integral, volts
+):
+    pid = JointPid(JointGains(kp_v=2.0, ki_v_s=200.0, kf_v_n=0.1, integral_v=1.1, most_v=3.0))
+    pid.step(0.4, 0.4, 0.0, 0.01)
+    pid.integral_v = begun
+    assert pid.step(0.4 + error, 0.4, force, 0.01) == pytest.approx(volts, abs=1e-9)
+    assert pid.integral_v == pytest.approx(integral, abs=1e-9)
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_numbers_that_are_no_measurement_are_refused(place, wrong):
+    pid = JointPid(JointGains(kp_v=2.0))
+    told = [0.3, 0.2, 10.0]
+    pid.step(*told, 0.01)
+    for dt_s in (0.0, -0.01, math.nan):
+        with pytest.raises(ValueError, match="time must advance"):
+            pid.step(*told, dt_s)
+    told[place] = wrong
+    with pytest.raises(ValueError, match="found target"):
+        pid.step(*told, 0.01)
 
 
 @pytest.mark.parametrize("wrong", [{"kp_v": -1.0}, {"kp_v": 1.0, "most_v": 0.0}])

@@ -13,7 +13,7 @@ from pneu_policy.control.horizon import Aim
 from pneu_policy.control.late import with_delay
 from pneu_policy.control.pid import Gains
 from pneu_policy.control.planning import Beside, Planner, Request
-from pneu_policy.control.predictive import PredictiveController
+from pneu_policy.control.predictive import Course, PredictiveController
 from pneu_policy.control.predictive_file import save_predictive
 from pneu_policy.control.predictive_settings import PredictiveSettings
 from pneu_policy.control.robot_controllers import load_robot_controller
@@ -70,6 +70,78 @@ def test_a_roll_is_what_the_rig_does(lab):
     alone = [float(one.step(v)[0, at]) for v in volts]
     # grids differ by the cells of the short exhaust line
     assert seen[s.samples - 1 :: s.samples, 0] == pytest.approx(alone, rel=0.02)
+
+
+def test_commands_that_are_late_act_as_those_told_later(lab):
+    """A period late: what is in force, then what was decided, then the plan but for its end."""
+    s = PredictiveSettings(holds=(1,) * 5)
+    planner, asked = request_of(lab, s, 2e5)
+    horizon = planner.horizon
+    horizon.begin(asked.state, asked.drifted)
+    plan = np.array([6.1, 6.6, 5.4, 4.2, 5.9])
+
+    def roll(late_s, before_v, decided, plan):
+        horizon.late(late_s, before_v)
+        return horizon.roll(np.array([decided]), np.tile(plan, (horizon.lanes, 1)))[:, 0]
+
+    late = roll(0.0104, 5.7, 6.9, plan)  # to the nearest sample
+    assert late == pytest.approx(roll(0.0, 9.0, 5.7, [6.9, *plan[:-1]]), rel=1e-12)
+    assert np.abs(late - roll(0.0, 5.7, 6.9, plan)).max() > 1e3
+    for late_s, like_s in ((0.0029, 0.002), (0.0031, 0.004), (-0.01, 0.0)):
+        assert np.array_equal(roll(late_s, 5.7, 6.9, plan), roll(like_s, 5.7, 6.9, plan))
+
+
+class Asked:
+    """Plans that are asked for and do not come."""
+
+    def __init__(self):
+        self.requests = []
+
+    def ask(self, request):
+        self.requests.append(request)
+        return True
+
+    def take(self):
+        return None
+
+    def forget(self):
+        pass
+
+    def end(self):
+        pass
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_a_plan_is_asked_for_with_targets_and_commands_at_their_times(lab, every):
+    """Targets that bend, so that each time has its own; a running plan goes on meanwhile."""
+    s = PredictiveSettings(holds=SHORT, every=every, sample_s=0.005, delay_s=0.0)
+    controller = PredictiveController(lab, settings=s)
+    controller.planning = Asked()
+    readings = dict.fromkeys(lab.taps, 101325.0)
+
+    def target(ahead_s):
+        return 1.5e5 + 4e5 * ahead_s + 3e6 * ahead_s**2
+
+    controller.step(readings, [target(t) for t in controller.preview_s], late_s=0.003)
+    volts = [6.1, 6.2, 6.3, 6.4, 6.4, 6.5, 6.5, 6.5]
+    controller._course = Course(0.01, np.array([6.1, 6.2, 6.3, 6.4, 6.5]))
+    for step in range(1, 2 * every + 1):
+        last = controller.step(readings, [target(t) for t in controller.preview_s], late_s=0.003)
+        assert last == volts[step - 1]
+    first, *_, request = controller.planning.requests
+    assert (len(controller.planning.requests), controller.asked) == (3, 3)
+    assert controller.missed == 0 and first.begin_s == pytest.approx(0.01 * every)
+    now_s = 0.01 * 2 * every
+    assert request.begin_s == pytest.approx(now_s + 0.01 * every)
+    ahead = 0.005 * np.arange(1, 2 * (every + 8) + 1)
+    chords = np.interp(ahead, np.arange(0.0, 0.2, 0.01), target(np.arange(0.0, 0.2, 0.01)))
+    assert request.target == pytest.approx(chords)
+    held = [*volts, *[6.5] * 20]
+    assert request.decided == pytest.approx(held[2 * every - 1 : 3 * every - 1])
+    middles = [3 * every - 1 + n for n in (0, 1, 2, 4, 6)]  # of one, one, one, two, three periods
+    assert request.plan == pytest.approx([held[n] for n in middles])
+    assert request.late_s == 0.003
+    assert request.before_v == held[2 * every - 2]  # what was told now acts 3 ms later
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -157,21 +229,6 @@ def test_a_plan_goes_by_time_and_a_late_one_is_not_waited_for(lab):
     s = PredictiveSettings(holds=SHORT)
     controller = PredictiveController(lab, settings=s)
 
-    class Never:
-        """Plans that do not come."""
-
-        def ask(self, request):
-            return request.begin_s < 0.0
-
-        def take(self):
-            return None
-
-        def forget(self):
-            pass
-
-        def end(self):
-            pass
-
     readings = dict.fromkeys(lab.taps, 101325.0)
     ahead = [1.5e5] * len(controller.preview_s)
     for _ in range(3):
@@ -180,11 +237,14 @@ def test_a_plan_goes_by_time_and_a_late_one_is_not_waited_for(lab):
     assert plan is not None
     volts = [plan.volts[0], plan.volts[1], plan.volts[2], *np.repeat(plan.volts[3:], SHORT[3:])]
 
-    class Once(Never):
-        """One plan, then none."""
+    class Once(Asked):
+        """One plan, then none; whoever makes it is busy."""
 
         def __init__(self):
             self.plan = plan
+
+        def ask(self, request):
+            return False
 
         def take(self):
             out, self.plan = self.plan, None

@@ -65,6 +65,114 @@ def test_every_feature_is_what_its_name_says() -> None:
     assert seen[1, recipe.names().index("valve 1 back")] == 1.0  # cut off as the voltage is
 
 
+def test_all_features_of_robots_side_by_side() -> None:
+    """What turns and what is hidden come first, the tracked ones in another order than encoders."""
+    recipe = RobotRecipe(
+        encoders={
+            "pole": {"turns": True, "speed": 7.0, "span": 0.4},
+            "foot": {"hidden": True, "speed": 1.5, "centre": 9.0},
+            "elbow": {"centre": 0.2, "range": 0.9, "speed": 3.0, "span": 0.3},
+            "wheel": {"turns": True, "speed": 11.0},
+            "cart": {"centre": 0.15, "range": 0.12, "speed": 0.5, "span": 0.05},
+        },
+        tracked=["cart", "pole"],
+        taps=["room", "head", "rod"],
+        commands=["left", "right"],
+        preview_s=[0.0, 0.05, 0.2],
+        forces={
+            "single": {
+                "head_tap": None, "rod_tap": "rod", "head_m2": 1e-4, "rod_m2": 3e-4,
+                "room_pa": 99e3, "span_n": 40.0,
+            },
+            "double": {
+                "head_tap": "head", "rod_tap": "rod", "head_m2": 5e-4, "rod_m2": 4e-4,
+                "room_pa": 101e3, "span_n": 70.0,
+            },
+        },
+        ways=True,
+        past=2, spools=True, line=[["tube", 2]], base=3.0, levels=2, period_s=0.02,
+        centre_pa=310e3, range_pa=170e3, null_v=4.4, half_v=2.5,
+    )  # fmt: skip
+    names, spans = list(recipe.encoders), {"cart": 0.05, "pole": 0.4}
+    speeds = {"pole": 7.0, "foot": 1.5, "elbow": 3.0, "wheel": 11.0, "cart": 0.5}
+    rng, observer = np.random.default_rng(6), RobotObserver(recipe, 2)
+    for _ in range(2):
+        before, acted = None, [np.zeros((2, 2))] * 2
+        for _ in range(4):
+            now = Moment(
+                rng.uniform(-3.0, 3.0, (2, 5)), rng.uniform(1e5, 6e5, (2, 3)),
+                rng.uniform(-3.0, 3.0, (2, 2, 3)), rng.normal(0.0, 80.0, (2, 2, 3)),
+                rng.uniform(0.0, 1.0, (2, 2, 3)), rng.uniform(0.0, 10.0, (2, 4)),
+                rng.uniform(1.0, 9.0, (2, 6)),
+            )  # fmt: skip
+            assert now.targets is not None and now.forces_n is not None and now.ways is not None
+            assert now.spools_v is not None and now.line is not None
+            seen = observer.observe(now)
+            for n in range(2):
+                place = dict(zip(names, now.positions[n], strict=True))
+                _, head, rod = now.taps_pa[n]
+                push = [
+                    -3e-4 * (rod - 99e3),
+                    5e-4 * (head - 101e3) - 4e-4 * (rod - 101e3),
+                ]
+                wanted = {}
+                for k, ahead in enumerate(("0", "0.05", "0.2")):
+                    off = {
+                        f"{name} off its target at {ahead} s": (now.targets[n, t, k] - place[name])
+                        / spans[name]
+                        for t, name in enumerate(recipe.tracked)
+                    }
+                    for c, (name, span) in enumerate({"single": 40.0, "double": 70.0}.items()):
+                        of = f"force {name} off its target at {ahead} s"
+                        off[of] = (now.forces_n[n, c, k] - push[c]) / span
+                        wanted[f"force {name}"] = push[c] / span
+                        wanted[f"way {name} at {ahead} s"] = 2.0 * now.ways[n, c, k] - 1.0
+                    for what, error in off.items():
+                        wanted[what] = error
+                        for level in (0, 1):
+                            wanted[f"sin {level} of {what}"] = math.sin(3.0**level * error)
+                            wanted[f"cos {level} of {what}"] = math.cos(3.0**level * error)
+                wanted["position elbow"] = (place["elbow"] - 0.2) / 0.9
+                wanted["position cart"] = (place["cart"] - 0.15) / 0.12
+                for name in ("pole", "wheel"):
+                    wanted[f"sin {name}"] = math.sin(place[name])
+                    wanted[f"cos {name}"] = math.cos(place[name])
+                for e, name in enumerate(names):
+                    moved = 0.0 if before is None else now.positions[n, e] - before[n, e]
+                    if name in ("pole", "wheel"):  # the shorter way round
+                        moved = math.remainder(moved, 2.0 * math.pi)
+                    wanted[f"speed {name}"] = moved / 0.02 / speeds[name]
+                for t, tap in enumerate(recipe.taps):
+                    wanted[f"pressure {tap}"] = (now.taps_pa[n, t] - 310e3) / 170e3
+                for c, name in enumerate(recipe.commands):
+                    wanted[f"{name} 1 back"] = acted[-1][n, c]
+                    wanted[f"{name} 2 back"] = acted[-2][n, c]
+                    wanted[f"spool {name}"] = (now.spools_v[n, c] - 4.4) / 2.5
+                    wanted[f"its speed {name}"] = now.spools_v[n, 2 + c] / 500.0
+                for k, (what, less, unit) in enumerate(
+                    (("density", 0.0, 1.2), ("velocity", 0.0, 100.0), ("pressure", 310e3, 170e3))
+                ):
+                    for p in (0, 1):
+                        wanted[f"{what} tube {p}"] = (now.line[n, 2 * k + p] - less) / unit
+                told = dict(zip(recipe.names(), seen[n].tolist(), strict=True))
+                assert told == pytest.approx(wanted)
+            actions = rng.uniform(-1.5, 1.5, (2, 2))
+            observer.acted(actions)
+            acted.append(np.clip(actions, -1.0, 1.0))
+            before = now.positions
+        observer.reset()
+
+
+def test_actions_become_voltages_in_pairs_or_one_by_one() -> None:
+    plain = {**PLAIN, "null_v": 4.4, "half_v": 2.5, "commands": ["a", "b", "c", "d"]}
+    alone, opposed = RobotRecipe(**plain), RobotRecipe(**plain, opposed=True)
+    actions = np.array([[0.2, -0.4, 3.0, 0.0], [-1.0, -2.0, 0.6, 1.0]])
+    wanted = [[4.9, 3.4, 6.9, 4.4], [1.9, 1.9, 5.9, 6.9]]
+    np.testing.assert_allclose(alone.volts(actions), wanted)
+    wanted = [[4.9, 3.9, 3.4, 5.4], [1.9, 6.9, 1.9, 6.9]]
+    np.testing.assert_allclose(opposed.volts(actions[:, :2]), wanted)
+
+
 def test_a_hand_is_told_like_an_encoder() -> None:
     recipe = RobotRecipe(
         encoders={name: {} for name in ("a", "b", "hand_x", "hand_y")},

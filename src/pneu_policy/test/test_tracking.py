@@ -136,28 +136,63 @@ def test_lines_of_a_plant_are_told_and_a_lumped_one_has_none():
         ControlPlant([load_rig(PLATE)], 0.01).line((("tube", 4),))
 
 
-def test_features_are_what_their_names_say():
-    recipe = Recipe(tap="b", taps=("a", "b"), preview_s=(0.0, 0.1), past=2, base=3.0, levels=2)
-    observer = Observer(recipe, 1)
-    targets = np.array([[240e3, 260e3]])
-    observer.observe(np.array([[390e3, 190e3]]), targets)
-    observer.acted(np.array([7.5]))
-    observer.acted(np.array([2.5]))
-    seen = dict(
-        zip(recipe.names(), observer.observe(np.array([[400e3, 200e3]]), targets)[0], strict=True)
-    )
-    assert len(seen) == recipe.size
-    assert seen["error at 0 s"] == pytest.approx(0.4)
-    assert seen["error at 0.1 s"] == pytest.approx(0.6)
-    assert seen["sin(3 error at 0.1 s)"] == pytest.approx(np.sin(1.8))
-    assert seen["cos(1 error at 0 s)"] == pytest.approx(np.cos(0.4))
-    assert seen["pressure a"] == pytest.approx(0.25)
-    assert seen["change b"] == pytest.approx(0.1)
-    assert seen["command 1 back"] == pytest.approx(-0.5)
-    assert seen["command 2 back"] == pytest.approx(0.5)
-    assert Recipe(**recipe.plain()) == recipe
+RECIPE_ALL = Recipe(
+    tap="b", taps=("a", "b", "c"), preview_s=(0.0, 0.03, 0.1), past=3, base=3.0, levels=2,
+    line=(("hose", 2), ("tube", 1)), period_s=0.02, span_pa=80e3, centre_pa=310e3, range_pa=170e3,
+    null_v=4.4, half_v=2.5,
+)  # fmt: skip
+
+
+def test_every_feature_is_what_its_name_says():
+    """Each by itself, for two rigs side by side; scales and centres all differ."""
+    r, rng = RECIPE_ALL, np.random.default_rng(5)
+    observer = Observer(r, 2)
+    for _ in range(2):
+        before, acted = None, [[0.0, 0.0]] * 3
+        for _ in range(6):
+            taps, targets = rng.uniform(1e5, 6e5, (2, 3)), rng.uniform(1e5, 6e5, (2, 3))
+            density, velocity = rng.uniform(0.5, 8.0, (2, 3)), rng.normal(0.0, 60.0, (2, 3))
+            pressure = rng.uniform(1e5, 6e5, (2, 3))
+            gas = {"density": density / 1.2, "velocity": velocity / 100.0}
+            gas["pressure"] = (pressure - 310e3) / 170e3
+            # a pipe after the other, and of each pipe density, velocity, pressure at its points
+            line = np.hstack(
+                [a[:, p] for p in ([0, 1], [2]) for a in (density, velocity, pressure)]
+            )
+            seen = observer.observe(taps, targets, line)
+            assert seen.shape == (2, r.size) and len(set(r.names())) == r.size
+            for rig in range(2):
+                wanted = {}
+                for k, ahead in enumerate(("0", "0.03", "0.1")):
+                    error = (targets[rig, k] - taps[rig, 1]) / 80e3
+                    wanted[f"error at {ahead} s"] = error
+                    for zoom in (1, 3):
+                        wanted[f"sin({zoom} error at {ahead} s)"] = np.sin(zoom * error)
+                        wanted[f"cos({zoom} error at {ahead} s)"] = np.cos(zoom * error)
+                for k, tap in enumerate("abc"):
+                    wanted[f"pressure {tap}"] = (taps[rig, k] - 310e3) / 170e3
+                    changed = 0.0 if before is None else taps[rig, k] - before[rig, k]
+                    wanted[f"change {tap}"] = changed / 80e3
+                for k in range(3):
+                    wanted[f"command {k + 1} back"] = acted[-1 - k][rig]
+                for what, told in gas.items():
+                    for k, place in enumerate(("hose 0", "hose 1", "tube 0")):
+                        wanted[f"{what} {place}"] = told[rig, k]
+                assert dict(zip(r.names(), seen[rig], strict=True)) == pytest.approx(wanted)
+            actions = rng.uniform(-1.0, 1.0, 2)
+            observer.acted(4.4 + 2.5 * actions)
+            before = taps
+            acted = [*acted, actions.tolist()]
+        observer.reset()
+    assert Recipe(**r.plain()) == r
+    taps[1, 2] = np.nan
     with pytest.raises(ValueError, match="nan"):
-        observer.observe(np.array([[np.nan, 200e3]]), targets)
+        observer.observe(taps, targets, line)
+
+
+def test_actions_are_cut_off_at_one_on_either_side():
+    actions = np.array([-3.0, -1.0, -0.4, 0.0, 0.2, 1.0, 1.5])
+    assert RECIPE_ALL.volts(actions) == pytest.approx([1.9, 1.9, 3.4, 4.4, 4.9, 6.9, 6.9])
 
 
 @pytest.mark.parametrize(
