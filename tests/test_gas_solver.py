@@ -636,6 +636,27 @@ def test_discharge_time(adiabatic: bool) -> None:
         assert reached == pytest.approx(tau * time_of(end / 701325.0), rel=5e-3)
 
 
+@pytest.mark.parametrize("start", [100.0, P0, 400e3])
+def test_an_adiabatic_fill_ends_as_hot_as_the_mixture_of_enthalpies(start: float) -> None:
+    """From next to nothing: at gamma times the temperature of the supply."""
+    supply = 701325.0
+    record = bottle(supply, start, 0.3, 0.0, 0.4)
+    wanted = iso6358.adiabatic_fill_temperature(start, supply, 293.15, 293.15)
+    assert record.chambers["bottle"][-1] == pytest.approx(supply, rel=1e-4)
+    assert record.temperatures["bottle"][-1] == pytest.approx(wanted, rel=1e-3)
+    if start == 100.0:
+        assert wanted == pytest.approx(1.4 * 293.15, rel=1e-4)
+
+
+def test_an_adiabatic_discharge_cools_along_the_isentrope() -> None:
+    record = bottle(P0, 701325.0, 0.3, 0.0, 0.13)
+    pressure, temperature = record.chambers["bottle"], record.temperatures["bottle"]
+    for end in (500e3, 350e3, 250e3):
+        at = int(np.argmin(np.abs(pressure - end)))
+        wanted = iso6358.adiabatic_discharge_temperature(pressure[at] / 701325.0, 293.15, 1.4)
+        assert temperature[at] == pytest.approx(wanted, rel=1e-3)
+
+
 # -- lines with losses ------------------------------------------------------------------------
 
 FREQUENCY = np.arange(2.0, 201.0, 2.0)

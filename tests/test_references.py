@@ -3,6 +3,11 @@
 
 from __future__ import annotations
 
+import ast
+import re
+from fnmatch import fnmatchcase
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -423,3 +428,74 @@ def test_gas_spring_table(
     for n, expected in ((1.4, adiabatic), (1.0, isothermal)):
         found = piston.gas_spring_frequency(area, *chamber, *chamber, mass, n)
         assert found == pytest.approx(expected, abs=6e-4)
+
+
+# -- Which module is compared with what -----------------------------------------------------------
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("pneu_sim", "pneu_sysid", "pneu_policy", "pneu_hw_bridge")
+LISTS = ("Compared", "None yet", "Neither physics nor estimates")
+
+
+def listed() -> dict[str, list[tuple[list[str], str]]]:
+    """By list its rows: patterns of modules, and the rest of the row."""
+    text = (ROOT / "tests/references/README.md").read_text(encoding="utf-8")
+    found: dict[str, list[tuple[list[str], str]]] = {}
+    for part in text.split("\n## ")[1:]:
+        title, _, body = part.partition("\n")
+        rows = found.setdefault(title, [])
+        for line in body.splitlines():
+            first, _, rest = line.strip("|- ").partition(" | ")
+            patterns = re.findall(r"`(pneu_[^`]+)`", first)
+            if patterns:
+                rows.append((patterns, rest))
+    return found
+
+
+def modules() -> list[str]:
+    """All modules of the packages that compute, such as ``pneu_sim/kernel/bodies``."""
+    return [
+        str(path.relative_to(ROOT / "src" / package).with_suffix(""))
+        for package in PACKAGES
+        for path in sorted((ROOT / "src" / package / package).rglob("*.py"))
+        if path.stem not in ("__init__", "__main__")
+    ]
+
+
+def matching(module: str, rows: list[tuple[list[str], str]]) -> list[str]:
+    """Patterns that match a module; an exact name is preferred to one with an asterisk."""
+    patterns = [p for row, _ in rows for p in row if fnmatchcase(module, p)]
+    return [p for p in patterns if p == module] or patterns
+
+
+def test_every_module_is_listed_once_as_compared_or_not() -> None:
+    """Lists contradict each other unless one names a module and the other has it by a pattern."""
+    lists, everything = listed(), modules()
+    assert tuple(lists) == LISTS and len(everything) > 400
+    wrong = []
+    for module in everything:
+        of = {title: matching(module, rows) for title, rows in lists.items()}
+        named = [title for title, patterns in of.items() if module in patterns]
+        places = named or [title for title, patterns in of.items() if patterns]
+        if len(named) > 1 or not places:
+            wrong.append((module, places))
+        elif not named and len(places) > 1:
+            # the effects that are compared are also among all effects
+            assert places == ["Compared", "None yet"], module
+    assert not wrong
+    for rows in lists.values():
+        for patterns, _ in rows:
+            for pattern in patterns:
+                assert any(fnmatchcase(module, pattern) for module in everything), pattern
+
+
+def test_every_reference_has_its_test() -> None:
+    known: dict[str, set[str]] = {}
+    for _, rest in listed()["Compared"]:
+        reference, _, test = rest.partition(" | ")
+        path, _, name = test.strip(" `|").partition("::")
+        if path not in known:
+            tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
+            known[path] = {one.name for one in tree.body if isinstance(one, ast.FunctionDef)}
+        assert name in known[path], test
+        assert reference.strip(), test

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Readings, Simulator
@@ -69,6 +70,80 @@ def test_a_soft_seal_gives_way_before_it_slides(share: float) -> None:
     expected = -most * soft * math.log1p(-share)
     assert way[-1] == pytest.approx(expected, rel=0.01)
     assert abs(out.speeds["b_slide"][-1]) < 1e-3 * expected
+
+
+def lugre(
+    friction: dict[str, float], mass_kg: float, rate: float, rest: float, speed: float, at: Any
+) -> Any:
+    """Position and speed of a mass on a spring by Canudas de Wit and others (1995), eq. 1 to 3.
+
+    dz/dt = v - sigma0 |v| z / g(v) and F = sigma0 z + sigma1 dz/dt + sigma2 v, with
+    g(v) = Fc + (Fs - Fc) exp(-(v / vs)^2). Integrated by scipy.
+    """
+    stiffness = 1.0 / friction["presliding_m_n"]
+
+    def slopes(_: float, y: Any) -> list[float]:
+        x, v, z = y
+        g = friction["coulomb_n"]
+        g += friction["breakaway_n"] * math.exp(-((v / friction["stribeck_m_s"]) ** 2))
+        bending = v - stiffness * abs(v) * z / g
+        force = stiffness * z + friction["presliding_n_s_m"] * bending
+        force += friction["viscous_n_s_m"] * v
+        return [v, (-rate * (x - rest) - force) / mass_kg, bending]
+
+    start = [0.5, speed, 0.0]
+    return solve_ivp(slopes, (0.0, at[-1]), start, "Radau", at, rtol=1e-8, atol=1e-12).y
+
+
+LUGRE = {
+    "coulomb_n": 7.0, "breakaway_n": 4.0, "stribeck_m_s": 0.02, "viscous_n_s_m": 12.0,
+    "presliding_m_n": 2e-5, "presliding_n_s_m": 60.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("rate", "rest", "speed"),
+    [
+        (1500.0, 0.4997, 0.0),  # within the seal: less than half of what it can hold
+        (1500.0, 0.4938, 0.0),  # breaks away at 11 N and sticks again
+        (800.0, 0.52, 0.9),  # slides to and fro
+        (800.0, 0.50, -0.9),
+    ],
+)
+def test_a_soft_seal_is_that_of_lugre(rate: float, rest: float, speed: float) -> None:
+    slide = {"spring": rate, "spring_at": rest}
+    out = run(rail(slide, LUGRE, mass_kg=1.4, dt_s=5e-6), 0.25, speed_m_s=speed)
+    x, v, _ = lugre(LUGRE, 1.4, rate, rest, speed, out.time_s)
+    assert np.abs(out.joints["b_slide"] - x).max() < 0.01 * np.ptp(x)
+    assert np.abs(out.speeds["b_slide"] - v).max() < 0.02 * np.abs(v).max()
+    if speed:
+        assert (v > 0.05).any() and (v < -0.05).any()
+
+
+@pytest.mark.parametrize("speed", [0.4, -0.4])
+def test_a_rigid_seal_slows_a_mass_as_its_stribeck_curve_says(speed: float) -> None:
+    """m dv/dt = -(Fc + Fb exp(-(v/vs)^2) + kv v) until it rests, by scipy."""
+    friction = {
+        "coulomb_n": 5.0, "breakaway_n": 9.0, "stribeck_m_s": 0.15, "viscous_n_s_m": 14.0,
+    }  # fmt: skip
+    out = run(rail({}, friction, mass_kg=2.0), 0.15, speed_m_s=speed)
+
+    def slopes(_: float, y: Any) -> list[float]:
+        more = 9.0 * math.exp(-((y[1] / 0.15) ** 2))
+        return [y[1], -(5.0 + more + 14.0 * y[1]) / 2.0]
+
+    def rests(_: float, y: Any) -> float:
+        return float(y[1])
+
+    rests.terminal = True  # type: ignore[attr-defined]
+    true = solve_ivp(slopes, (0.0, 0.15), [0.0, 0.4], events=rests, rtol=1e-9, dense_output=True)
+    stop = float(true.t_events[0][0])
+    assert 0.05 < stop < 0.12
+    x, v = true.sol(np.minimum(out.time_s, stop))
+    sign = math.copysign(1.0, speed)
+    assert np.abs(sign * (out.joints["b_slide"] - 0.5) - x).max() < 2e-3 * x.max()
+    assert np.abs(sign * out.speeds["b_slide"] - v).max() < 2e-3
+    assert np.all(out.speeds["b_slide"][out.time_s > stop + 1e-3] == 0.0)
 
 
 def test_a_rigid_seal_holds_and_a_weak_one_slides() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_discrete_are
 
 from pneu_common.errors import InputError
 from pneu_sim import sensors
@@ -79,6 +80,27 @@ def test_the_analysis_is_the_kalman_filter_s():
     gain = covariance @ h / (h @ covariance @ h + variance)
     assert members.mean(axis=1) == pytest.approx(mean + gain * (reading - h @ mean))
     assert np.cov(members) == pytest.approx(covariance - np.outer(gain, h @ covariance))
+
+
+def test_analyses_in_turn_settle_at_the_riccati_equation_s():
+    """An unstable linear plant without noise of its own: the filter's covariance has a limit."""
+    step = np.array([[1.12, 0.3, 0.0], [-0.2, 1.05, 0.1], [0.0, 0.1, 1.2]])
+    h, variance = np.array([[1.0, 0.4, 0.0], [0.0, -0.3, 0.8]]), np.array([0.8, 0.15])
+    forecast = solve_discrete_are(step.T, h.T, np.zeros((3, 3)), np.diag(variance))
+    rng = np.random.default_rng(4)
+    members, truth = rng.standard_normal((3, 40)) + 2.0, np.array([0.5, -1.0, 0.3])
+    gain = forecast @ h.T @ np.linalg.inv(h @ forecast @ h.T + np.diag(variance))
+    for n in range(120):
+        members, truth = step @ members, step @ truth
+        reading = h @ truth + np.sqrt(variance) * rng.standard_normal(2)
+        before = members.mean(axis=1)
+        if n == 119:
+            assert np.cov(members) == pytest.approx(forecast, rel=1e-6)
+        for row in (0, 1):  # one sensor after the other, as the observer does
+            move(members, h[row] @ members, reading[row], variance[row], np.ones(3), slice(0, 0))
+    wanted = before + gain @ (reading - h @ before)
+    assert members.mean(axis=1) == pytest.approx(wanted, rel=1e-6)
+    assert np.cov(members) == pytest.approx((np.eye(3) - gain @ h) @ forecast, rel=1e-6)
 
 
 def test_what_is_far_away_or_related_by_chance_alone_is_left():
