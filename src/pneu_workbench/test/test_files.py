@@ -35,11 +35,54 @@ def test_recordings_and_rigs_are_found(root: Path) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["../secret.mcap", "/etc/passwd", "link.mcap", "out/secret.mcap", "bags/../../secret.mcap"],
+    [
+        "../secret.mcap",
+        "..",
+        "out",
+        "{base}/secret.mcap",
+        "{base}/root2/run.mcap",
+        "{base}/root.mcap",
+        "../root2/run.mcap",  # neighbours whose names begin alike
+        "../root2",
+        "../root.mcap",
+        "../roo/run.mcap",
+        "bags/../../root2/run.mcap",
+        "link.mcap",
+        "out/secret.mcap",
+        "out/root2/run.mcap",
+        "neighbour/run.mcap",
+        "bags/../../secret.mcap",
+        "/etc/passwd",
+    ],
 )
 def test_no_path_leads_out(root: Path, name: str) -> None:
+    """Nor to a folder whose name merely begins with that of the chosen one."""
+    for other in ("root2", "roo"):
+        (root.parent / other).mkdir()
+        (root.parent / other / "run.mcap").write_text("secret")
+    (root.parent / "root.mcap").write_text("secret")
+    (root / "neighbour").symlink_to(root.parent / "root2")
+    folder = Folder(root)
     with pytest.raises(InputError, match="leads out of"):
-        Folder(root).path(name)
+        folder.path(name.format(base=root.parent))
+    assert folder.recordings() == ["bags/one", "lone.mcap", "table.CSV"]
+
+
+def test_paths_within_may_go_round_about(root: Path) -> None:
+    (root / "same.mcap").symlink_to(root / "lone.mcap")
+    (root / "down").symlink_to(root / "bags")
+    folder = Folder(root)
+    for name, wanted in (
+        ("bags/../lone.mcap", "lone.mcap"),
+        ("../root/lone.mcap", "lone.mcap"),
+        (f"{root}/table.CSV", "table.CSV"),
+        ("same.mcap", "lone.mcap"),
+        ("down/one", "bags/one"),
+        (".", "."),
+    ):
+        assert folder.path(name) == root / wanted
+    (root.parent / "alias").symlink_to(root)
+    assert Folder(root.parent / "alias").path("lone.mcap") == root / "lone.mcap"
 
 
 def test_what_is_not_there_is_said(root: Path) -> None:

@@ -75,29 +75,92 @@ def test_the_welcome_leads_nowhere_else() -> None:
     )
 
 
-@pytest.mark.parametrize("host", ["localhost:9", "127.0.0.1", "[::1]:80"])
-def test_through_a_forward_the_page_has_another_port(host: str) -> None:
-    assert ask(host=host, cookie=COOKIE)[0] == 200
+LISTENING = ("http", "websocket")
+IN = {"http": 200, "websocket": "accepted"}
+OUT = {"http": 403, "websocket": CLOSED}
 
 
+@pytest.mark.parametrize("kind", LISTENING)
+@pytest.mark.parametrize("origin", ["none", "own"])
 @pytest.mark.parametrize(
-    "host", ["evil.example", "evil.example:8123", "127.0.0.1.evil.example", ""]
+    "host",
+    [
+        "evil.example",
+        "evil.example:8123",
+        "127.0.0.1.evil.example",
+        "localhost.evil.example:8123",
+        "evil-localhost",
+        "127.0.0.11:8123",
+        "evil.example@evil.example",
+        "[::2]:8123",
+        "",
+    ],
 )
-def test_no_name_of_another_leads_here(host: str) -> None:
-    assert ask(host=host, cookie=COOKIE)[0] == 403
-    assert ask(query=f"token={TOKEN}", host=host)[0] == 403
+def test_no_name_of_another_leads_here(host: str, origin: str, kind: str) -> None:
+    """With the right cookie, and with the origin that a page at such a name would have."""
+    own = {"origin": f"http://{host}"} if origin == "own" else {}
+    assert ask(host=host, cookie=COOKIE, kind=kind, **own)[0] == OUT[kind]
+    assert ask(query=f"token={TOKEN}", host=host, kind=kind, **own)[0] == OUT[kind]
+    assert ask(host=HOST, cookie=COOKIE, kind=kind)[0] == IN[kind]
 
 
-def test_no_page_of_another_site_asks() -> None:
-    assert ask(host=HOST, cookie=COOKIE, origin="http://evil.example")[0] == 403
-    assert ask(host=HOST, cookie=COOKIE, origin="null")[0] == 403
-    assert ask(host=HOST, cookie=COOKIE, origin=f"http://{HOST}")[0] == 200
+@pytest.mark.parametrize("kind", LISTENING)
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "http://evil.example",
+        "http://localhost:8123",  # a page at another name of this machine
+        "http://127.0.0.1:8124",  # another server of this machine
+        "http://127.0.0.1",
+        "https://127.0.0.1:8123",
+        "http://127.0.0.1:81230",
+        "http://127.0.0.1:8123.evil.example",
+        "http://evil.example/http://127.0.0.1:8123",
+        "127.0.0.1:8123",
+        "null",
+        "",
+    ],
+)
+def test_no_page_of_another_site_asks(origin: str, kind: str) -> None:
+    """With the right name and the right cookie: nothing but the origin tells."""
+    assert ask(host=HOST, cookie=COOKIE, origin=origin, kind=kind)[0] == OUT[kind]
+    assert ask(host=HOST, query=f"token={TOKEN}", origin=origin, kind=kind)[0] == OUT[kind]
 
 
-def test_sockets_are_kept_by_the_same_rules() -> None:
-    path = "/_nicegui_ws/socket.io/"
-    assert ask(path=path, kind="websocket", host=HOST)[0] == CLOSED
-    assert ask(path=path, kind="websocket", host=HOST, query=f"token={TOKEN}")[0] == CLOSED
-    other = {"host": HOST, "cookie": COOKIE, "origin": "http://evil.example"}
-    assert ask(path=path, kind="websocket", **other)[0] == CLOSED
-    assert ask(path=path, kind="websocket", host=HOST, cookie=COOKIE)[0] == "accepted"
+@pytest.mark.parametrize("kind", LISTENING)
+@pytest.mark.parametrize("host", [HOST, "localhost:9", "127.0.0.1", "[::1]:80"])
+def test_its_own_pages_come_in_and_nobody_without_the_token(host: str, kind: str) -> None:
+    own = {"host": host, "origin": f"http://{host}", "kind": kind}
+    assert ask(cookie=COOKIE, **own)[0] == IN[kind]
+    for cookie in (
+        f"pneu_{PORT}=wrong",
+        f"pneu_{PORT}={TOKEN}x",
+        f"pneu_{PORT}={TOKEN[:-1]}",
+        f"pneu_{PORT}=",
+        f"pneu_{PORT + 1}={TOKEN}",
+        f"xpneu_{PORT}={TOKEN}",
+        f"token={TOKEN}",
+    ):
+        assert ask(cookie=cookie, **own)[0] == OUT[kind]
+    assert ask(**own)[0] == OUT[kind]
+    if kind == "websocket":  # a token in an address is for the first page alone
+        assert ask(query=f"token={TOKEN}", **own)[0] == CLOSED
+
+
+@pytest.mark.parametrize("answer", [200, 303, 403])
+def test_every_answer_forbids_other_sites_to_use_it(answer: int) -> None:
+    query = f"token={TOKEN}" if answer == 303 else ""
+    cookie = {"cookie": COOKIE} if answer == 200 else {}
+    status, headers = ask(query=query, host=HOST, **cookie)
+    assert status == answer
+    policy = dict(
+        part.strip().split(" ", 1) for part in headers["content-security-policy"].split(";")
+    )
+    assert policy["default-src"] == policy["form-action"] == "'self'"
+    assert policy["frame-ancestors"] == policy["object-src"] == policy["base-uri"] == "'none'"
+    assert policy["connect-src"] == "'self' ws: wss:"
+    assert policy["script-src"] == "'self' 'unsafe-inline' 'unsafe-eval'"
+    assert headers["referrer-policy"] == "no-referrer"
+    assert headers["x-content-type-options"] == "nosniff"
+    assert headers["cross-origin-opener-policy"] == "same-origin"
+    assert headers["cross-origin-resource-policy"] == "same-origin"

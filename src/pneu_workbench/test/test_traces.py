@@ -16,17 +16,73 @@ def _walk(seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("columns", [320, 1000, 3840])
-def test_every_column_has_its_least_and_most(columns: int) -> None:
+@pytest.mark.parametrize(
+    ("begin", "end"), [(0, N), (7, N - 3), (100_003, 250_001), (123_400, 143_900), (N // 2, N)]
+)
+def test_every_column_is_as_narrow_as_asked_with_its_own_least_and_most(
+    columns: int, begin: int, end: int
+) -> None:
+    """Columns are cut at the times that are told; each is compared with all its readings."""
     time, values = _walk()
     values[123_456] = 1e6  # a single reading that stands out
     values[400_001] = -1e6
-    for begin, end in ((0.0, time[-1]), (100.0, 250.0), (123.4, 123.9)):
-        shown_at, shown = Pyramid(time, values).shown(begin, end, columns)
-        inside = (time >= begin) & (time <= end)
-        assert len(shown) <= 2 * columns + 4
-        assert np.all(np.diff(shown_at) >= 0.0)
-        assert shown.max() >= values[inside].max().astype(np.float32)
-        assert shown.min() <= values[inside].min().astype(np.float32)
+    at, shown = Pyramid(time, values).shown(time[begin], time[end - 1], columns)
+    assert at.size == shown.size == 2 * columns
+    cuts = np.searchsorted(time, at[::2])
+    assert np.array_equal(time[cuts], at[::2])
+    per = (end - begin) / columns
+    # a level's entries are at most a third of a column, by which each end may be off
+    assert begin - 2 - per / 3 <= cuts[0] <= begin
+    assert np.diff(cuts).min() >= per * 2 / 3 - 2 and np.diff(cuts).max() <= per * 4 / 3 + 2
+    single = values.astype(np.float32)
+    # the last column may go on to the end of an entry
+    least = np.minimum.reduceat(single, cuts)[:-1]
+    most = np.maximum.reduceat(single, cuts)[:-1]
+    pairs = shown.reshape(-1, 2)
+    np.testing.assert_array_equal(pairs.min(axis=1)[:-1], least)
+    np.testing.assert_array_equal(pairs.max(axis=1)[:-1], most)
+    assert pairs[-1].min() <= single[cuts[-1] : end].min()
+    assert pairs[-1].max() >= single[cuts[-1] : end].max()
+    beyond = single[cuts[-1] : end + int(per / 3) + 2]
+    assert pairs[-1].min() >= beyond.min() and pairs[-1].max() <= beyond.max()
+    middles = 0.5 * (at[:-2:2] + at[2::2])
+    np.testing.assert_allclose(at[1:-1:2], middles)
+
+
+def test_every_level_has_the_least_and_most_of_its_readings() -> None:
+    """Steps of eight up to a few dozen entries; what is left over at the end is in none."""
+    time, values = _walk(2)
+    values[50:70] = np.nan  # a gap that covers an entry of the finest level
+    single = values.astype(np.float32)
+    levels = Pyramid(time, values)._levels
+    assert [level.size for level in levels] == [8, 64, 512, 4096, 32768]
+    for level in levels:
+        count = N // level.size
+        rows = single[: count * level.size].reshape(count, level.size)
+        empty = np.isnan(rows).all(axis=1)
+        assert empty.any() == (level.size == 8)
+        np.testing.assert_array_equal(level.least[~empty], np.nanmin(rows[~empty], axis=1))
+        np.testing.assert_array_equal(level.most[~empty], np.nanmax(rows[~empty], axis=1))
+        assert np.isnan(level.least[empty]).all() and np.isnan(level.most[empty]).all()
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_up_to_two_readings_to_a_column_are_shown_themselves(more: int) -> None:
+    time = np.arange(1000.0)
+    values = np.sin(time)
+    at, shown = Pyramid(time, values).shown(100.0, 297.0 + more, 100)
+    if more:  # 201 readings with one beyond either end
+        assert at.size == 200 and at[0] == 99.0
+    else:
+        np.testing.assert_array_equal(at, time[99:299])
+        np.testing.assert_array_equal(shown, values[99:299].astype(np.float32))
+
+
+def test_a_slope_is_drawn_without_teeth() -> None:
+    time = np.arange(10_000.0)
+    for values in (time, -time):
+        shown = Pyramid(time, values).shown(0.0, 1e4, 100)[1]
+        assert np.all(np.diff(shown) * np.sign(values[-1]) > 0.0)
 
 
 def test_few_readings_are_shown_as_they_are() -> None:
@@ -49,17 +105,6 @@ def test_gaps_and_empty_signals() -> None:
     nothing = Pyramid(np.zeros(0), np.zeros(0))
     assert nothing.span_s == (0.0, 0.0)
     assert nothing.shown(0.0, 1.0, 100)[0].size == 0
-
-
-def test_a_whole_range_is_within_a_column_of_the_true_envelope() -> None:
-    """Against the envelope taken reading by reading over each column, a column wider."""
-    time, values = _walk(3)
-    columns = 800
-    at, shown = Pyramid(time, values).shown(0.0, time[-1], columns)
-    width = 2.5 * time[-1] / columns
-    for k in range(0, at.size, 97):
-        near = np.abs(time - at[k]) <= width
-        assert values[near].min() - 1e-2 <= shown[k] <= values[near].max() + 1e-2
 
 
 def test_bytes_tell_readings_an_hour_on_apart() -> None:
