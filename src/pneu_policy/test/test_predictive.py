@@ -114,7 +114,8 @@ class Asked:
 @pytest.mark.parametrize("every", [1, 2])
 def test_a_plan_is_asked_for_with_targets_and_commands_at_their_times(lab, every):
     """Targets that bend, so that each time has its own; a running plan goes on meanwhile."""
-    s = PredictiveSettings(holds=SHORT, every=every, sample_s=0.005, delay_s=0.0)
+    holds = (1, 1, 1, 1, 2, 2)
+    s = PredictiveSettings(holds=holds, every=every, sample_s=0.005, delay_s=0.0)
     controller = PredictiveController(lab, settings=s)
     controller.planning = Asked()
     readings = dict.fromkeys(lab.taps, 101325.0)
@@ -123,8 +124,8 @@ def test_a_plan_is_asked_for_with_targets_and_commands_at_their_times(lab, every
         return 1.5e5 + 4e5 * ahead_s + 3e6 * ahead_s**2
 
     controller.step(readings, [target(t) for t in controller.preview_s], late_s=0.003)
-    volts = [6.1, 6.2, 6.3, 6.4, 6.4, 6.5, 6.5, 6.5]
-    controller._course = Course(0.01, np.array([6.1, 6.2, 6.3, 6.4, 6.5]))
+    course = np.array([6.1, 6.2, 6.3, 6.4, 6.5, 6.6])
+    controller._course, volts = Course(0.01, course), np.repeat(course, holds).tolist()
     for step in range(1, 2 * every + 1):
         last = controller.step(readings, [target(t) for t in controller.preview_s], late_s=0.003)
         assert last == volts[step - 1]
@@ -136,9 +137,9 @@ def test_a_plan_is_asked_for_with_targets_and_commands_at_their_times(lab, every
     ahead = 0.005 * np.arange(1, 2 * (every + 8) + 1)
     chords = np.interp(ahead, np.arange(0.0, 0.2, 0.01), target(np.arange(0.0, 0.2, 0.01)))
     assert request.target == pytest.approx(chords)
-    held = [*volts, *[6.5] * 20]
+    held = [*volts, *[6.6] * 20]
     assert request.decided == pytest.approx(held[2 * every - 1 : 3 * every - 1])
-    middles = [3 * every - 1 + n for n in (0, 1, 2, 4, 6)]  # of one, one, one, two, three periods
+    middles = [3 * every - 1 + n for n in (0, 1, 2, 3, 5, 7)]  # of one or two periods each
     assert request.plan == pytest.approx([held[n] for n in middles])
     assert request.late_s == 0.003
     assert request.before_v == held[2 * every - 2]  # what was told now acts 3 ms later
