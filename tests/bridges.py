@@ -10,6 +10,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
 from tests.measured import PATIENCE_S, Watch
 
 from pneu_hw_bridge.lab.asking import ask
@@ -21,6 +22,16 @@ from pneu_hw_bridge.safety.supervisor import State, Supervisor
 
 ROOT = Path(__file__).parents[1]
 RIG = ROOT / "rigs" / "lab.yaml"
+
+
+def quickly(names, quick):
+    """Return parameters of a test, of which some run where time is short and the others long.
+
+    Args:
+        names: All of them.
+        quick: Those that run always.
+    """
+    return [one if one in quick else pytest.param(one, marks=pytest.mark.long) for one in names]
 
 
 def wait_until(condition, timeout_s=5.0, pause_s=0.002, alive=None):

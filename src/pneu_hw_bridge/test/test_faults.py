@@ -4,7 +4,7 @@
 import time
 
 import pytest
-from tests.bridges import Rig, safe_since, watch
+from tests.bridges import Rig, quickly, safe_since, watch
 
 from pneu_hw_bridge.lab.faults import KINDS
 from pneu_hw_bridge.safety.supervisor import State
@@ -12,23 +12,20 @@ from pneu_hw_bridge.safety.supervisor import State
 pytestmark = [pytest.mark.realtime, pytest.mark.takes(45)]
 
 WITHOUT_ENCODERS = [name for name, kind in KINDS.items() if kind.at != "encoder"]
+CLOCKED = {"drop", "frozen", "silent"}
+"""Faults that are tried quickly on the device with a clock; the others on the one without."""
 PLACES = {"frozen": "end", "out_of_range": "end", "dead_valve": "voltage"}
 
 
-@pytest.mark.parametrize("name", WITHOUT_ENCODERS)
+# Of the product of faults and devices one each is enough where time is short.
+@pytest.mark.parametrize("name", quickly(WITHOUT_ENCODERS, set(WITHOUT_ENCODERS) - CLOCKED))
 def test_fault(name, healthy_lab, wait_until):
     check_fault(name, healthy_lab, "generic_plc", wait_until)
 
 
-# Registers that hold a whole reading each have no order that could be wrong. Of the product of
-# faults and devices a few are enough where time is short.
+# Registers that hold a whole reading each have no order that could be wrong.
 @pytest.mark.parametrize(
-    "name",
-    [
-        name if name in ("drop", "frozen", "silent") else pytest.param(name, marks=pytest.mark.long)
-        for name in WITHOUT_ENCODERS
-        if name != "word_order"
-    ],
+    "name", quickly([name for name in WITHOUT_ENCODERS if name != "word_order"], CLOCKED)
 )
 def test_fault_of_a_device_with_a_clock(name, logging_lab, wait_until):
     check_fault(name, logging_lab, "logging_plc", wait_until)

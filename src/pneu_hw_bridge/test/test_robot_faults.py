@@ -4,7 +4,7 @@
 import time
 
 import pytest
-from tests.bridges import safe_since, watch
+from tests.bridges import quickly, safe_since, watch
 from tests.robots import FAULTS, UP, KokoroRig, kokoro_lab
 
 from pneu_hw_bridge.safety.supervisor import State
@@ -34,7 +34,10 @@ def healthy(robot):
     robot.ask("clear")
 
 
-@pytest.mark.parametrize("name", list(FAULTS))
+# These two are tried quickly on the whole graph, in test_robot_graph.py.
+@pytest.mark.parametrize(
+    "name", quickly(FAULTS, set(FAULTS) - {"the encoder freezes", "the bus to one valve is dead"})
+)
 def test_both_valves_are_safe_in_time(name, healthy, wait_until):
     begin, encoder = FAULTS[name]
     with KokoroRig(healthy, **encoder) as rig:

@@ -7,7 +7,7 @@ All kinds, several times and beside busy processes: `make faults`.
 import time
 
 import pytest
-from tests.bridges import Rig, safe_since, watch
+from tests.bridges import Rig, quickly, safe_since, watch
 from tests.proxy import LIES, Proxy
 
 from pneu_hw_bridge.safety.supervisor import State
@@ -24,9 +24,11 @@ def proxy(healthy_lab):
 
 CHANGES = {name: {"lie": lie} for name, lie in LIES.items() if name != "every reply twice"}
 CHANGES["replies that are lost"] = {"swallow": True}
+AS_OF_THE_DEVICE = {"a garbled reply", "exception replies", "replies that are lost"}
 
 
-@pytest.mark.parametrize("name", list(CHANGES))
+# What a device may do itself is tried quickly in test_faults.py.
+@pytest.mark.parametrize("name", quickly(CHANGES, set(CHANGES) - AS_OF_THE_DEVICE))
 def test_nothing_that_becomes_of_replies_keeps_valves_open(name, proxy, healthy_lab, wait_until):
     lab = healthy_lab
     with Rig(proxy.port) as rig:

@@ -345,6 +345,7 @@ def test_promises_hold_for_rigs_like_the_one_that_is_known():
     assert np.quantile(ratios, 0.1) > 0.3 and np.quantile(ratios, 0.9) < 3.0
 
 
+@pytest.mark.long
 def test_limits_that_hold_for_the_rig_as_it_is_known_and_not_for_others_like_it():
     listed = [p for p in some() if p.path == SOME[0]]
     (supply,) = listed
@@ -377,6 +378,7 @@ def test_promises_are_of_the_same_points_of_curves():
     assert found == {"v.delay_s": 1e-4, "a.fraction.0": 0.1, "a.fraction.1": 0.2}
 
 
+@pytest.mark.long
 def test_limits_that_nothing_keeps_to_are_told_with_what_would_be():
     with pytest.raises(InputError, match="nothing that was drawn keeps to them; pressures would"):
         design(
