@@ -253,6 +253,8 @@ def attempt(copy: Copy, fault: Fault, tests: list[str], recorded: Recorded) -> O
             code, text = copy.pytest([*words, f"@{listed}"], 3.0 * expected_s + PATIENCE_S)
             if code is None:
                 status, by = "noticed", "the tests hang"
+            elif code == 4 and "not found: " in text:
+                raise RuntimeError(f"record the tests again: {text[-300:]}")
             elif code not in (0, 5):
                 failed = [one for one in text.splitlines() if one.startswith(("FAILED", "ERROR"))]
                 status, by = (
