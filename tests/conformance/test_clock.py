@@ -5,6 +5,7 @@ import threading
 import time
 
 import pytest
+import rclpy.timer
 from builtin_interfaces.msg import Duration as DurationMessage
 from builtin_interfaces.msg import Time as TimeMessage
 from rclpy.clock import Clock, ClockType, JumpThreshold, ROSClock
@@ -124,6 +125,9 @@ def test_jump_callbacks():
     assert len(events) == 4
 
 
+@pytest.mark.skipif(
+    not hasattr(rclpy.timer, "TimerInfo"), reason="timers of this rclpy tell nothing of a call"
+)
 def test_a_timer_tells_when_its_call_was_due(node, executor, spin_until):
     """On the grid from its start, however late the call; calls that were missed are left out."""
     executor.add_node(node)
