@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fixtures for tests of nodes: each file on a domain of its own, each test on a graph of its own.
 
-They count for the file that imports both, and names them in ``__all__``.
+They count for the file that imports them, and names them in ``__all__``.
 """
 
+import threading
+
 import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from tests.live_graph import own_domain, running_graph
 
 
@@ -20,3 +24,20 @@ def graph():
     """A probe, and whatever nodes a test adds."""
     with running_graph() as graph:
         yield graph
+
+
+@pytest.fixture
+def outside():
+    """A node in a context beside the default one, which a command has for itself."""
+    context = rclpy.context.Context()
+    rclpy.init(args=[], context=context)
+    node = rclpy.create_node("outside", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    thread = threading.Thread(target=executor.spin, daemon=True)
+    thread.start()
+    yield node
+    executor.shutdown()
+    thread.join(10.0)
+    node.destroy_node()
+    context.try_shutdown()

@@ -96,7 +96,7 @@ class Fault:
             if tag != "equal":
                 old += before[a:b]
                 new += after[c:d]
-        return tuple(" ".join(" ".join(lines).split()) for lines in (old, new))  # type: ignore[return-value]
+        return " ".join(" ".join(old).split()), " ".join(" ".join(new).split())
 
 
 @cache

@@ -123,13 +123,9 @@ class DropStatement(_Own):
         if node.type != "simple_stmt":
             return
         what = node.children[0]
-        assigned = what.type == "expr_stmt" and (
-            what.children[0].type != "name" or what.children[1].type == "operator"
-        )
-        if what.type == "expr_stmt" and what.children[1].type == "annassign":
-            assigned = False
-        if what.type == "expr_stmt" and what.children[0].type == "name":
-            assigned = what.children[1].type == "operator" and what.children[1].value != "="
+        assigned = what.type == "expr_stmt" and what.children[1].type == "operator"
+        if assigned and what.children[0].type == "name":  # without it the name is not known
+            assigned = what.children[1].value != "="
         called = what.type == "atom_expr" and what.children[-1].get_code().startswith("(")
         if assigned or called or what.type in ("raise_stmt", "del_stmt"):
             yield 0, what

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import coverage
@@ -212,10 +212,10 @@ class Recorded:
             chosen.append(name)
         return chosen
 
-    def _known(self, reached: Mapping[int, list[str]], lines: object) -> set[str]:
+    def _known(self, reached: Mapping[int, list[str]], lines: Iterable[int]) -> set[str]:
         """Return tests that reach lines; a process they share stands for all tests of a file."""
         found: set[str] = set()
-        for line in lines:  # type: ignore[attr-defined]
+        for line in lines:
             for context in reached.get(line, ()):
                 name = context.removeprefix(recorder.PROCESS)
                 if name not in self.durations:  # an import, before the first test

@@ -5,7 +5,7 @@ Recorded time runs so much faster than the clock, or so much slower, that no out
 punctuality: a rate that is not applied makes a playback last for minutes, or end at once.
 """
 
-from tests.graph_fixtures import domain, graph  # isort: skip
+from tests.graph_fixtures import domain, graph, outside  # isort: skip
 
 import contextlib
 import functools
@@ -15,7 +15,6 @@ import time
 import pytest
 import rclpy
 from rclpy.duration import Duration
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
@@ -33,7 +32,7 @@ from pneu_graph.nodes.player import Player, PlayOptions
 from pneu_graph.tools.bag import app
 from pneu_runtime import interfaces
 
-__all__ = ["domain", "graph"]
+__all__ = ["domain", "graph", "outside"]
 
 pytestmark = pytest.mark.kernel_free
 
@@ -379,23 +378,6 @@ def test_a_new_rate_counts_from_now_on(bag):
 
 
 # The command line, whole: it has a context of its own, as in a process of its own.
-
-
-@pytest.fixture
-def outside():
-    """A node in a context beside the default one, spun in a thread."""
-    context = rclpy.context.Context()
-    rclpy.init(args=[], context=context)
-    node = rclpy.create_node("outside", context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    thread = threading.Thread(target=executor.spin, daemon=True)
-    thread.start()
-    yield node
-    executor.shutdown()
-    thread.join(10.0)
-    node.destroy_node()
-    context.try_shutdown()
 
 
 def run_command(*words, meanwhile=None):

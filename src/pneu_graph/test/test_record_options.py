@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every option of the recorder, and of `pneu bag record`, on topics of this process."""
 
-from tests.graph_fixtures import domain, graph  # isort: skip
+from tests.graph_fixtures import domain, graph, outside  # isort: skip
 
 import functools
 import random
@@ -11,7 +11,6 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
@@ -25,7 +24,7 @@ from pneu_graph.bag.reader import BagReader, side_records
 from pneu_graph.nodes.recorder import Recorder
 from pneu_graph.tools.bag import app
 
-__all__ = ["domain", "graph"]
+__all__ = ["domain", "graph", "outside"]
 
 pytestmark = pytest.mark.kernel_free
 
@@ -252,23 +251,6 @@ def test_diagnostics_tell_topics_and_messages(graph, record):
 
 
 # The command line.
-
-
-@pytest.fixture
-def outside():
-    """A node in a context beside the default one, which the command has for itself."""
-    context = rclpy.context.Context()
-    rclpy.init(args=[], context=context)
-    node = rclpy.create_node("outside", context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    thread = threading.Thread(target=executor.spin, daemon=True)
-    thread.start()
-    yield node
-    executor.shutdown()
-    thread.join(10.0)
-    node.destroy_node()
-    context.try_shutdown()
 
 
 def parameters_of_command(outside, name, *words):

@@ -3,6 +3,7 @@
 
 import pytest
 from tests.bridges import RIG, running_lab, wait_until
+from tests.modbus_devices import Server
 
 from pneu_runtime import hook
 
@@ -48,3 +49,13 @@ def healthy_lab(lab):
     lab.ask("clear")
     yield lab
     lab.ask("clear")
+
+
+@pytest.fixture
+def server():
+    """A Modbus device that keeps what it is asked and told."""
+    one = Server()
+    one.open()
+    yield one
+    one.close()
+    one.end()

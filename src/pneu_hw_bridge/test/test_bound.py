@@ -11,7 +11,7 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from tests.bridges import Rig, safe_since, watch
 from tests.domains import own_domain_id
-from tests.modbus_devices import Owner, Server
+from tests.modbus_devices import Owner
 
 from pneu_common.errors import InputError
 from pneu_hw_bridge.link import Link
@@ -198,15 +198,6 @@ def test_how_long_a_write_and_the_next_reading_take_at_most(lines, readable, rea
     assert bus.reads_s(0.95) == pytest.approx(reads * 0.020)
     assert bus.reads_s(0.0) == 0.0078125, "replies of 1 ms take less than the period"
     bus.stop()
-
-
-@pytest.fixture
-def server():
-    one = Server()
-    one.open()
-    yield one
-    one.close()
-    one.end()
 
 
 def test_the_bus_tells_its_owner_both_quantiles_in_their_order(server, wait_until):

@@ -14,7 +14,7 @@ from itertools import pairwise
 import pytest
 from pymodbus.constants import ExcCodes
 from tests.measured import MachineStalledError, waited_s
-from tests.modbus_devices import PRESSURES, Owner, Server, open_bus, rival, serial_bus
+from tests.modbus_devices import PRESSURES, Owner, open_bus, rival, serial_bus
 
 from pneu_common.errors import InputError
 from pneu_hw_bridge.modbus.bus import ModbusBus
@@ -22,15 +22,6 @@ from pneu_hw_bridge.modbus.client import Client
 from pneu_hw_bridge.registers.load import load_register_map
 
 pytestmark = pytest.mark.realtime
-
-
-@pytest.fixture
-def server():
-    one = Server()
-    one.open()
-    yield one
-    one.close()
-    one.end()
 
 
 def test_reads_and_writes(server, wait_until):
