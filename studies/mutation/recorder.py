@@ -56,6 +56,9 @@ def pytest_runtest_call() -> Any:
         return (yield)
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
+        measured = coverage.Coverage.current()
+        if limit_s and measured is not None:
+            measured.save()  # a test that ends its process takes only itself along
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

@@ -29,6 +29,7 @@ CONFIG = """
 source_dirs =
 {sources}
 data_file = {data}
+branch = true
 parallel = true
 sigterm = true
 context = ${{{test}-}}
