@@ -68,6 +68,7 @@ class Proxy:
         swallow: Whether replies are kept back for good.
         hold: Whether requests wait until this is over.
         most: How many connections are served at a time; others wait unanswered.
+        ousts: Whether a new connection ends those before.
     """
 
     def __init__(self, device_port, seed=0):
@@ -75,7 +76,7 @@ class Proxy:
         self.reply_s = self.request_s = 0.0
         self.lie = None
         self.swallow = self.hold = False
-        self.most = 1000
+        self.most, self.ousts = 1000, False
         self._rng = random.Random(seed)
         self._lines = set()
         self._loop = asyncio.new_event_loop()
@@ -91,6 +92,8 @@ class Proxy:
         try:
             while len(self._lines) >= self.most:
                 await asyncio.sleep(0.01)
+            if self.ousts:
+                self.hang_up()
             self._lines.add(writer)
             device = await asyncio.open_connection("127.0.0.1", self.device_port)
             ways = [
@@ -148,6 +151,7 @@ class Proxy:
         """Lets everything through again."""
         self.reply_s = self.request_s = 0.0
         self.lie, self.swallow, self.hold, self.most = None, False, False, 1000
+        self.ousts = False
 
     def close(self):
         """Ends the proxy."""

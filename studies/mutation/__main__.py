@@ -30,13 +30,16 @@ def _key(fault: Fault, lines: tuple[str, str]) -> str:
     return "\t".join([fault.path, fault.operator, str(fault.occurrence), *lines])
 
 
-def run(faults: list[Fault], kept: dict[str, Any], again: bool, workers: int) -> None:
+def run(
+    faults: list[Fault], kept: dict[str, Any], again: bool, longest_s: float, workers: int
+) -> None:
     """Try faults in copies side by side, and keep each outcome at once.
 
     Args:
         faults: The faults.
         kept: Outcomes by fault, which are added to.
         again: Whether to try survivors again.
+        longest_s: How long the tests for one fault may take, s.
         workers: How many copies.
     """
     waiting: queue.SimpleQueue[tuple[str, Fault]] = queue.SimpleQueue()
@@ -56,7 +59,7 @@ def run(faults: list[Fault], kept: dict[str, Any], again: bool, workers: int) ->
                     key, fault = waiting.get_nowait()
                 except queue.Empty:
                     return
-                outcome = attempt(copy, fault, recorded.tests(fault), recorded)
+                outcome = attempt(copy, fault, recorded.tests(fault, longest_s), recorded)
                 with lock:
                     kept[key] = dataclasses.asdict(outcome)
                     write_whole(RESULTS, json.dumps(kept, indent=1))
@@ -86,6 +89,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--groups", nargs="+", default=list(GROUPS), choices=GROUPS, metavar="group"
     )
     parser.add_argument("--again", action="store_true", help="try survivors again")
+    parser.add_argument("--longest", type=float, default=120.0, help="tests for one fault, s")
     parser.add_argument("--workers", type=int, default=2, help="trials side by side")
     options = parser.parse_args(arguments)
     stages = options.stages or STAGES
@@ -96,7 +100,7 @@ def main(arguments: list[str] | None = None) -> int:
     kept = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.is_file() else {}
     faults = sample(options.seed, options.each, options.groups)
     if "run" in stages:
-        run(faults, kept, options.again, options.workers)
+        run(faults, kept, options.again, options.longest, options.workers)
     if "page" in stages:
         rows = []
         for fault in faults:

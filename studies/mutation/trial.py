@@ -20,8 +20,6 @@ from studies.mutation import recorder
 from studies.mutation.faults import Fault
 
 OUT = ROOT / "out" / "mutation"
-LONGEST_S = 240.0
-"""No more tests are chosen for a fault than took so long, when they were recorded, s."""
 PATIENCE_S = 120.0
 """A trial that takes so much longer than its tests took has a fault that hangs, s."""
 CONFIG = """
@@ -189,12 +187,13 @@ class Recorded:
         for test in self.durations:
             self._of_file[test.partition("::")[0]].append(test)
 
-    def tests(self, fault: Fault) -> list[str]:
+    def tests(self, fault: Fault, longest_s: float) -> list[str]:
         """Return the tests that reach a fault: those of its own package first, then by duration.
 
         Args:
             fault: The fault. Where only imports reach its lines, all tests that run any line of
                 its file count.
+            longest_s: No more tests are chosen than took so long, when they were recorded, s.
         """
         reached = self._data.contexts_by_lineno(str(self._root / fault.path))
         names = self._known(reached, range(fault.first, fault.last + 1))
@@ -208,7 +207,7 @@ class Recorded:
         chosen, total_s = [], 0.0
         for name in sorted(names, key=turn):
             total_s += self.durations[name][0]
-            if total_s > LONGEST_S and chosen:
+            if total_s > longest_s and chosen:
                 break
             chosen.append(name)
         return chosen
@@ -243,8 +242,8 @@ def attempt(copy: Copy, fault: Fault, tests: list[str], recorded: Recorded) -> O
     target.write_text(after, encoding="utf-8")
     status, by = "survived", ""
     try:
-        # Tests against the clock may fail as the machine is busy: they have a second try.
-        for clock, words in ((False, ["-x"]), (True, ["-x", "--reruns=1"])):
+        # Tests against the clock may fail as the machine is busy: they have three tries.
+        for clock, words in ((False, ["-x"]), (True, ["-x", "--reruns=2"])):
             chosen = [one for one in tests if recorded.durations[one][1] == clock]
             if not chosen or status == "noticed":
                 continue

@@ -52,7 +52,7 @@ class StopListener:
         with contextlib.suppress(FileExistsError):
             where.mkdir(parents=True)
             where.chmod(0o1777)  # whoever sees an accident may stop it
-        self._stop = stop
+        self._stop, self._closing = stop, False
         self.path = where / f"{os.getpid()}{name.replace('/', '.')}.sock"
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         with contextlib.suppress(FileNotFoundError):
@@ -68,11 +68,11 @@ class StopListener:
                 message, sender = self._socket.recvfrom(LONGEST_MESSAGE)
             except OSError:
                 return
-            if not message:
+            if self._closing:
                 return
             try:
                 asked = json.loads(message)
-            except ValueError:
+            except (ValueError, RecursionError):
                 asked = {}  # whatever it was, somebody called
             answer = self._stop(asked if isinstance(asked, dict) else {})
             if sender and answer:
@@ -81,6 +81,7 @@ class StopListener:
 
     def close(self) -> None:
         """Ends listening."""
+        self._closing = True
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
@@ -140,6 +141,6 @@ def stop_here(reason: str) -> tuple[list[dict[str, Any]], int]:
         end_s = time.monotonic() + ANSWER_WITHIN_S
         while len(answers) < expected and (left_s := end_s - time.monotonic()) > 0.0:
             ours.settimeout(left_s)
-            with contextlib.suppress(TimeoutError, ValueError):
+            with contextlib.suppress(TimeoutError, ValueError, RecursionError):
                 answers.append(json.loads(ours.recv(LONGEST_MESSAGE)))
     return answers, expected - len(answers)

@@ -56,6 +56,18 @@ def test_a_joint_that_goes_further_is_followed_from_reading_to_reading():
     assert found == pytest.approx(places, abs=wheel.resolution)
 
 
+@pytest.mark.parametrize(("beyond", "follows"), [(0.0, False), (0.01, True)])
+def test_a_joint_is_followed_where_its_range_is_more_than_a_turn(beyond, follows):
+    joint = encoder(-math.pi - beyond, math.pi)
+    turns = Turns({"hip": encoder(-1.0, 1.0), "elbow": joint})
+    found = [
+        turns.unwrap({"elbow": joint.decode([round(place / joint.scale) % 16384])})["elbow"]
+        for place in (2.0, 3.1, -3.1)
+    ]
+    last = TURN - 3.1 if follows else -3.1
+    assert found == pytest.approx([2.0, 3.1, last], abs=joint.resolution)
+
+
 def test_where_a_joint_ends_is_said_by_the_rig_file_unless_the_map_says_otherwise():
     registers = load_register_map("kokoro_plc")
     rig = load_rig(KOKORO)

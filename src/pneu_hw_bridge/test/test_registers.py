@@ -379,6 +379,11 @@ def test_a_clock_is_read():
         ),
         ("stride: 8", "stride: 6", "less than the 7 registers of a record"),
         ("    stride: 8\n", "", "3 records need a stride"),
+        (
+            "records: 3\n    stride: 8",
+            "records: 2\n    stride: 6",
+            "less than the 7 registers of a record",
+        ),
         ("records: 3", "records: 17", "take 135 registers, one read has at most 125"),
         ("records: 3", "records: 6", "both use input 40"),
         ("values: {a: 44}", "values: {b: 44}", "found b, needed are the outputs a"),

@@ -183,6 +183,56 @@ def test_an_exchange_tells_when_it_was_unless_it_was_far_longer_than_usual(
     assert not statistics.tells_when(math.nextafter(most_s, 1.0), requests)
 
 
+# A device with a clock
+
+CLOCKED = parse_register_map(
+    """
+pneu_registers: 1
+name: clocked
+device: {watchdog_s: 0.125}
+channels:
+  a: {direction: write, table: holding, address: 0, type: float32, range: [0, 10], safe: 1}
+  p: {direction: read, table: input, address: 6, type: uint16, unit: Pa, range: [0, 1.0e6]}
+clock:
+  samples:
+    counter: {address: 0}
+    time: {address: 2, type: uint64, tick_s: 1.0e-9}
+    records: 2
+    stride: 8
+  commands:
+    counter: {address: 40}
+    time: {address: 42, tick_s: 1.0e-6}
+    values: {a: 44}
+""",
+    "clocked.yaml",
+)
+
+
+def test_samples_and_commands_that_were_lost_are_counted_apart(bench):
+    """Two samples are kept and one command; a read comes after 1, 0, 5 and 2 samples more."""
+    numbers = {"sample": 0, "command": 0}
+
+    async def read(batch):
+        words = [0] * 48
+        for place in range(2):
+            at, number = 8 * place, max(numbers["sample"] - place, 0)
+            words[at : at + 7] = [0, number, 0, 0, 0, number, 7 + number]
+        words[40:46] = [0, numbers["command"], 0, numbers["command"], 0, 0]
+        return words[batch.address : batch.address + batch.count]
+
+    bench.read = read
+    reader = Reader(CLOCKED, bench, bench.statistics, bench.clock_ns)
+    counts = []
+    for samples, commands in ((1, 1), (0, 0), (5, 3), (2, 1)):
+        numbers["sample"] += samples
+        numbers["command"] += commands
+        now(reader.read(bench))
+        of = bench.statistics
+        skipped = of.samples_skipped, of.commands_skipped
+        counts.append((of.samples, of.reads_without_news, *skipped))
+    assert counts == [(1, 0, 0, 0), (1, 1, 0, 0), (3, 1, 3, 2), (5, 1, 3, 2)]
+
+
 # From the bus to the supervisor
 
 LIMITS = Limits(

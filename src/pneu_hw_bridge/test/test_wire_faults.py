@@ -10,6 +10,7 @@ import pytest
 from tests.bridges import Rig, quickly, safe_since, watch
 from tests.proxy import LIES, Proxy
 
+from pneu_hw_bridge.modbus.bus import TRIES_OF_TWO
 from pneu_hw_bridge.safety.supervisor import State
 
 pytestmark = [pytest.mark.realtime, pytest.mark.takes(20)]
@@ -67,6 +68,17 @@ def test_what_waited_on_the_way_is_not_applied(proxy, healthy_lab, wait_until):
         proxy.hold = False
         time.sleep(0.7)
         judge(safe_since(lab)[0], begun_s)
+
+
+def test_a_device_that_keeps_only_the_latest_connection(proxy, healthy_lab, wait_until):
+    """Several connections end early before one is enough, and this one lasts."""
+    proxy.ousts = True
+    with Rig(proxy.port) as rig:
+        wait_until(lambda: rig.bus.statistics.connects > TRIES_OF_TWO, 10.0)
+        wait_until(lambda: healthy_lab.volts() == 5.5, 10.0)
+        connects = rig.bus.statistics.connects
+        time.sleep(0.5)
+        assert (rig.bus.lines, rig.bus.statistics.connects) == (1, connects)
 
 
 def test_a_device_that_serves_one_connection(proxy, healthy_lab, wait_until):

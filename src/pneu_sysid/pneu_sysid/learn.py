@@ -416,8 +416,8 @@ def _steps(
         swapped = True
         so_far = rig.model_copy(update={"effects": rig.effects[: given + k + 1]})
         fitted, found = _placed(bench, *_together(bench, so_far, given), given)
-        out.append(_step_of(k + 1, bench, fitted, found))
-    out.append(_step_of(count, bench, model, estimate))
+        out.append(_step_of(len(out), bench, fitted, found))
+    out.append(_step_of(len(out), bench, model, estimate))
     return out
 
 

@@ -47,7 +47,7 @@ class InStep:
             for k in range(1, len(batch.channels) + 1):
                 last = batch.channels[k - 1][1]
                 count = last.address + last.width - batch.address
-                size = -(-count // 8) if last.is_bit else 2 * count
+                size = -(-count // 8) if last.is_bit else count  # what answers differ in
                 part = Batch(batch.table, batch.address, count, batch.channels[:k])
                 found.setdefault((batch.table, size), part)
         self._silent_s = SILENT_S if len(found) > QUESTIONS else LONG_SILENT_S
