@@ -16,11 +16,15 @@ import signal
 import tempfile
 from pathlib import Path
 
+import hypothesis
 import pytest
 from tests import measured
 
 from pneu_common.errors import InputError
 
+# The same examples each time, and no database of earlier ones.
+hypothesis.settings.register_profile("same", derandomize=True, deadline=None, database=None)
+hypothesis.settings.load_profile("same")
 # Bridges of tests do not meet those of their user, nor those of other workers.
 _BRIDGES = tempfile.mkdtemp(prefix="pneu-test-")
 atexit.register(shutil.rmtree, _BRIDGES, ignore_errors=True)

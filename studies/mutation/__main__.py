@@ -110,7 +110,7 @@ def main(arguments: list[str] | None = None) -> int:
                 fields = {**dataclasses.asdict(fault), "before": before, "after": after}
                 rows.append({**fields, **kept[key]})
         PAGE.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(PAGE, page(rows, options.seed, options.each))
+        write_whole(PAGE, page(rows, Recorded(Copy("copy0")).totals(), options.seed, options.each))
     return 0
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import yaml
 
 from studies.digest import ROOT, digest_of
-from studies.mutation.faults import CRITICAL, GROUPS
+from studies.mutation.faults import CRITICAL, GROUPS, sources
 from studies.mutation.operators import CLASSES
 
 PAGE = ROOT / "docs" / "results" / "mutation.md"
@@ -41,18 +41,38 @@ def _rates(name: str, values: Iterable[str], rows: Sequence[Mapping[str, Any]]) 
     return lines
 
 
+def _covered(totals: Mapping[str, Mapping[str, int]]) -> list[str]:
+    """Return a table of the lines and branches that tests reach, by group."""
+    lines = ["| group | lines | reached | branches | taken |", "|---|---|---|---|---|"]
+    groups = sources()
+    for group in (*GROUPS, "all"):
+        of = [one for path, one in totals.items() if group in ("all", groups.get(path))]
+        shown = []
+        for whole, part in (
+            ("num_statements", "covered_lines"),
+            ("num_branches", "covered_branches"),
+        ):
+            count = sum(one[whole] for one in of)
+            shown.append(f"{count} | {sum(one[part] for one in of) / max(count, 1):.1%}")
+        lines.append(f"| {group} | {' | '.join(shown)} |")
+    return lines
+
+
 def _code(text: str) -> str:
     """Return code for a cell of a table."""
     text = text if len(text) <= 110 else f"{text[:107]}..."
     return f"`{text.replace('|', chr(92) + '|').replace('`', '')}`" if text else "(nothing)"
 
 
-def page(rows: Sequence[dict[str, Any]], seed: int, each: int) -> str:
+def page(
+    rows: Sequence[dict[str, Any]], totals: Mapping[str, Mapping[str, int]], seed: int, each: int
+) -> str:
     """Return the page.
 
     Args:
         rows: Fields of each fault and of its outcome; a survivor that is argued to be equivalent
             counts as such.
+        totals: Of the coverage of each file.
         seed: Of the drawing.
         each: How many faults were drawn per group.
     """
@@ -79,6 +99,10 @@ def page(rows: Sequence[dict[str, Any]], seed: int, each: int) -> str:
         *_rates("group", GROUPS, rows),
         "",
         *_rates("kind", CLASSES, rows),
+        "",
+        "Lines and branches that the tests reach (kernels where they run uncompiled):",
+        "",
+        *_covered(totals),
         "",
         "## Survivors",
         "",

@@ -212,6 +212,18 @@ class Recorded:
             chosen.append(name)
         return chosen
 
+    def totals(self) -> dict[str, dict[str, int]]:
+        """Return the totals of coverage of each file, as coverage reports them in JSON."""
+        measured = coverage.Coverage(config_file=str(OUT / "recorded" / "config"))
+        measured.load()
+        report = OUT / "coverage.json"
+        measured.json_report(outfile=str(report), ignore_errors=True)
+        files = json.loads(report.read_text(encoding="utf-8"))["files"]
+        found = {}
+        for name, of in files.items():
+            found[Path(name).resolve().relative_to(self._root).as_posix()] = of["summary"]
+        return found
+
     def _known(self, reached: Mapping[int, list[str]], lines: Iterable[int]) -> set[str]:
         """Return tests that reach lines; a process they share stands for all tests of a file."""
         found: set[str] = set()

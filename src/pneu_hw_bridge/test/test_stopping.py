@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The socket on which a bridge takes stops, with whatever a local process may send there."""
 
+import itertools
 import json
 import queue
 import socket
 
 import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
 
 from pneu_hw_bridge.stopping import LONGEST_MESSAGE, StopListener, call_all
 
@@ -17,7 +20,7 @@ def listening(tmp_path, monkeypatch):
     """A listener that answers how often it was called, and a queue of what it was asked."""
     monkeypatch.setenv("PNEU_RUN_DIR", str(tmp_path))
     asked = queue.Queue()
-    count = iter(range(1, 100))
+    count = itertools.count(1)
 
     def stop(message):
         asked.put(dict(message))
@@ -28,11 +31,15 @@ def listening(tmp_path, monkeypatch):
     listener.close()
 
 
-@pytest.mark.parametrize(
-    "datagram",
-    [b"", b"\0", b"{", b"null", b"[1]", b'"stop"', b"\xff\xfe", b"[" * LONGEST_MESSAGE],
-    ids=["empty", "zero", "half", "null", "list", "text", "no UTF-8", "deep"],
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@example(b"")
+@example(b"{")
+@example(b"null")
+@example(b"[1]")
+@example(b"\xff\xfe")
+@example(b"[" * LONGEST_MESSAGE)
+@example(b"[" * 2 * LONGEST_MESSAGE)
+@given(st.binary(max_size=100))
 def test_a_datagram_of_any_content_stops_and_leaves_the_socket_open(listening, datagram):
     listener, asked = listening
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:

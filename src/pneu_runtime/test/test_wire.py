@@ -5,7 +5,16 @@ import json
 from pathlib import Path
 
 import pytest
-from tests.wire_shapes import OWN_TYPES, Filler, of_rosbags, shapes, store_of_both
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.wire_shapes import (
+    OWN_TYPES,
+    Filler,
+    of_rosbags,
+    shapes,
+    store_of_both,
+    variable_fields,
+)
 
 from pneu_runtime import interfaces
 from pneu_runtime.transport import naming
@@ -106,3 +115,27 @@ def test_bytes_equal_those_of_an_independent_codec(name):
         assert interfaces.deserialize(data, cls) == message, lengths
         big = bytes(STORE.serialize_cdr(other, name, little_endian=False))
         assert interfaces.deserialize(big, cls) == message, lengths
+
+
+NAMES = sorted({*STORE.fielddefs, *OWN_TYPES})
+
+
+@given(st.sampled_from(NAMES), st.sampled_from([b"\0\0", b"\0\1"]), st.binary(max_size=120))
+def test_bytes_of_any_content_are_a_message_or_are_refused(name, order, data):
+    cls = interfaces.message_class(name)
+    try:
+        message = interfaces.deserialize(order + b"\0\0" + data, cls)
+    except interfaces.DecodeError as error:
+        assert "\n" not in str(error)
+        return
+    written = interfaces.serialize(message)
+    assert interfaces.serialize(interfaces.deserialize(written, cls)) == written
+
+
+@given(st.sampled_from(NAMES), st.integers(0, 99), st.data())
+def test_a_message_that_ends_early_is_refused(name, seed, data):
+    lengths = {path: data.draw(st.sampled_from(some)) for path, some in variable_fields(name)}
+    written = interfaces.serialize(Filler(lengths, seed).message(interfaces.message_class(name)))
+    end = data.draw(st.integers(0, len(written) - 1))
+    with pytest.raises(interfaces.DecodeError):
+        interfaces.deserialize(written[:end], interfaces.message_class(name))
