@@ -106,6 +106,8 @@ def looks_back(reply_s, safe, after_s, monkeypatch):
 
 def test_outputs_are_read_back_often_only_where_replies_are_quick(monkeypatch):
     often, rarely = 1.5 * LOOK_BACK_S, 1.5 * SLOW_LOOK_BACK_S
+    assert looks_back(0.001, False, 0.999 * LOOK_BACK_S, monkeypatch) == 0
+    assert looks_back(0.001, False, LOOK_BACK_S, monkeypatch) > 0
     assert looks_back(0.001, False, often, monkeypatch) > 0
     assert looks_back(0.05, False, rarely, monkeypatch) == 0
     assert looks_back(0.05, True, often, monkeypatch) == 0
