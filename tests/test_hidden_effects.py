@@ -2,12 +2,14 @@
 """On recordings with a hidden effect the missing physics is named, placed and added."""
 
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from studies.synthetic import NOISE_PA, RATE_HZ, synthetic
 
+from pneu_sim.effects.registry import BUILT_IN
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sysid.compare import compare
@@ -76,6 +78,53 @@ def test_healthy_bag_is_predicted_and_nothing_is_missing(rig: Rig) -> None:
     for tap in ("valve_out", "middle", "end"):
         assert lumped[tap].rmse_pa > 4.0 * pde[tap].rmse_pa
     assert diagnose(rig, recording, refine=False).verdict == "nothing_missing"
+
+
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_a_rig_that_was_never_calibrated_is_fitted_first(exact: Rig, calibrated: bool) -> None:
+    """Ends at the first stage, which takes its name from what begins."""
+
+    def begun(stage: str, done: float) -> None:
+        raise InterruptedError(stage)
+
+    rig = exact if calibrated else exact.model_copy(update={"calibration": None})
+    with pytest.raises(InterruptedError) as first:
+        learn(rig, synthetic(exact, 0.2, 5, "healthy"), progress=begun)
+    assert (str(first.value) == "fit") is not calibrated
+
+
+def test_two_effects_are_added_one_after_the_other(exact: Rig, tmp_path: Path) -> None:
+    """The whole loop, with few other effects to try, on a recording of 2 s."""
+    leak = AttachedEffect(
+        effect="leak", place="tube", parameters={"area_m2": 2e-8, "position_m": 2.5}
+    )
+    late = AttachedEffect(effect="valve_delay", place="valve", parameters={"delay_s": 3e-3})
+    tried = {"leak", "valve_delay", "sensor_gain", "sensor_lag"}
+    others = {effect.name for effect in BUILT_IN} - tried
+    recording = synthetic(with_effects(exact, leak, late), 2.0, 5, "two effects")
+    learned = learn(exact, recording, out=tmp_path, without=others)
+    assert learned.verdict == "effect"
+    assert "valve transport delay at valve" in learned.sentence and "leak" in learned.sentence
+    assert [step.step for step in learned.steps] == [0, 1, 2]
+    first, delay, hole = learned.steps
+    assert (first.added, first.place, first.strength) == (None, None, None)
+    assert (delay.added, delay.place, delay.unit) == ("valve_delay", "valve", "s")
+    assert (hole.added, hole.place, hole.unit) == ("leak", "tube:2.50", "m^2, effective")
+    for step, truth in ((delay, 3e-3), (hole, 2e-8)):
+        assert step.strength == pytest.approx(truth, rel=0.02)
+    left = [step.held_out_times_noise for step in learned.steps]
+    assert left[0] > 1.5 * left[1] and left[1] > 5.0 * left[2] and left[2] < 1.3
+    # Each step is a rig file that predicts as well as the step says.
+    assert [e.effect for e in learned.rig.effects] == ["valve_delay", "leak"]
+    for step in learned.steps:
+        saved = load_rig(tmp_path / f"step_{step.step}.yaml")
+        assert len(saved.effects) == step.step
+        found = compare(recording, [("saved", saved, None)], refine=False).models[0].taps
+        for tap, rmse_pa in step.rmse_pa.items():
+            both = (rmse_pa, step.held_out_rmse_pa[tap])
+            assert min(both) < 1.1 * found[tap].rmse_pa and found[tap].rmse_pa < 1.1 * max(both)
+    told = json.loads((tmp_path / "learn.json").read_text(encoding="utf-8"))
+    assert [step["step"] for step in told["steps"]] == [0, 1, 2]
 
 
 @pytest.mark.long

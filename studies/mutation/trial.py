@@ -152,7 +152,7 @@ def record(copy: Copy) -> None:
         "COVERAGE_PROCESS_START": str(folder / "config"),
     }
     words = ["-p", "studies.mutation.recorder", "--numprocesses=2", "--dist=loadfile"]
-    uncompiled = {"NUMBA_DISABLE_JIT": "1", recorder.LIMIT: "3"}
+    uncompiled = {"NUMBA_DISABLE_JIT": "1", recorder.LIMIT: "1"}
     copy.pytest(
         [*words, "-m", "not long"], 7200.0, **variables, **{recorder.DURATIONS: str(folder)}
     )
