@@ -151,17 +151,15 @@ def record(copy: Copy) -> None:
         "PYTHONPATH": os.pathsep.join([str(folder), copy.variables["PYTHONPATH"]]),
         "COVERAGE_PROCESS_START": str(folder / "config"),
     }
-    words = ["-p", "studies.mutation.recorder", "--numprocesses=2", "--dist=loadfile"]
+    words = ["-p", "studies.mutation.recorder"]
+    clock = {recorder.DURATIONS: str(folder)}
+    two = ["--numprocesses=2", "--dist=loadfile", "-m", "not long"]
+    copy.pytest([*words, *two], 7200.0, **variables, **clock)
+    # File by file: what ends a process ends the recording of no other file.
     uncompiled = {"NUMBA_DISABLE_JIT": "1", recorder.LIMIT: "1"}
-    copy.pytest(
-        [*words, "-m", "not long"], 7200.0, **variables, **{recorder.DURATIONS: str(folder)}
-    )
-    copy.pytest(
-        [*words, "-m", "not long and not realtime", "src/pneu_sim/test"],
-        7200.0,
-        **variables,
-        **uncompiled,
-    )
+    for file in sorted(copy.root.glob("src/pneu_sim/test/test_*.py")):
+        one = ["-m", "not long and not realtime", str(file)]
+        copy.pytest([*words, *one], 600.0, **variables, **uncompiled)
     combined = coverage.Coverage(config_file=str(folder / "config"))
     combined.combine([str(folder)])
     combined.save()
