@@ -83,6 +83,7 @@ def main(arguments: list[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("stages", nargs="*", help=f"some of {', '.join(STAGES)}; all if none")
+    parser.add_argument("--files", nargs="+", default=[], help="files of new tests to record")
     parser.add_argument("--seed", type=int, default=1, help="random seed of the drawing")
     parser.add_argument("--each", type=int, default=18, help="faults per group")
     parser.add_argument(
@@ -96,7 +97,7 @@ def main(arguments: list[str] | None = None) -> int:
     if unknown := set(stages) - set(STAGES):
         parser.error(f"no stage {', '.join(sorted(unknown))}; there are {', '.join(STAGES)}")
     if "record" in stages:
-        record(Copy("copy0"))
+        record(Copy("copy0"), options.files)
     kept = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.is_file() else {}
     faults = sample(options.seed, options.each, options.groups)
     if "run" in stages:

@@ -126,7 +126,7 @@ def _git(folder: Path, *words: str) -> None:
     subprocess.run(["git", "-C", str(folder), *words], check=True)
 
 
-def record(copy: Copy) -> None:
+def record(copy: Copy, files: list[str]) -> None:
     """Run the tests and record what they reach.
 
     Those of the simulator are run a second time with kernels that are not compiled, as coverage
@@ -134,10 +134,11 @@ def record(copy: Copy) -> None:
 
     Args:
         copy: Where.
+        files: Of new tests, which are recorded besides those before; none stand for all tests.
     """
     folder = OUT / "recorded"
     folder.mkdir(parents=True, exist_ok=True)
-    for old in folder.iterdir():
+    for old in folder.iterdir() if not files else ():
         old.unlink()
     packages = sorted(copy.root.glob("src/*/pneu_*"))
     config = CONFIG.format(
@@ -154,13 +155,16 @@ def record(copy: Copy) -> None:
     words = ["-p", "studies.mutation.recorder"]
     clock = {recorder.DURATIONS: str(folder)}
     two = ["--numprocesses=2", "--dist=loadfile", "-m", "not long"]
-    copy.pytest([*words, *two], 7200.0, **variables, **clock)
+    copy.pytest([*words, *two, *files], 7200.0, **variables, **clock)
     # File by file: what ends a process ends the recording of no other file.
     uncompiled = {"NUMBA_DISABLE_JIT": "1", recorder.LIMIT: "1"}
-    for file in sorted(copy.root.glob("src/pneu_sim/test/test_*.py")):
-        one = ["-m", "not long and not realtime", str(file)]
+    of_kernels = map(str, sorted(copy.root.glob("src/pneu_sim/test/test_*.py")))
+    for file in files or of_kernels:
+        one = ["-m", "not long and not realtime", file]
         copy.pytest([*words, *one], 600.0, **variables, **uncompiled)
     combined = coverage.Coverage(config_file=str(folder / "config"))
+    if files:
+        combined.load()
     combined.combine([str(folder)])
     combined.save()
 
