@@ -463,7 +463,7 @@ def test_jittered_samples_keep_their_times(tmp_path: Path) -> None:
     (finding,) = (one for one in recording.findings if one.kind == "irregular")
     off = np.diff(t) / np.median(np.diff(t)) - 1.0  # none is beyond 1.5 periods
     assert finding.count == np.sum(np.abs(off) > 0.1) > 200
-    assert f", {100.0 * np.sqrt(np.mean(off**2)):.3g} % rms;" in finding.note
+    assert f", {100.0 * np.sqrt(np.mean(off**2)):.3g} % rms;" in finding.action
     inside = t >= EPOCH_NS  # the first command is there
     same(recording.pressures["end"], seconds(t[inside], int(t[inside][0])), ramp(t)[inside])
 
