@@ -77,9 +77,12 @@ class Fault:
         return before, after
 
     def possible(self) -> bool:
-        """Return whether it is Python, and not in an assertion, of which mypy is the reader."""
+        """Return whether it is Python, and changes what is done.
+
+        An assertion tells mypy the type, and `frozen=True` says what no code does.
+        """
         before, after = self.texts()
-        if before.splitlines()[self.first - 1].lstrip().startswith("assert"):
+        if before.splitlines()[self.first - 1].lstrip().startswith(("assert", "@dataclass")):
             return False
         try:
             ast.parse(after)

@@ -26,7 +26,7 @@ from pneu_sysid.records import Recording, Signal
 from pneu_sysid.regimes import OPENING_EDGES, SHUT, WIDE_OPEN, _opening_sets, frequency_shares
 from pneu_sysid.report import quantities
 from pneu_sysid.scale import rescaled
-from pneu_sysid.shift import estimate_shift
+from pneu_sysid.shift import FEWEST, estimate_shift
 
 Floats = NDArray[np.float64]
 NEAR = 1e-7
@@ -372,6 +372,15 @@ def test_a_shift_is_found_up_to_its_reach_with_its_sign(lag: float) -> None:
     assert found is not None
     assert found.lag_s == pytest.approx(lag, abs=5.0 * found.std_error_s + 1e-6)
     assert found.gain == pytest.approx(1.3, rel=1e-3)
+
+
+@pytest.mark.parametrize("readings", [FEWEST, FEWEST + 1])
+def test_of_a_few_readings_no_shift_is_estimated(readings: int) -> None:
+    ticks = np.arange(0.0, 4.0, 0.002)
+    time = np.linspace(0.3, 3.5, readings)[None]
+    none = np.zeros(1, dtype=np.int64)
+    found = estimate_shift(np.sin(5.0 * time), time, [(ticks, np.sin(5.0 * ticks))], none)
+    assert (found is not None) is (readings > FEWEST)
 
 
 @pytest.mark.parametrize("lag", [-0.06, 0.056])

@@ -351,3 +351,15 @@ def test_beside_a_kink_the_lesser_slope_counts_and_elsewhere_the_mean() -> None:
     assert j[0] == pytest.approx(np.array([[1.0, 0.0], [0.0, 0.0], [1.0, -1.0]]))
     _, j = jacobian(residuals, np.array([0.0, 1.0]), variables, both=True)  # at its bound
     assert j[0, 1, 1] == pytest.approx(2.0, abs=2e-3)
+
+
+def test_a_secant_agrees_with_the_last_step_and_changes_nothing_across_it() -> None:
+    """Broyden's condition, in variables whose spans differ; a step of nothing says nothing."""
+    rng = np.random.default_rng(6)
+    j, change = rng.normal(size=(4, 7, 3)), rng.normal(size=(4, 7))
+    span, step = np.array([0.5, 20.0, 3e-4]), np.array([0.3, -0.1, 0.7])
+    across = np.cross(step, [1.0, 2.0, 3.0])
+    found = gauss_newton._secant(j, change, step, span)
+    np.testing.assert_allclose((found * span) @ step, change, rtol=1e-12)
+    np.testing.assert_allclose((found * span) @ across, (j * span) @ across, rtol=1e-9)
+    assert gauss_newton._secant(j, change, 0.0 * step, span) is j
