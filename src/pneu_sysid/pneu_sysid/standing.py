@@ -124,7 +124,7 @@ def since_calibration(standing: Standing, names: list[str], found: bool) -> str:
     if standing.own:
         return "The model was calibrated on this very recording, so nothing can have changed since."
     changed = standing.changed
-    if len(names) > 1 and changed and len(changed) < len(names):
+    if changed and len(changed) < len(names):
         others = [name for name in names if name not in changed]
         return (
             f"Something changed in {', '.join(changed)} since the calibration, and nothing in"
