@@ -13,7 +13,7 @@ from pneu_sysid.design.foreseen import foresee
 from pneu_sysid.design.waves import STEP_S
 from pneu_sysid.evidence import blocks_of
 from pneu_sysid.problem import make_problem
-from pneu_sysid.refits import Refit, refit, settled, well_placed
+from pneu_sysid.refits import Refit, refit, refit_effects, settled, well_placed
 from pneu_sysid.sites import Site
 from pneu_sysid.thresholds import Thresholds
 
@@ -50,6 +50,15 @@ def test_a_candidate_settles_on_the_cells_that_count() -> None:
     used = ~problem.held_out
     share = 1.0 - np.sum(there.residual[used] ** 2) / np.sum(base[used] ** 2)
     assert there.explained == pytest.approx(share)
+    # An effect of a rig file may leave out what has a default; it is fitted and written all the
+    # same, into another rig.
+    short = AttachedEffect(effect="dead_volume", place="tube", parameters={"position_m": 0.9})
+    given = rig.model_copy(update={"effects": [short]})
+    fitted, estimate = refit_effects(problem, given, [0])
+    found_there = fitted.effects[0].parameters
+    assert [found_there[k] for k in ("volume_m3", "position_m")] == list(estimate.values)
+    assert short.parameters == {"position_m": 0.9}
+    assert squares(fitted) < 0.5 * squares(given)
 
 
 def test_a_candidate_is_placed_without_what_its_cells_make_of_it() -> None:
@@ -68,7 +77,7 @@ def test_a_candidate_is_placed_without_what_its_cells_make_of_it() -> None:
     site = Site(effect, "tube", {"position_m": 1.5})
     there = site.attached(rig, TRUE_M3)
     off = residual_matrix(problem, problem.predict([there])[0])
-    found = Refit(site, TRUE_M3, 0.0, 0.0, 0.0, 0.0, 9.0, 0.0, off, base - off, there)
+    found = Refit(site, TRUE_M3, 0.0, 0.0, 0.0, 0.0, 9.0, 0.0, off, there)
     blocks = blocks_of(problem, Thresholds().block)
     placed = well_placed(problem, found, blocks)
 
@@ -87,5 +96,5 @@ def test_a_candidate_is_placed_without_what_its_cells_make_of_it() -> None:
     assert there.position_error_m == pytest.approx(np.diff(placed.places_m).item() / 2.0)
     # what has no place is left alone
     bare = Site(find_effect("sensor_lag"), "end", {})
-    slow = Refit(bare, 0.01, 0.0, None, 0.0, 0.0, 9.0, 0.0, off, off, bare.attached(rig, 0.01))
+    slow = Refit(bare, 0.01, 0.0, None, 0.0, 0.0, 9.0, 0.0, off, bare.attached(rig, 0.01))
     assert well_placed(problem, slow, blocks) is slow
