@@ -61,7 +61,8 @@ def run(
                     return
                 outcome = attempt(copy, fault, recorded.tests(fault, longest_s), recorded)
                 with lock:
-                    kept[key] = dataclasses.asdict(outcome)
+                    first = kept.get(key, {}).get("first", outcome.status)
+                    kept[key] = {**dataclasses.asdict(outcome), "first": first}
                     write_whole(RESULTS, json.dumps(kept, indent=1))
                     before, after = key.split("\t")[3:]
                     place = f"{fault.path}:{fault.first}"
@@ -84,7 +85,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("stages", nargs="*", help=f"some of {', '.join(STAGES)}; all if none")
     parser.add_argument("--files", nargs="+", default=[], help="files of new tests to record")
-    parser.add_argument("--seed", type=int, default=1, help="random seed of the drawing")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1], help="one per drawing")
     parser.add_argument("--each", type=int, default=18, help="faults per group")
     parser.add_argument(
         "--groups", nargs="+", default=list(GROUPS), choices=GROUPS, metavar="group"
@@ -99,19 +100,25 @@ def main(arguments: list[str] | None = None) -> int:
     if "record" in stages:
         record(Copy("copy0"), options.files)
     kept = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.is_file() else {}
-    faults = sample(options.seed, options.each, options.groups)
+    faults = {s: sample(s, options.each, options.groups) for s in options.seeds}
     if "run" in stages:
-        run(faults, kept, options.again, options.longest, options.workers)
+        run(
+            [f for of in faults.values() for f in of],
+            kept,
+            options.again,
+            options.longest,
+            options.workers,
+        )
     if "page" in stages:
         rows = []
-        for fault in faults:
+        for seed, fault in ((seed, fault) for seed, of in faults.items() for fault in of):
             before, after = fault.lines()
             key = _key(fault, (before, after))
             if key in kept:
                 fields = {**dataclasses.asdict(fault), "before": before, "after": after}
-                rows.append({**fields, **kept[key]})
+                rows.append({**fields, "seed": seed, **kept[key]})
         PAGE.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(PAGE, page(rows, Recorded(Copy("copy0")).totals(), options.seed, options.each))
+        write_whole(PAGE, page(rows, Recorded(Copy("copy0")).totals(), options.each))
     return 0
 
 

@@ -21,11 +21,11 @@ def equivalents() -> dict[tuple[str, str, str], str]:
     return {(one["path"], one["before"], one["after"]): one["reason"] for one in listed}
 
 
-def _rates(name: str, values: Iterable[str], rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def _rates(name: str, values: Iterable[Any], rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a table of what became of faults by a field."""
     lines = [
-        f"| {name} | faults | noticed | survived | equivalent | rate |",
-        "|---|---|---|---|---|---|",
+        f"| {name} | faults | noticed | survived | equivalent | rate | when drawn |",
+        "|---|---|---|---|---|---|---|",
     ]
     for value in (*values, "all"):
         of = [row for row in rows if value == "all" or row[name] == value]
@@ -34,9 +34,12 @@ def _rates(name: str, values: Iterable[str], rows: Sequence[Mapping[str, Any]]) 
         noticed = sum(row["status"] == "noticed" for row in of)
         equivalent = sum(row["status"] == "equivalent" for row in of)
         survived = len(of) - noticed - equivalent
-        rate = noticed / max(len(of) - equivalent, 1)
+        count = max(len(of) - equivalent, 1)
+        # (a fault is tried again until a test notices it; one that is equivalent is never noticed)
+        first = sum(row["first"] == "noticed" for row in of)
         lines.append(
-            f"| {value} | {len(of)} | {noticed} | {survived} | {equivalent} | {rate:.0%} |"
+            f"| {value} | {len(of)} | {noticed} | {survived} | {equivalent} |"
+            f" {noticed / count:.0%} | {first / count:.0%} |"
         )
     return lines
 
@@ -64,17 +67,14 @@ def _code(text: str) -> str:
     return f"`{text.replace('|', chr(92) + '|').replace('`', '')}`" if text else "(nothing)"
 
 
-def page(
-    rows: Sequence[dict[str, Any]], totals: Mapping[str, Mapping[str, int]], seed: int, each: int
-) -> str:
+def page(rows: Sequence[dict[str, Any]], totals: Mapping[str, Mapping[str, int]], each: int) -> str:
     """Return the page.
 
     Args:
         rows: Fields of each fault and of its outcome; a survivor that is argued to be equivalent
             counts as such.
         totals: Of the coverage of each file.
-        seed: Of the drawing.
-        each: How many faults were drawn per group.
+        each: How many faults were drawn per group with each seed.
     """
     known = equivalents()
     rows = [dict(row) for row in rows]
@@ -89,12 +89,16 @@ def page(
         "Written by `make mutate`. Cosmic Ray and operators of our own"
         " (`studies/mutation/operators.py`) put faults into the source, one at a time; the tests of"
         " `make test` that reach the changed lines are run until one fails. A fault that no test"
-        f" reaches has survived. {each} faults were drawn per group with seed {seed}, classes in"
-        f" turn; {len(rows)} in all took {took_s / 60:.0f} minutes of trials,"
-        f" {took_s / max(len(rows), 1):.0f} s each. Sources {digest_of([ROOT / 'src'])}, tests"
-        f" {digest_of([ROOT / 'tests'])}.",
+        f" reaches has survived. {each} faults were drawn per group and seed, classes in turn;"
+        f" {len(rows)} in all took {took_s / 60:.0f} minutes of trials,"
+        f" {took_s / max(len(rows), 1):.0f} s each. For survivors tests were written, and they were"
+        " tried again: the last column is the share that was noticed when a fault was first tried,"
+        " and those of a later seed were drawn when the tests for an earlier one stood. Sources"
+        f" {digest_of([ROOT / 'src'])}, tests {digest_of([ROOT / 'tests'])}.",
         "",
         f"The mark is {CRITICAL_MARK:.0%} in {', '.join(CRITICAL)}, and {MARK:.0%} elsewhere.",
+        "",
+        *_rates("seed", sorted({row["seed"] for row in rows}), rows),
         "",
         *_rates("group", GROUPS, rows),
         "",
