@@ -206,21 +206,6 @@ def test_a_cut_file_is_read_and_completed(genuine, tmp_path, cut):
     assert sorted(p.name for p in (tmp_path / "bag").iterdir()) == ["bag_0.mcap", "metadata.yaml"]
 
 
-def test_damage_inside_a_file_costs_what_follows_it_only(genuine, tmp_path):
-    bag = copied(genuine, tmp_path / "bag", repeat=200)
-    whole = contents(bag)
-    (path,) = (tmp_path / "bag").glob("*.mcap")
-    chunks = make_reader(path.open("rb")).get_summary().chunk_indexes
-    data = bytearray(path.read_bytes())
-    at = chunks[2].chunk_start_offset + 100
-    data[at : at + 50] = b"\xff" * 50
-    path.write_bytes(data[:-10])
-    found = BagReader(path)
-    assert "damaged at byte" in found.files[0].damage
-    kept = contents(found)
-    assert kept == whole[: len(kept)] and len(kept) > 100
-
-
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [(b"", "is no MCAP file"), (b"nonsense" * 9, "is no MCAP file"), (None, "no such bag")],
@@ -542,13 +527,15 @@ def test_pacer_stands_while_it_is_paused(monkeypatch):
     time_ = PacerTime(pacer, monkeypatch)
     pacer.begin(0)
     time_.now_s += 0.5
-    pacer.pause()
-    time_.now_s += 3.0
-    assert pacer.paused and pacer.now_ns() == 5 * 10**9
-    pacer.resume()
-    assert not pacer.paused and pacer.now_ns() == 5 * 10**9
-    time_.now_s += 0.25
-    assert pacer.now_ns() == 7_500_000_000
+    for _ in range(2):
+        pacer.pause()
+        time_.now_s += 3.0
+        assert pacer.paused and pacer.now_ns() == 5 * 10**9
+    for passed_ns in (0, 2_500_000_000, 5_000_000_000):  # only the first resumes
+        pacer.resume()
+        assert not pacer.paused and pacer.now_ns() == 5 * 10**9 + passed_ns
+        time_.now_s += 0.25
+    assert pacer.now_ns() == 12_500_000_000
     assert not pacer.step(), "which only a paused one does"
 
 

@@ -132,9 +132,10 @@ class BagWriter:
         Raises:
             OSError: The disk is full.
         """
-        if self._file is None or self._finishing is not None or not self._file.entry.message_count:
-            return
-        self._finishing, self._file = self._file, None
+        if self._finishing is None and self._file is not None:
+            if not self._file.entry.message_count:
+                return
+            self._finishing, self._file = self._file, None
         self.flush()
 
     def flush(self) -> None:

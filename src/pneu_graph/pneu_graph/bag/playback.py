@@ -44,9 +44,8 @@ class Pacer:
     def pause(self) -> None:
         """Stops the time."""
         with self._changed:
-            if not self._paused:
-                self.begin_here()
-                self._paused = True
+            self.begin_here()
+            self._paused = True
 
     def resume(self) -> None:
         """Lets the time go on."""

@@ -173,7 +173,12 @@ def parse_profiles(found: Any, where: str) -> list[OfferedQos]:
         return []
     if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
         raise InputError(f"{where}: offered_qos_profiles is a list of mappings, found {found!r}")
-    return [_parse(item, where) for item in found]
+    try:
+        return [_parse(item, where) for item in found]
+    except InputError:  # before its base, ValueError
+        raise
+    except (AttributeError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{where}: a QoS profile cannot be read ({error})") from None
 
 
 def _parse(item: dict[str, Any], where: str) -> OfferedQos:

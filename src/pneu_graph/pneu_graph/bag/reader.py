@@ -17,8 +17,19 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata, Schema
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    DataEnd,
+    Footer,
+    Message,
+    Metadata,
+    Schema,
+    Statistics,
+)
 from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
 
 from pneu_common.errors import InputError
 from pneu_graph.bag.metadata import BagMetadata, File, Topic, read_metadata
@@ -26,6 +37,8 @@ from pneu_graph.bag.qos import parse_profiles
 from pneu_graph.bag.unpacking import Allowance, bounded, chunk_records
 
 MAGIC = b"\x89MCAP0\r\n"
+
+_KINDS = {int(one) for one in Opcode}
 
 # What a cut or damaged file makes the MCAP library raise, and what is below it.
 _DAMAGE = (
@@ -69,7 +82,7 @@ class FileContent:
         topics: The topics by name.
         definitions: Text of the message type by topic.
         indexed: Whether the file has its summary; false where recording was cut short.
-        damage: What ended the reading of a file without index; empty where it ends cleanly.
+        damage: The last damage that was found while records were read; empty where there was none.
     """
 
     path: Path
@@ -192,13 +205,9 @@ def scan_file(path: Path) -> FileContent:
                 summary = None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    if (
-        summary is None
-        or summary.statistics is None
-        or (summary.statistics.chunk_count and not summary.chunk_indexes)
-    ):
+    statistics = summary.statistics if summary is not None else None
+    if summary is None or statistics is None or not _tells_all(summary, statistics):
         return _scan_records(path)
-    statistics = summary.statistics
     content = FileContent(path, File(path.name), {}, {}, indexed=True)
     if statistics.message_count:
         content.entry = File(
@@ -211,6 +220,16 @@ def scan_file(path: Path) -> FileContent:
         count = statistics.channel_message_counts.get(channel.id, 0)
         _add_channel(content, channel, summary.schemas.get(channel.schema_id), count)
     return content
+
+
+def _tells_all(summary: Summary, statistics: Statistics) -> bool:
+    """Whether a summary repeats all that is needed to read a file by its index."""
+    schemas = {channel.schema_id for channel in summary.channels.values()} - {0}  # 0 is none
+    return (
+        statistics.chunk_count == len(summary.chunk_indexes)
+        and statistics.channel_message_counts.keys() <= summary.channels.keys()
+        and schemas <= summary.schemas.keys()
+    )
 
 
 def _add_channel(
@@ -256,11 +275,12 @@ def sound_records(
 ) -> Iterator[tuple[Any, list[Any]]]:
     """Yields the records of a file's data section up to the last one that is whole.
 
-    Each comes with the records inside of it, where it is a chunk, else with itself as a list.
+    Each comes with the records inside of it, where it is a chunk, else with itself as a list. A
+    chunk whose content is damaged is left out.
 
     Args:
-        path: The file.
-        content: Where to note what ended the reading, if it was damage.
+        path: The file, which begins as an MCAP file does.
+        content: Where to note damage.
 
     Raises:
         InputError: A chunk unpacks to more than is allowed.
@@ -269,42 +289,52 @@ def sound_records(
     with bounded(path) as stream:
         size = path.stat().st_size
         allowance = Allowance(path, size)
-        records = StreamReader(stream, emit_chunks=True, record_size_limit=size).records
+        stream.seek(len(MAGIC))
+        records = StreamReader(
+            stream, skip_magic=True, emit_chunks=True, record_size_limit=size
+        ).records
         while True:
             at = stream.tell()
             # The library reads short at the end of the file, so the length is checked first.
             head = stream.read(min(9, size - at))
             stream.seek(at)
-            begins = at < len(MAGIC)
-            if not begins and (len(head) < 9 or at + 9 + int.from_bytes(head[1:], "little") > size):
+            end = at + 9 + int.from_bytes(head[1:], "little")
+            # (no kind is 0; file systems leave zeros where power was lost)
+            if len(head) < 9 or end > size or not head[0]:
                 if content is not None and head:
                     content.damage = f"cut inside a record at byte {at}"
                 return
-            if not begins and head[0] in (Opcode.DATA_END, Opcode.FOOTER):
-                return
+            if head[0] not in _KINDS:  # which the library passes over together with what follows
+                stream.seek(end)
+                continue
+            record = None
             try:
                 record = next(records)
-                if isinstance(record, DataEnd):
+                if isinstance(record, DataEnd | Footer):
                     return
                 parts: list[Any] = [record]
                 if isinstance(record, Chunk):
                     parts = list(chunk_records(record, allowance))
+                found = known | {part.id for part in parts if isinstance(part, Channel)}
                 for part in parts:
-                    if isinstance(part, Channel):
-                        known.add(part.id)
-                    elif isinstance(part, Message) and part.channel_id not in known:
+                    if isinstance(part, Message) and part.channel_id not in found:
                         raise ValueError(
                             f"a message of channel {part.channel_id}, which is unknown"
                         )
-            except StopIteration:
-                return
             except InputError:  # before its base, ValueError
                 raise
             except _DAMAGE as error:
                 if content is not None:
-                    content.damage = f"damaged at byte {at} ({' '.join(str(error).split())})"
-                return
+                    content.damage = _damaged(at, error)
+                if record is None:  # nobody knows where the next one begins
+                    return
+                continue
+            known = found
             yield record, parts
+
+
+def _damaged(at: int, error: Exception) -> str:
+    return f"damaged at byte {at} ({' '.join(str(error).split())})"
 
 
 def side_records(path: Path) -> Iterator[Attachment | Metadata]:
@@ -319,7 +349,10 @@ def side_records(path: Path) -> Iterator[Attachment | Metadata]:
 
 
 def file_messages(
-    file: FileContent, topics: set[str] | None = None, start_ns: int = 0
+    file: FileContent,
+    topics: set[str] | None = None,
+    start_ns: int = 0,
+    what_is_whole: bool = False,
 ) -> Iterator[BagMessage]:
     """Yields the messages of one file by log time.
 
@@ -327,25 +360,34 @@ def file_messages(
         file: The file, as it was scanned.
         topics: Only these; None for all.
         start_ns: Only messages from this log time on, ns.
+        what_is_whole: Whether damaged chunks of a file with index are left out, and noted in its
+            content; those of a file without index always are.
 
     Raises:
-        InputError: A file with index is damaged.
+        InputError: A file with index is damaged, or a chunk unpacks to more than is allowed.
     """
-    if file.indexed:
-        try:
-            yield from _indexed_messages(file.path, topics, start_ns)
-        except InputError:  # before its base, ValueError
-            raise
-        except _DAMAGE as error:
-            raise InputError(
-                f"{file.path}: is damaged ({' '.join(str(error).split())});"
-                " `pneu bag recover` keeps what is whole"
-            ) from None
+    if not file.indexed:
+        yield from _messages_in_turn(file, topics, start_ns)
         return
+    try:
+        yield from _indexed_messages(file, topics, start_ns, what_is_whole)
+    except InputError:  # before its base, ValueError
+        raise
+    except _DAMAGE as error:
+        raise InputError(
+            f"{file.path}: is damaged ({' '.join(str(error).split())});"
+            " `pneu bag recover` keeps what is whole"
+        ) from None
+
+
+def _messages_in_turn(
+    file: FileContent, topics: set[str] | None, start_ns: int
+) -> Iterator[BagMessage]:
+    """Messages by log time of a file that is read from its beginning to its end."""
     names: dict[int, str] = {}
     waiting: list[tuple[int, int, BagMessage]] = []
     order = 0
-    for record, parts in sound_records(file.path):
+    for record, parts in sound_records(file.path, file):
         # Recorders write in the order of receipt, so only neighbouring chunks overlap in time.
         begin = record.message_start_time if isinstance(record, Chunk) else None
         while waiting and begin is not None and waiting[0][0] < begin:
@@ -363,20 +405,16 @@ def file_messages(
         yield heapq.heappop(waiting)[2]
 
 
-def _indexed_messages(path: Path, topics: set[str] | None, start_ns: int) -> Iterator[BagMessage]:
+def _indexed_messages(
+    file: FileContent, topics: set[str] | None, start_ns: int, what_is_whole: bool
+) -> Iterator[BagMessage]:
     """Messages by log time of a file with index, chunk by chunk."""
-    with bounded(path) as stream:
-        size = path.stat().st_size
-        allowance = Allowance(path, size)
+    with bounded(file.path) as stream:
+        allowance = Allowance(file.path, file.path.stat().st_size)
         summary = make_reader(stream).get_summary()
-        if summary is None or not summary.chunk_indexes:
-            records = [one for _, parts in sound_records(path) for one in parts]
-            plain = [one for one in records if isinstance(one, Message)]
-            names = {one.id: one.topic for one in records if isinstance(one, Channel)}
-            for message in sorted(plain, key=lambda one: one.log_time):
-                topic = names[message.channel_id]
-                if message.log_time >= start_ns and (topics is None or topic in topics):
-                    yield _bag_message(topic, message)
+        assert summary is not None  # or the file would have been scanned as one without index
+        if not summary.chunk_indexes:
+            yield from _messages_in_turn(file, topics, start_ns)
             return
         names = {number: channel.topic for number, channel in summary.channels.items()}
         waiting: list[tuple[int, int, int, BagMessage]] = []
@@ -389,15 +427,25 @@ def _indexed_messages(path: Path, topics: set[str] | None, start_ns: int) -> Ite
                 continue
             while waiting and waiting[0][0] < index.message_start_time:
                 yield heapq.heappop(waiting)[3]
-            stream.seek(index.chunk_start_offset + 9)
-            chunk = Chunk.read(ReadDataStream(stream))
-            for number, part in enumerate(chunk_records(chunk, allowance)):
-                if isinstance(part, Message) and part.log_time >= start_ns:
-                    topic = names[part.channel_id]
-                    if topics is None or topic in topics:
-                        entry = _bag_message(topic, part)
-                        key = (part.log_time, index.chunk_start_offset, number)
-                        heapq.heappush(waiting, (*key, entry))
+            try:
+                stream.seek(index.chunk_start_offset + 9)
+                chunk = Chunk.read(ReadDataStream(stream))
+                messages = [
+                    (part, names[part.channel_id])
+                    for part in chunk_records(chunk, allowance)
+                    if isinstance(part, Message)
+                ]
+            except InputError:  # before its base, ValueError
+                raise
+            except _DAMAGE as error:
+                if not what_is_whole:
+                    raise
+                file.damage = _damaged(index.chunk_start_offset, error)
+                continue
+            for number, (message, topic) in enumerate(messages):
+                if message.log_time >= start_ns and (topics is None or topic in topics):
+                    key = (message.log_time, index.chunk_start_offset, number)
+                    heapq.heappush(waiting, (*key, _bag_message(topic, message)))
         while waiting:
             yield heapq.heappop(waiting)[3]
 

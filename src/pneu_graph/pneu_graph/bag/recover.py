@@ -14,9 +14,9 @@ from pneu_graph.bag.reader import BagReader, FileContent, file_messages, side_re
 
 
 def recover_bag(path: str | Path) -> list[str]:
-    """Writes anew what lacks its index, from the messages that are whole, and `metadata.yaml`.
+    """Writes anew what is damaged or lacks its index, from what is whole, and `metadata.yaml`.
 
-    A file is written aside and put in place of the cut one when it is complete.
+    A file is written aside and put in place of the other when it is complete.
 
     Args:
         path: Folder of a bag, or one MCAP file.
@@ -31,7 +31,7 @@ def recover_bag(path: str | Path) -> list[str]:
     bag = BagReader(path)
     done = []
     for file in bag.files:
-        if file.indexed:
+        if file.indexed and _is_whole(file):
             done.append(f"{file.path}: complete, {file.entry.message_count} messages")
             continue
         try:
@@ -39,17 +39,23 @@ def recover_bag(path: str | Path) -> list[str]:
         except OSError as error:
             raise InputError(f"{file.path}: cannot be written ({error.strerror})") from None
         done.append(
-            f"{file.path}: index written, {file.entry.message_count} messages"
-            + (f"; {file.damage}" if file.damage else "")
+            f"{file.path}: {'written anew' if file.indexed else 'index written'},"
+            f" {file.entry.message_count} messages" + (f"; {file.damage}" if file.damage else "")
         )
     if path.is_dir():
-        metadata = bag.metadata
+        metadata = BagReader(path).metadata
         try:
             metadata.write(path)
         except OSError as error:
             raise InputError(f"{path}: cannot be written ({error.strerror})") from None
         done.append(f"{path / 'metadata.yaml'}: written, {metadata.message_count} messages")
     return done
+
+
+def _is_whole(file: FileContent) -> bool:
+    for _ in file_messages(file, what_is_whole=True):
+        pass
+    return not file.damage
 
 
 def _rewrite(bag: BagReader, file: FileContent) -> None:
@@ -62,7 +68,7 @@ def _rewrite(bag: BagReader, file: FileContent) -> None:
                 written.add_metadata(record.name, dict(record.metadata))
         for name, topic in file.topics.items():
             written.add_topic(topic, file.definitions[name])
-        for message in file_messages(file):
+        for message in file_messages(file, what_is_whole=True):
             written.write(
                 message.topic,
                 message.data,
@@ -70,6 +76,9 @@ def _rewrite(bag: BagReader, file: FileContent) -> None:
                 message.publish_time_ns,
                 message.sequence,
             )
+        for name, topic in file.topics.items():
+            topic.message_count = written.counts[name]
+        file.entry = written.entry
         written.finish(
             BagMetadata(
                 files=[written.entry],

@@ -67,6 +67,4 @@ class Spool:
 
     def close(self) -> None:
         """Closes the file; what is pending is lost."""
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
-            self._descriptor = -1
+        os.close(self._descriptor)
