@@ -20,8 +20,9 @@ def sentence(error: ValidationError, model: Any) -> str:
     """
     faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
     first = faults[0]
-    where = ".".join(str(part) for part in _path(model, first["loc"]))
-    if first["type"] == "extra_forbidden":
+    unknown = first["type"] == "extra_forbidden"
+    where = ".".join(str(part) for part in _walk(model, first["loc"], unknown)[1])
+    if unknown:
         key = str(first["loc"][-1])
         known = _fields_at(model, first["loc"][:-1])
         near = difflib.get_close_matches(key, known, n=1)
@@ -66,8 +67,16 @@ def _inner(annotation: Any) -> list[Any]:
     )
 
 
-def _walk(model: Any, loc: tuple[int | str, ...]) -> tuple[list[Any], list[int | str]]:
-    """What is at a place, and the place without the names of alternatives that lead to it."""
+def _walk(
+    model: Any, loc: tuple[int | str, ...], unknown: bool
+) -> tuple[list[Any], list[int | str]]:
+    """What is at a place, and the place without the names of alternatives that lead to it.
+
+    Args:
+        model: What was validated.
+        loc: The place as pydantic names it.
+        unknown: Whether its last part is a key that is not known, rather than an alternative.
+    """
     at, way = _inner(model), []
     for number, part in enumerate(loc):
         following = []
@@ -84,8 +93,8 @@ def _walk(model: Any, loc: tuple[int | str, ...]) -> tuple[list[Any], list[int |
                     following += _inner(field.annotation)
                     known = True
         if not known:
-            if number == len(loc) - 1:
-                way.append(part)  # a key that is not known
+            if number == len(loc) - 1 and (unknown or len(at) < 2):
+                way.append(part)
             continue  # pydantic tells which of several alternatives it tried
         at = following
         if not tagged:
@@ -93,12 +102,8 @@ def _walk(model: Any, loc: tuple[int | str, ...]) -> tuple[list[Any], list[int |
     return at, way
 
 
-def _path(model: Any, loc: tuple[int | str, ...]) -> list[int | str]:
-    return _walk(model, loc)[1]
-
-
 def _fields_at(model: Any, loc: tuple[int | str, ...]) -> list[str]:
-    found = [one for one in _walk(model, loc)[0] if not isinstance(one, tuple)]
+    found = [one for one in _walk(model, loc, False)[0] if not isinstance(one, tuple)]
     return [field.alias or name for one in found for name, field in one.model_fields.items()]
 
 

@@ -305,6 +305,15 @@ HEAD = "pneu_registers: 1\nname: m\nchannels:\n"
 WRITE = "{direction: write, table: holding, address: 3, type: float32, range: [0, 10], safe: 0}"
 
 
+READ = """
+  p: {direction: read, table: input, address: 7, type: int16, unit: K, range: [-2, 8], PART}
+"""
+ENCODER = """
+encoders:
+  e: {table: input, address: 5, type: int16, unit: rad, range: [-3, 3], PART}
+"""
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -325,13 +334,91 @@ WRITE = "{direction: write, table: holding, address: 3, type: float32, range: [0
             "nothing to command",
         ),
         (HEAD + "  a: " + WRITE + "\ndevice: {portt: 3}", "did you mean 'port'"),
+        (HEAD + "  a: " + WRITE.replace("type: float32, ", ""), "in table holding needs a type"),
+        (HEAD + "  a: " + WRITE.replace("holding", "coil"), "a coil or discrete input has no type"),
+        (HEAD + "  a: " + WRITE.replace("safe", "scale: 0, safe"), "scale must not be 0"),
+        (
+            HEAD + "  a: " + WRITE.replace("3, type: float32", "65533, type: float64"),
+            "address 65533 leaves no room for float64",
+        ),
+        (
+            HEAD + "  a: " + WRITE + READ.replace("PART", "trip_above: 8.5"),
+            "channels.p: trip_above 8.5 lies outside of range [-2.0, 8.0]",
+        ),
+        (
+            HEAD + "  a: " + WRITE + READ.replace("PART", "hold_below: -2.5"),
+            "channels.p: hold_below -2.5 lies outside of range [-2.0, 8.0]",
+        ),
+        (
+            HEAD
+            + "  a: "
+            + WRITE
+            + ENCODER.replace("input", "discrete").replace("type: int16,", ""),
+            "encoders.e: table discrete: an encoder needs a register, not a bit",
+        ),
+        (
+            HEAD + "  a: " + WRITE + ENCODER.replace("PART", "upper: 3.5"),
+            "encoders.e: upper 3.5 lies outside of range [-3.0, 3.0]",
+        ),
+        (
+            HEAD + "  a: " + WRITE + ENCODER.replace("PART", "lower: 1.5, upper: 1.5"),
+            "encoders.e: lower 1.5 must be less than upper 1.5",
+        ),
+        (
+            HEAD + "  a: " + WRITE + ENCODER.replace("  e:", "  a:"),
+            "encoders: 'a' is the name of a channel already",
+        ),
+        (
+            HEAD + "  a: " + WRITE + "\nsettings: [{address: 9, value: 3}]",
+            "settings.0: a setting needs a type, but on a coil",
+        ),
+        (
+            HEAD
+            + "  a: "
+            + WRITE
+            + "\nsettings: [{table: coil, type: int16, address: 9, value: 1}]",
+            "settings.0: a setting needs a type, but on a coil",
+        ),
     ],
 )
 def test_bad_maps_are_refused_in_one_sentence(text, says):
     with pytest.raises(InputError) as caught:
-        parse_register_map(text, "map.yaml")
+        parse_register_map(text.replace(", PART", ""), "map.yaml")
     assert says in str(caught.value)
     assert str(caught.value).startswith("map.yaml: ")
+
+
+EDGES = """
+  b: {direction: write, table: holding, address: 65532, type: float64, range: [0, 9], safe: 9}
+  p: {direction: read, table: input, address: 7, type: int16, unit: K, range: [-2, 8],
+      trip_above: 8, hold_below: -2}
+encoders:
+  e: {table: input, address: 5, type: int16, unit: rad, range: [-3, 3], lower: -3, upper: 3}
+settings:
+- {table: coil, address: 9, value: 0.5}
+- {table: coil, address: 10, value: 0}
+"""
+
+
+def test_what_lies_on_an_edge_is_allowed():
+    registers = parse_register_map(HEAD + "  a: " + WRITE + EDGES, "map.yaml")
+    assert registers.channels["b"].encode(1.5) == [0x3FF8, 0, 0, 0]
+    assert [one.encode() for one in registers.settings] == [[1], [0]]
+
+
+@pytest.mark.parametrize(
+    ("device", "where"),
+    [
+        ({}, "127.0.0.1:502 unit 7"),
+        ({"host": "lab", "port": 1502}, "lab:1502 unit 7"),
+        ({"transport": "rtu", "serial_port": "/dev/ttyS3", "unit": 5}, "/dev/ttyS3 unit 5"),
+    ],
+)
+def test_entries_of_the_device_replace_those_of_the_file(device, where):
+    text = HEAD + "  a: " + WRITE + "\ndevice: {unit: 7}"
+    assert parse_register_map(text, "map.yaml", device).device.where == where
+    with pytest.raises(InputError, match=r"^map\.yaml: device: "):
+        parse_register_map(text.replace("{unit: 7}", "7"), "map.yaml", device)
 
 
 TAPPED = (
@@ -362,6 +449,10 @@ def test_a_clock_is_read():
     count = registers.clock.samples.time
     assert count.decode([0, 0, 1, 2]) == 2**16 + 2
     assert count.encode(2**64 + 2**16 + 2) == [0, 0, 1, 2]
+    of_samples = parse_register_map(TAPPED[: TAPPED.index("  commands:")], "map.yaml")
+    assert (of_samples.sample_span, of_samples.command_span) == (samples, None)
+    without = parse_register_map(TAPPED[: TAPPED.index("clock:")], "map.yaml")
+    assert without.sample_span is without.command_span is None
 
 
 @pytest.mark.parametrize(
@@ -390,6 +481,23 @@ def test_a_clock_is_read():
         ("values: {a: 44}", "values: {a: 43}", "both use input 43"),
         ("unit: Pa", "unit: K", "no channel in Pa that is sampled"),
         ("direction: read, table: input", "direction: read, table: holding", "no single read has"),
+        ("time: {address: 2,", "time: {address: 2, table: holding,", "'clock.samples.time' is in"),
+        (
+            "time: {address: 42,",
+            "time: {address: 42, table: holding,",
+            "clock.commands: counter and time are in different tables",
+        ),
+        (
+            "holding, address: 3, type: float32,",
+            "coil, address: 3,",
+            "clock.commands: output 'a' is a coil, which no record holds",
+        ),
+        (
+            "counter: {address: 40}\n    time: {address: 42, tick_s: 1.0e-6}\n    values: {a: 44}",
+            "counter: {address: 65531}\n    time: {address: 65533, tick_s: 1.0e-6}\n"
+            "    values: {a: 65535}",
+            "clock.commands: 1 records go beyond the last register",
+        ),
     ],
 )
 def test_a_clock_that_cannot_be_is_refused_in_one_sentence(old, new, says):
