@@ -89,10 +89,11 @@ def test_vent_on_a_dead_bus_returns_in_time_and_says_so(server, wait_until):
         wait_until(lambda: owner.samples)
         server.close()
         wait_until(lambda: bus.fault)
-        begun = time.monotonic()
+        begun, failures = time.monotonic(), bus.statistics.connect_failures
         vented = bus.vent(0.14)
         assert time.monotonic() - begun < 0.4
         assert not vented.verified
+        assert bus.statistics.connect_failures - failures < 20, "it must not hammer"
         server.open()
 
 
@@ -145,6 +146,50 @@ def test_nothing_there(tmp_path, wait_until):
             time.sleep(0.5)
     assert "no connection to 127.0.0.1" in owner.faults[-1]
     assert 2 <= bus.statistics.connect_failures < 10
+
+
+def test_a_vent_that_waits_for_a_connection_ends_with_the_bus(wait_until):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        owner, vented = Owner(), []
+        with open_bus(free.getsockname()[1], owner) as bus:
+            wait_until(lambda: owner.faults)
+            thread = threading.Thread(target=lambda: vented.append(bus.vent(50.0)), daemon=True)
+            thread.start()
+            wait_until(lambda: bus._vent is not None)
+        thread.join(10.0)
+    assert (vented[0].verified, vented[0].message) == (False, "the bus was closed")
+    assert 0.0 < vented[0].duration_s < 10.0
+    bus.poke()  # which a bus that is closed takes for nothing
+    assert bus.vent().message == "the bus is not open"
+
+
+def test_a_failure_of_the_thread_is_told(server, wait_until, monkeypatch):
+    """Nothing is written from then on."""
+    owner, raised = Owner(), []
+    monkeypatch.setattr(threading, "excepthook", lambda told: raised.append(told.exc_type))
+    with open_bus(server.port, owner) as bus:
+        wait_until(lambda: owner.samples)
+        owner.volts = None
+        wait_until(lambda: owner.faults[-1])
+        assert owner.faults == [
+            "",
+            "the thread of the bus failed: TypeError: 'NoneType' object is not iterable",
+        ]
+        wait_until(lambda: not bus._thread.is_alive())
+        assert raised == [TypeError]  # whose traceback is shown
+        assert bus._loop.is_closed()
+        assert bus.vent().message == "the bus is not open"
+        bus.poke()
+
+
+def test_what_comes_before_there_is_a_wait_is_not_waited_for():
+    bus = ModbusBus(load_register_map("generic_plc"), Owner())
+    asked = iter([False, True, True])
+    begun_s = time.monotonic()
+    bus._loop.run_until_complete(bus._until(begun_s + 60.0, only=lambda: next(asked)))
+    assert time.monotonic() - begun_s < 30.0
+    bus.stop()
 
 
 @pytest.mark.parametrize("options", [{"timeout_s": 0.0}, {"timeout_s": 0.3}, {"period_s": 0.0}])
@@ -297,6 +342,39 @@ def test_outputs_that_cannot_be_read_back_are_said_to_be_so(server, wait_until):
         assert not bus.vent().verified
 
 
+def sane_reply(request):
+    """A reply of a device that holds the pressures and 0 V."""
+    function = request[7]
+    held = {
+        16: request[8:12],
+        3: bytes([4]) + struct.pack(">f", 0.0),
+        4: bytes([20]) + struct.pack(">5f", *PRESSURES),
+    }
+    body = bytes([function]) + held[function]
+    return request[:4] + struct.pack(">H", 1 + len(body)) + request[6:7] + body
+
+
+def test_a_device_that_lets_nobody_else_in_is_read_on_the_connection_that_it_has(wait_until):
+    listener = socket.create_server(("127.0.0.1", 0))
+    port = listener.getsockname()[1]
+
+    def serve():
+        peer, _ = listener.accept()
+        listener.close()
+        with peer, suppress(OSError):
+            while len(request := peer.recv(512)) >= 12:
+                peer.sendall(sane_reply(request))
+
+    threading.Thread(target=serve, daemon=True).start()
+    owner = Owner()
+    with open_bus(port, owner) as bus:
+        wait_until(lambda: len(owner.samples) > 5)
+        assert (bus.lines, bus.statistics.connects) == (1, 1)
+        assert owner.faults == [""]
+        assert bus.vent().verified
+    assert list(owner.samples[-1][0].values()) == PRESSURES
+
+
 # Garbage
 
 
@@ -360,15 +438,7 @@ def test_ten_thousand_random_replies(wait_until, monkeypatch):
                         if len(request) < 12:
                             break
                         if sane.is_set():
-                            function = request[7]
-                            held = {
-                                16: request[8:12],
-                                3: bytes([4]) + struct.pack(">f", 0.0),
-                                4: bytes([20]) + struct.pack(">5f", *PRESSURES),
-                            }
-                            body = bytes([function]) + held[function]
-                            head = request[:4] + struct.pack(">H", 1 + len(body)) + request[6:7]
-                            peer.sendall(head + body)
+                            peer.sendall(sane_reply(request))
                             continue
                         for _ in range(rng.choice([1, 1, 1, 2, 3])):
                             peer.sendall(broken_reply(rng, request))

@@ -271,8 +271,10 @@ class ModbusBus:
             self._writer.renew()
             if self._vent is not None and time.monotonic() >= self._vent_deadline_s:
                 self._finish_vent(False, self.fault)
-            wait_s = FIRST_BACKOFF_S if self._vent is not None else backoff_s
-            await self._until(time.monotonic() + wait_s, only=self._asked)
+            if fault and self._vent is not None:  # refusals come at once, hundreds in a vent
+                await asyncio.sleep(FIRST_BACKOFF_S)
+            else:
+                await self._until(time.monotonic() + backoff_s, only=self._asked)
             backoff_s = min(2.0 * backoff_s, LONGEST_BACKOFF_S)
         if self._vent is not None:
             self._finish_vent(False, "the bus was closed")
@@ -299,15 +301,13 @@ class ModbusBus:
         with suppress(RequestError):
             await self._writer.write(client, force=True)  # what may take long comes after
         second = Client(device, self._timeout_s, self.statistics)
-        answered = not await second.connect()
-        if answered:
-            try:
-                await self._reader.question(second)
-            except RequestError as error:
-                answered = error.usable
-        if not answered:
-            second.close()
-            return None
+        await second.connect()  # where that fails, so does the question
+        try:
+            await self._reader.question(second)
+        except RequestError as error:
+            if not error.usable:
+                second.close()
+                return None
         self.lines = 2
         return second
 
@@ -413,9 +413,8 @@ class ModbusBus:
 
     def _finish_vent(self, verified: bool, message: str) -> None:
         future, self._vent = self._vent, None
-        if future is not None and future.set_running_or_notify_cancel():
-            duration_s = time.monotonic() - self._vent_begun_s
-            future.set_result(Vented(verified, message, duration_s))
+        assert future is not None
+        future.set_result(Vented(verified, message, time.monotonic() - self._vent_begun_s))
 
     def _works(self, what: str, fault: str) -> None:
         """Takes note of how writing or reading does."""
@@ -456,12 +455,8 @@ class ModbusBus:
             self._wake = None
 
     def _rouse(self) -> None:
-        if not self._loop.is_closed():
-            try:
-                self._loop.call_soon_threadsafe(self._on_rouse)
-            except RuntimeError:
-                # The loop closed between the question and the call: nothing is left to rouse.
-                return
+        with suppress(RuntimeError):  # the loop is closed: nothing is left to rouse
+            self._loop.call_soon_threadsafe(self._on_rouse)
 
     def _on_rouse(self) -> None:
         if self._wake is not None and not self._wake.done():

@@ -205,18 +205,15 @@ class Client:
         """The registers or bits in a reply, as many as were asked for."""
         if batch.table in ("coil", "discrete"):
             raw = [int(bit) for bit in reply.bits]
-            fits = batch.count <= len(raw) < batch.count + 8  # replies are padded to whole bytes
-            raw = raw[: batch.count]
+            wanted = -(-batch.count // 8) * 8  # replies are padded to whole bytes
         else:
             raw = list(reply.registers)
-            fits = len(raw) == batch.count
-        if not fits:
-            self._statistics.malformed += 1
-            raise RequestError(
-                f"read of {batch.count} at {batch.table} {batch.address}: found {len(raw)}"
-            )
+            wanted = batch.count
+        if len(raw) != wanted:
+            what = f"read of {batch.count} at {batch.table} {batch.address}"
+            raise self._misfit(what, f"found {len(raw)}")
         self._statistics.reads += 1
-        return raw
+        return raw[: batch.count]
 
     async def write(self, table: str, address: int, raw: Sequence[int]) -> None:
         """Writes registers or bits.
@@ -244,8 +241,7 @@ class Client:
                 what, self._modbus.write_registers, address, list(raw), device_id=unit
             )
         if (reply.address, reply.count) != (address, len(raw)):
-            self._statistics.malformed += 1
-            raise RequestError(f"{what}: the device confirmed {reply.count} at {reply.address}")
+            raise self._misfit(what, f"the device confirmed {reply.count} at {reply.address}")
         self._statistics.writes += 1
 
     async def _request(
@@ -281,7 +277,6 @@ class Client:
             async with asyncio.timeout(patience_s):
                 return await asking
         except TimeoutError:
-            self._modbus.ctx.recv_buffer = b""
             return None
 
     def _asides(self, send: Callable[..., Any], count: int | None) -> list[Batch]:
@@ -291,7 +286,7 @@ class Client:
             send: The request.
             count: How many registers it reads; None where it writes.
         """
-        if self._device.transport == "tcp" or not self.in_step:
+        if not self.in_step:
             return []
         return [
             batch
@@ -310,32 +305,37 @@ class Client:
             raise RequestError(f"{what}: {self._lost}")
         try:
             reply = await send(*args, **options)
-        except (ModbusException, OSError) as error:
-            lost = not self._modbus.connected
-            late = time.monotonic() - begun_s >= 0.9 * self._timeout_s
-            if lost:
-                reason = "connection lost"
-            elif late:
+        except (ModbusException, OSError):
+            reason = "connection lost"
+            if self._modbus.connected:
                 reason = f"no answer within {self._timeout_s:g} s"
                 self._statistics.timeouts += 1
-            else:
-                reason = str(error)
-                self._statistics.malformed += 1
-            if self.in_step and not self.usable:
-                self._lost = reason  # whoever comes next might take the answer for its own
-            raise RequestError(f"{what}: {reason}") from None
+            raise self._given_up(what, reason) from None
         if reply.isError():
             self._statistics.exceptions += 1
             code = getattr(reply, "exception_code", 0)
             raise RequestError(f"{what}: exception reply {code}", usable=True)
         # A confused device may answer another function; pymodbus hands that out as it is.
         if reply.function_code != _FUNCTIONS[send.__name__]:
-            self._statistics.malformed += 1
-            raise RequestError(f"{what}: answered with function {reply.function_code}")
+            raise self._misfit(what, f"answered with function {reply.function_code}")
         took_s = time.monotonic() - begun_s
         self._statistics.request.add(took_s)
         self._statistics.reply.add(took_s)
         return reply
+
+    def _misfit(self, what: str, reason: str) -> RequestError:
+        """Counts an answer that does not fit its request, and gives the line up."""
+        self._statistics.malformed += 1
+        return self._given_up(what, reason)
+
+    def _given_up(self, what: str, reason: str) -> RequestError:
+        """Sees to it that nothing more is asked on a serial line, and returns the error to raise.
+
+        Whoever comes next might take the answer to this request for its own.
+        """
+        if self.in_step and not self.usable:
+            self._lost = reason
+        return RequestError(f"{what}: {reason}")
 
     def _heard(self, sending: bool, data: bytes) -> bytes:
         """Takes note of when something came last."""

@@ -156,14 +156,14 @@ class Writer:
         sent = self._note(values)
         for batch in list(self.batches):
             try:
-                await self._put(client, batch, safe if failed else values)
+                put = await self._put(client, batch, safe if failed else values)
             except RequestError as error:
                 failed[batch.table, batch.address] = error
                 sent = self._note(safe)
                 if not (error.usable or client.usable):
                     break
                 continue
-            written |= {name: (safe if failed else values)[name] for name, _ in batch.channels}
+            written |= {name: put[name] for name, _ in batch.channels}
         if failed:
             for batch in list(self.batches):
                 names = [name for name, _ in batch.channels]
@@ -196,15 +196,19 @@ class Writer:
         await self.send(client, self.safe())
         self._written, self._written_s = self.safe(), time.monotonic()
 
-    async def _put(self, client: Client, batch: Batch, values: Mapping[str, float]) -> None:
-        """Writes the voltages of one request."""
+    async def _put(
+        self, client: Client, batch: Batch, values: Mapping[str, float]
+    ) -> Mapping[str, float]:
+        """Writes the voltages of one request; returns those that it holds."""
         try:
             raw = batch.encode(values)
         except ValueError:
             # Limits lie within what the types hold, so this is a fault of ours: be safe.
             self._statistics.unwritable += 1
-            raw = batch.encode(self.safe())
+            values = self.safe()
+            raw = batch.encode(values)
         await client.write(batch.table, batch.address, raw)
+        return values
 
     def _note(self, values: Mapping[str, float]) -> _Sent:
         """Remembers voltages that are about to be sent."""
