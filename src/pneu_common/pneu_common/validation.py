@@ -93,7 +93,7 @@ def _walk(
                     following += _inner(field.annotation)
                     known = True
         if not known:
-            if number == len(loc) - 1 and (unknown or len(at) < 2):
+            if unknown and number == len(loc) - 1:
                 way.append(part)
             continue  # pydantic tells which of several alternatives it tried
         at = following
