@@ -10,6 +10,7 @@ import resource
 import signal
 import struct
 import threading
+import time
 import zlib
 
 import lz4.frame
@@ -107,8 +108,9 @@ def test_a_damaged_chunk_of_a_file_with_index_costs_itself_only(tmp_path, damage
     }
     assert read_metadata(tmp_path / "bag") == again.metadata
     assert recover_bag(tmp_path / "bag")[0] == f"{path}: complete, {left} messages"
-    names = [record.name for record in side_records(path)]
-    assert names == ["rosbag2", "rig.yaml", "pneu", "late.txt", "rosbag2"]
+    found = list(side_records(path))
+    assert [one.name for one in found] == ["rosbag2", "rig.yaml", "pneu", "late.txt", "rosbag2"]
+    assert found[-1].metadata["serialized_metadata"].count(f"message_count: {left // 2}\n") == 2
 
 
 @pytest.mark.parametrize("damage", range(1, CHUNKS))
@@ -309,15 +311,27 @@ def test_a_message_of_an_unknown_channel_is_damage(tmp_path):
     assert info_text(BagReader(path)).splitlines()[-1] == f"Without index:     a.mcap ({damage})"
 
 
+def test_a_record_that_cannot_be_read_ends_the_reading(tmp_path):
+    path, chunks = write_bag(tmp_path / "bag", finished=False)
+    at = chunks[1].chunk_start_offset
+    data = path.read_bytes()
+    path.write_bytes(data[:at] + record(4, b"short") + data[at:])
+    bag = BagReader(path)
+    assert contents(bag) == [message(k) for k in range(EACH)]
+    assert bag.files[0].damage.startswith(f"damaged at byte {at} (")
+
+
 @pytest.mark.parametrize("claimed", [1 << 40, 1 << 62])
-def test_a_chunk_that_claims_too_much_is_refused_by_its_index(tmp_path, claimed):
-    path, chunks = write_bag(tmp_path / "bag")
+@pytest.mark.parametrize("finished", [True, False])
+def test_a_chunk_that_claims_too_much_is_refused_in_one_sentence(tmp_path, finished, claimed):
+    path, chunks = write_bag(tmp_path / "bag", finished)
     data = bytearray(path.read_bytes())
     struct.pack_into("<Q", data, chunks[2].chunk_start_offset + 9 + 16, claimed)
     path.write_bytes(data)
     for use in (contents, lambda bag: recover_bag(bag.path)):
-        with pytest.raises(InputError, match=r"bag_0\.mcap: its \d+ bytes unpack to more than"):
+        with pytest.raises(InputError) as caught:
             use(BagReader(path))
+        assert str(caught.value).startswith(f"{path}: its {len(data)} bytes unpack to more than")
 
 
 # Folders
@@ -474,12 +488,16 @@ def full_disk(size):
 
 
 def test_what_comes_while_a_file_cannot_be_ended_is_in_the_next_one(tmp_path):
-    folder = tmp_path / "bag"
-    writer = BagWriter(folder)
-    writer.add_topic(Topic(A, "a/msg/A"), "string a\n")
-    writer.write(*message(0))
-    writer.flush()
-    assert writer.ready
+    folders = [tmp_path / name / "bag" for name in ("never full", "full")]
+    for folder in folders:
+        writer = BagWriter(folder)
+        writer.add_topic(Topic(A, "a/msg/A"), "string a\n")
+        writer.write(*message(0))
+        writer.flush()
+        assert writer.ready
+        if folder == folders[0]:
+            writer.split()
+            assert writer.close() == []
     with full_disk((folder / "bag_0.mcap").stat().st_size):
         with pytest.raises(OSError, match="File too large"):
             writer.split()
@@ -494,6 +512,8 @@ def test_what_comes_while_a_file_cannot_be_ended_is_in_the_next_one(tmp_path):
     writer.write(*message(1))
     writer.write(*message(2))
     assert writer.close() == []
+    first = [(one / "bag_0.mcap").read_bytes() for one in folders]
+    assert first[0] == first[1]
     bag = BagReader(folder)
     assert contents(bag) == [message(k) for k in range(3)]
     assert [sorted(file.topics) for file in bag.files] == [[A], [A, B]]
@@ -522,7 +542,9 @@ def test_a_disk_that_refuses_is_told_of_once_and_nothing_waits_for_it(tmp_path):
     recording.write(*message(2))
     with full_disk(100):
         assert stuck.wait(60.0)
+        begun_s = time.monotonic()
         assert recording.split(0.01) == "the disk has not answered for 0.01 s"
+        assert time.monotonic() - begun_s < 20.0
         goes_on.set()
         assert [recording.split() for _ in range(2)] == ["File too large"] * 2
         assert recording.status().fault == "File too large"
@@ -539,6 +561,25 @@ def test_a_disk_that_refuses_is_told_of_once_and_nothing_waits_for_it(tmp_path):
     assert contents(bag) == [message(0), message(2)]
     assert bag.metadata.custom_data == {LOST_KEY: "/a 3, /b 7"}
     assert info_text(bag).splitlines()[-2:] == ["Lost on the way:   /a 3", " " * 19 + "/b 7"]
+
+
+def test_what_comes_after_a_split_that_failed_is_counted_as_lost(tmp_path, monkeypatch):
+    """From the same moment on, not from when it is flushed the next time."""
+    monkeypatch.setattr("pneu_graph.bag.recording.FLUSH_PERIOD_S", 1000.0)
+    told = []
+    recording = Recording(BagWriter(tmp_path / "bag"), 10**6, report=told.append)
+    recording.add_topic(Topic(A, "a/msg/A"), "string a\n")
+    recording.write(*message(0))
+    with full_disk(100):
+        assert recording.split() == "File too large"
+        recording.write(*message(2))
+        assert recording.split() == "File too large"
+    assert recording.status().dropped == 1
+    assert recording.split() == ""
+    recording.write(*message(4))
+    assert recording.close() == []
+    assert told[1:] == [f"{tmp_path}/bag: is written again after 1 lost messages"]
+    assert contents(BagReader(tmp_path / "bag")) == [message(0), message(4)]
 
 
 @pytest.mark.parametrize(

@@ -132,7 +132,7 @@ class BagWriter:
         Raises:
             OSError: The disk is full.
         """
-        if self._finishing is None and self._file is not None:
+        if self._file is not None:
             if not self._file.entry.message_count:
                 return
             self._finishing, self._file = self._file, None

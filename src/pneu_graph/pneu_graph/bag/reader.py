@@ -326,7 +326,7 @@ def sound_records(
             except _DAMAGE as error:
                 if content is not None:
                     content.damage = _damaged(at, error)
-                if record is None:  # nobody knows where the next one begins
+                if record is None:  # the library goes no further
                     return
                 continue
             known = found
@@ -435,8 +435,6 @@ def _indexed_messages(
                     for part in chunk_records(chunk, allowance)
                     if isinstance(part, Message)
                 ]
-            except InputError:  # before its base, ValueError
-                raise
             except _DAMAGE as error:
                 if not what_is_whole:
                     raise
