@@ -205,7 +205,8 @@ class Recorded:
         def turn(name: str) -> tuple[bool, float]:
             return not name.startswith(f"src/{package}/"), self.durations[name][0]
 
-        chosen, total_s = [], 0.0
+        chosen: list[str] = []
+        total_s = 0.0
         for name in sorted(names, key=turn):
             total_s += self.durations[name][0]
             if total_s > longest_s and chosen:
