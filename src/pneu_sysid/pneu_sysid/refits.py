@@ -59,6 +59,7 @@ class Refit:
         t: Strength over its standard error; that with the shape as found, where both are traded.
         score_explained: The score's explained fraction.
         residual: (n_stretches, m) what is left, in noise units, without what is uncertain anyway.
+        change: (n_stretches, m) change of the prediction.
         rig: Rig with the effect.
         places_m: From where to where along its pipe it explains nearly as much; None where that was
             not looked at, or it has no place.
@@ -73,6 +74,7 @@ class Refit:
     t: float
     score_explained: float
     residual: Floats = field(repr=False)
+    change: Floats = field(repr=False)
     rig: Rig = field(repr=False)
     places_m: tuple[float, float] | None = None
 
@@ -216,6 +218,7 @@ def refit(
         t=abs(value - strength.absent) / max(sure, 1e-300),
         score_explained=candidate.explained,
         residual=residual,
+        change=base - residual,
         rig=better,
     )
 
@@ -367,6 +370,7 @@ def settled(problem: Problem, base: Floats, found: Refit, project: Project | Non
         explained=share_explained(base[used], residual[used]),
         held_out=share_explained(base[~used], residual[~used]),
         residual=residual,
+        change=base - residual,
         rig=rig,
     )
 

@@ -50,6 +50,13 @@ def test_a_candidate_settles_on_the_cells_that_count() -> None:
     used = ~problem.held_out
     share = 1.0 - np.sum(there.residual[used] ** 2) / np.sum(base[used] ** 2)
     assert there.explained == pytest.approx(share)
+    # What is drawn of a candidate is how the readings change.
+    for one in (found, there):
+        on = longer if one is found else problem
+        with_it, without = on.predict([one.rig, rig])
+        change_pa = one.change.reshape(problem.measured.shape) * problem.noise_pa
+        seen = np.isfinite(problem.measured)
+        np.testing.assert_allclose(change_pa[seen], (with_it - without)[seen], atol=1.0)
     # An effect of a rig file may leave out what has a default; it is fitted and written all the
     # same, into another rig.
     short = AttachedEffect(effect="dead_volume", place="tube", parameters={"position_m": 0.9})
@@ -77,7 +84,7 @@ def test_a_candidate_is_placed_without_what_its_cells_make_of_it() -> None:
     site = Site(effect, "tube", {"position_m": 1.5})
     there = site.attached(rig, TRUE_M3)
     off = residual_matrix(problem, problem.predict([there])[0])
-    found = Refit(site, TRUE_M3, 0.0, 0.0, 0.0, 0.0, 9.0, 0.0, off, there)
+    found = Refit(site, TRUE_M3, 0.0, 0.0, 0.0, 0.0, 9.0, 0.0, off, base - off, there)
     blocks = blocks_of(problem, Thresholds().block)
     placed = well_placed(problem, found, blocks)
 
@@ -96,5 +103,5 @@ def test_a_candidate_is_placed_without_what_its_cells_make_of_it() -> None:
     assert there.position_error_m == pytest.approx(np.diff(placed.places_m).item() / 2.0)
     # what has no place is left alone
     bare = Site(find_effect("sensor_lag"), "end", {})
-    slow = Refit(bare, 0.01, 0.0, None, 0.0, 0.0, 9.0, 0.0, off, bare.attached(rig, 0.01))
+    slow = Refit(bare, 0.01, 0.0, None, 0.0, 0.0, 9.0, 0.0, off, off, bare.attached(rig, 0.01))
     assert well_placed(problem, slow, blocks) is slow

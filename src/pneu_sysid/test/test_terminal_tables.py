@@ -280,7 +280,7 @@ def test_candidates_of_a_diagnosis() -> None:
         Refit(
             site=site, strength=draw(0.01, signed=True), std_error=draw(1e-3), t=draw(9.0),
             position_error_m=None, explained=draw.share(), held_out=draw.share() - 0.5 * (k == 2),
-            score_explained=draw.share(), residual=none, rig=rig,
+            score_explained=draw.share(), residual=none, change=none, rig=rig,
         )
         for k, site in enumerate(sites)
     ]  # fmt: skip

@@ -132,7 +132,7 @@ class Case:
         values: dict[str, Any] = {
             "strength": 1.5 * effect.strength.typical, "std_error": 0.1 * effect.strength.typical,
             "position_error_m": None, "explained": held, "held_out": held, "t": 15.0,
-            "score_explained": 0.7, "residual": residual,
+            "score_explained": 0.7, "residual": residual, "change": self.base - residual,
             "rig": site.attached(self.rig, 1.5 * effect.strength.typical),
         }  # fmt: skip
         return Refit(**({"site": site} | values | more))
