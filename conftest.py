@@ -21,6 +21,9 @@ import pytest
 from tests import measured
 
 from pneu_common.errors import InputError
+from pneu_runtime import hook
+
+hook.install()  # before any test imports rclpy
 
 # The same examples each time, and no database of earlier ones.
 hypothesis.settings.register_profile("same", derandomize=True, deadline=None, database=None)

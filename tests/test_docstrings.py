@@ -15,11 +15,7 @@ from pathlib import Path
 import pytest
 from tests.packages import PACKAGES
 
-from pneu_runtime import hook
-
 pytestmark = pytest.mark.kernel_free
-
-hook.install()
 
 SOURCES = Path(__file__).parent.parent / "src"
 

@@ -17,10 +17,6 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from pneu_runtime import hook
-
-hook.install()
-
 ROOT = Path(__file__).parent.parent
 JAZZY = json.loads((ROOT / "tests/jazzy_rclpy.json").read_text(encoding="utf-8"))
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))

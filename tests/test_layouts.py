@@ -9,11 +9,8 @@ from pathlib import Path
 import pytest
 
 from pneu_runtime import interfaces
-from pneu_runtime.hook import install
 from pneu_sim import topics
 from pneu_sim.rig import load_rig
-
-install()
 
 WORKSPACE = Path(__file__).parents[1] / "ros_ws"
 LAYOUTS = WORKSPACE / "src" / "pneu_bringup" / "layouts"

@@ -20,6 +20,8 @@ from studies.mutation import recorder
 from studies.mutation.faults import Fault
 
 OUT = ROOT / "out" / "mutation"
+LONGEST_S = 300.0
+"""No test takes longer, s."""
 PATIENCE_S = 120.0
 """A trial that takes so much longer than its tests took has a fault that hangs, s."""
 CONFIG = """
@@ -271,10 +273,14 @@ def attempt(copy: Copy, fault: Fault, tests: list[str], recorded: Recorded) -> O
                 raise RuntimeError(f"record the tests again: {text[-300:]}")
             elif code not in (0, 5):
                 failed = [one for one in text.splitlines() if one.startswith(("FAILED", "ERROR"))]
-                status, by = (
-                    "noticed",
-                    (failed or ["the tests cannot be run"])[0].partition(" - ")[0],
-                )
+                by = (failed or ["the tests cannot be run"])[0].partition(" - ")[0]
+                status = "noticed"
+        if by.startswith(("FAILED", "ERROR")):
+            # A test that fails without the fault as well has noticed nothing.
+            target.write_text(before, encoding="utf-8")
+            code, _ = copy.pytest([by.split(" ", 1)[1]], LONGEST_S)
+            if code != 0:
+                status, by = "not run", f"without the fault, too: {by}"
     finally:
         target.write_text(before, encoding="utf-8")
     return Outcome(status, by, len(tests), time.monotonic() - begun_s)

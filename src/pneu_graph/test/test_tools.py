@@ -197,9 +197,6 @@ def test_yaml_is_read_back_as_it_was():
 
 
 def test_messages_are_filled_by_field(monkeypatch):
-    from pneu_runtime import hook
-
-    hook.install()
     from diagnostic_msgs.msg import DiagnosticArray
 
     message = DiagnosticArray()

@@ -5,10 +5,6 @@ import pytest
 from tests.bridges import RIG, running_lab, wait_until
 from tests.modbus_devices import Server
 
-from pneu_runtime import hook
-
-hook.install()  # before any test imports rclpy
-
 
 @pytest.fixture(name="wait_until")
 def patience():

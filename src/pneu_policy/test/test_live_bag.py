@@ -5,24 +5,19 @@ import math
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from pneu_msgs.msg import PressureTarget, ValveCommand
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import FluidPressure
 
-from pneu_runtime import hook
-
-hook.install()
-
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
-from pneu_msgs.msg import PressureTarget, ValveCommand  # noqa: E402
-from rclpy.serialization import serialize_message  # noqa: E402
-from sensor_msgs.msg import FluidPressure  # noqa: E402
-
-from pneu_graph.bag.bag_writer import BagWriter  # noqa: E402
-from pneu_graph.bag.metadata import Topic  # noqa: E402
-from pneu_graph.bag.qos import OfferedQos  # noqa: E402
-from pneu_graph.nodes import common  # noqa: E402
-from pneu_graph.nodes.type_support import definition_text, type_hash  # noqa: E402
-from pneu_policy.judge.metrics import ATM_PA  # noqa: E402
-from pneu_policy.judge.tasks import Tasks  # noqa: E402
-from pneu_policy.live.bag import LateError, track_of  # noqa: E402
+from pneu_graph.bag.bag_writer import BagWriter
+from pneu_graph.bag.metadata import Topic
+from pneu_graph.bag.qos import OfferedQos
+from pneu_graph.nodes import common
+from pneu_graph.nodes.type_support import definition_text, type_hash
+from pneu_policy.judge.metrics import ATM_PA
+from pneu_policy.judge.tasks import Tasks
+from pneu_policy.live.bag import LateError, track_of
 
 ZERO_NS = 1_700_000_000_000_000_000
 TASKS = Tasks(kinds=("smooth",), seeds=(0,), duration_s=3.0, skip_s=0.5)

@@ -7,22 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
+from sensor_msgs.msg import JointState
 from typer.testing import CliRunner
 
 from pneu_common.cli import build_app
 from pneu_common.errors import InputError
-from pneu_runtime.hook import install
-
-install()
-
-from sensor_msgs.msg import JointState  # noqa: E402
-
-from pneu_sim import topics  # noqa: E402
-from pneu_sim.channels import Channel  # noqa: E402
-from pneu_sim.plant import Plant  # noqa: E402
-from pneu_sim.rig import load_rig  # noqa: E402
-from pneu_sim.rig.encoder import Encoder  # noqa: E402
-from pneu_sim.simulator import Simulator  # noqa: E402
+from pneu_sim import topics
+from pneu_sim.channels import Channel
+from pneu_sim.plant import Plant
+from pneu_sim.rig import load_rig
+from pneu_sim.rig.encoder import Encoder
+from pneu_sim.simulator import Simulator
 
 KOKORO = Path(__file__).parents[3] / "rigs" / "rig_j.yaml"
 APART = {"head": 8.0, "rod": 3.0}

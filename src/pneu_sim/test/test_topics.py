@@ -5,19 +5,14 @@ import math
 from pathlib import Path
 
 import pytest
+from geometry_msgs.msg import WrenchStamped
+from pneu_msgs.msg import ValveCommand
+from sensor_msgs.msg import JointState
 
-from pneu_runtime.hook import install
-
-install()
-
-from geometry_msgs.msg import WrenchStamped  # noqa: E402
-from pneu_msgs.msg import ValveCommand  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-
-from pneu_common.errors import InputError  # noqa: E402
-from pneu_sim import topics  # noqa: E402
-from pneu_sim.channels import Channel  # noqa: E402
-from pneu_sim.rig import load_rig  # noqa: E402
+from pneu_common.errors import InputError
+from pneu_sim import topics
+from pneu_sim.channels import Channel
+from pneu_sim.rig import load_rig
 
 ROOT = Path(__file__).parents[3]
 LAB = load_rig(ROOT / "rigs/lab.yaml")

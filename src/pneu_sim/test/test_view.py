@@ -8,26 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from tests.graph_fixtures import domain, graph
+from tests.live_graph import wait_for
+from tf2_msgs.msg import TFMessage
 from typer.testing import CliRunner
 
 from pneu_common.cli import build_app
 from pneu_common.errors import InputError
-from pneu_runtime.hook import install
-
-install()
-
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import String  # noqa: E402
-from tests.graph_fixtures import domain, graph  # noqa: E402
-from tests.live_graph import wait_for  # noqa: E402
-from tf2_msgs.msg import TFMessage  # noqa: E402
-
-from pneu_graph.nodes import common  # noqa: E402
-from pneu_sim.nodes.robot_view import LATCHED_QOS, RobotView  # noqa: E402
-from pneu_sim.rig import load_rig  # noqa: E402
-from pneu_sim.rig.schema import joint_names  # noqa: E402
-from pneu_sim.view.tree import ROOT, places, tree_of  # noqa: E402
-from pneu_sim.view.urdf import urdf_of  # noqa: E402
+from pneu_graph.nodes import common
+from pneu_sim.nodes.robot_view import LATCHED_QOS, RobotView
+from pneu_sim.rig import load_rig
+from pneu_sim.rig.schema import joint_names
+from pneu_sim.view.tree import ROOT, places, tree_of
+from pneu_sim.view.urdf import urdf_of
 
 pytestmark = pytest.mark.realtime
 
