@@ -3,20 +3,23 @@
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
-from studies.synthetic import NOISE_PA, RATE_HZ, synthetic
+from studies.synthetic import NOISE_PA, RATE_HZ, commands, synthetic
 
+from pneu_common.errors import InputError
 from pneu_sim.effects.registry import BUILT_IN
 from pneu_sim.rig import load_rig
-from pneu_sim.rig.schema import AttachedEffect, Rig
+from pneu_sim.rig.schema import AttachedEffect, Calibration, Rig
+from pneu_sim.run import add_noise, run_rig
 from pneu_sysid.compare import compare
 from pneu_sysid.diagnose import diagnose
-from pneu_sysid.learn import learn
-from pneu_sysid.problem import record_for
-from pneu_sysid.records import Recording, Signal
+from pneu_sysid.learn import add_effect, learn, refit_added
+from pneu_sysid.problem import make_problem, record_for
+from pneu_sysid.records import Recording, Signal, even_recording
 
 pytestmark = pytest.mark.takes(20)
 
@@ -125,6 +128,158 @@ def test_two_effects_are_added_one_after_the_other(exact: Rig, tmp_path: Path) -
             assert min(both) < 1.1 * found[tap].rmse_pa and found[tap].rmse_pa < 1.1 * max(both)
     told = json.loads((tmp_path / "learn.json").read_text(encoding="utf-8"))
     assert [step["step"] for step in told["steps"]] == [0, 1, 2]
+
+
+LATE = AttachedEffect(effect="valve_delay", place="valve", parameters={"delay_s": 3e-3})
+
+
+def all_but(*names: str) -> set[str]:
+    """Names of all effects of the catalogue but some."""
+    return {effect.name for effect in BUILT_IN} - set(names)
+
+
+def test_an_effect_of_one_recording_is_absent_in_the_others(exact: Rig, tmp_path: Path) -> None:
+    """The rig then predicts both recordings; only the one that differs was learned from."""
+    recordings = [
+        synthetic(exact, 1.0, 5, "monday"),
+        synthetic(with_effects(exact, LATE), 1.9, 6, "tuesday"),
+    ]
+    others = all_but("valve_delay", "sensor_gain")
+    learned = learn(exact, recordings, out=tmp_path, without=others)
+    assert learned.sentence.startswith("In tuesday alone: Missing: valve transport delay at valve")
+    first, after = learned.steps
+    assert first.held_out_times_noise > 10.0 * after.held_out_times_noise
+    assert (
+        f"the held-out error falls from {first.held_out_times_noise:.2f} to"
+        f" {after.held_out_times_noise:.2f} times the noise." in learned.sentence
+    )
+    (found,) = learned.diagnoses
+    assert found.unchanged == ["monday"]
+    assert [r.name for r in found.problem.recordings] == ["tuesday"]
+    changed, _, about = found.statements
+    assert changed == (
+        "Something changed in tuesday since the calibration, and nothing in monday."
+    )
+    assert about == "The verdict is of tuesday; the model without it explains monday."
+    assert found.sentence.startswith("In tuesday alone: Missing: ")
+    saved = load_rig(tmp_path / "step_1.yaml")
+    for rig in (learned.rig, learned.rigs[-1], saved):
+        assert rig.recordings == {"monday": {"effects.0.parameters.delay_s": 0.0}}
+        assert rig.effects[0].parameters["delay_s"] == pytest.approx(3e-3, rel=0.02)
+    errors = compare(recordings, [("saved", saved, None)], refine=False).models[0].by_recording
+    assert set(errors) == {"monday", "tuesday"} and max(errors.values()) < 1.3
+
+
+def test_a_recording_of_one_stretch_is_judged_on_all_of_it(exact: Rig) -> None:
+    """Nothing can be held out of it, so the error that falls is that of all readings."""
+    recording = synthetic(with_effects(exact, LATE), 1.0, 6, "short")
+    learned = learn(exact, recording, without=all_but("valve_delay", "sensor_gain"))
+    assert learned.diagnoses[0].problem.stretches == 1
+    assert learned.verdict == "effect"
+    first, after = learned.steps
+    assert (first.held_out_times_noise, after.held_out_times_noise) == (None, None)
+    assert after.strength == pytest.approx(3e-3, rel=0.02)
+    assert (
+        f"with that the error falls from {first.total_times_noise:.2f} to"
+        f" {after.total_times_noise:.2f} times the noise." in learned.sentence
+    )
+    assert first.total_times_noise > 10.0 * after.total_times_noise
+
+
+def _lumped(effects: Sequence[AttachedEffect], seconds: float, seed: int) -> tuple[Rig, Recording]:
+    """Rig A as a thin plate, and a recording of it with effects, made by itself."""
+    plate = load_rig(ROOT / "rigs" / "rig_a_thin_plate.yaml")
+    noise = dict.fromkeys(plate.taps, NOISE_PA)
+    told = Calibration(recording="before", rmse_pa=noise, noise_floor_pa=noise)
+    plate = plate.model_copy(update={"calibration": told})
+    rng = np.random.default_rng(seed)
+    volts = commands(seconds, rng)
+    taps = run_rig(with_effects(plate, *effects), {"voltage": volts}, 1.0 / RATE_HZ)
+    taps = add_noise(plate, taps, rng, NOISE_PA)
+    time = np.arange(len(taps["end"])) / RATE_HZ
+    return plate, even_recording("plate", time, {"voltage": volts[: time.size]}, taps)
+
+
+def test_a_lumped_model_learns_too() -> None:
+    """It has no cells that could be longer, nor any place along a line."""
+    plate, recording = _lumped([LATE], 2.0, 4)
+    others = all_but("valve_delay", "sensor_gain", "leak")
+    learned = learn(plate, recording, without=others)
+    assert learned.verdict == "effect"
+    (step,) = learned.steps[1:]
+    assert (step.added, step.place) == ("valve_delay", "valve")
+    assert step.strength == pytest.approx(3e-3, rel=0.01)
+    assert learned.steps[0].held_out_times_noise > 10.0 and step.held_out_times_noise < 1.1
+    bench = learned.diagnoses[0].bench
+    assert bench.coarser(plate) is bench.problem and bench.grid_pa is None
+    problem, wrong = bench.faithful(learned.rig, bench.readings)
+    assert problem is bench.problem and not wrong.any()
+
+
+def test_an_effect_that_is_asked_for_is_added() -> None:
+    """Where it explains most, or where it is asked for."""
+    gain = AttachedEffect(effect="sensor_gain", place="end", parameters={"error": 0.03})
+    plate, recording = _lumped([gain], 2.0, 5)
+    better, before, after = add_effect(plate, recording, "sensor_gain")
+    (found,) = better.effects
+    assert (found.effect, found.place) == ("sensor_gain", "end")
+    assert found.parameters["error"] == pytest.approx(0.03, rel=0.02)
+    assert (before.step, before.added) == (0, None)
+    assert (after.step, after.added, after.place) == (1, "sensor_gain", "end")
+    assert after.strength == found.parameters["error"] and after.std_error < 1e-3
+    assert before.held_out_times_noise > 3.0 > 1.1 > after.held_out_times_noise
+    assert before.held_out_rmse_pa["end"] > 3.0 * before.held_out_rmse_pa["middle"]
+    # Elsewhere it explains nothing.
+    better, _, after = add_effect(plate, recording, "sensor_gain", "middle")
+    assert better.effects[0].place == after.place == "middle"
+    assert abs(after.strength) < 4.0 * after.std_error
+    with pytest.raises(InputError, match="place 'nowhere' is not one of supply, valve_out"):
+        add_effect(plate, recording, "sensor_gain", "nowhere")
+    with pytest.raises(InputError, match=f"rig {plate.name!r} has no place for it"):
+        add_effect(plate, recording, "chamber_leak")
+
+
+def test_a_ripple_that_is_asked_for_has_the_frequency_of_the_residual(exact: Rig) -> None:
+    """Far from the frequency that it is usually tried with, fits would not find the way."""
+    ripple = AttachedEffect(
+        effect="supply_ripple",
+        place="supply",
+        parameters={"amplitude_pa": 2e4, "frequency_hz": 23.0, "phase_rad": 0.4},
+    )
+    longer = exact.model_copy(update={"grid": exact.grid.model_copy(update={"dx_m": 0.25})})
+    recording = synthetic(with_effects(longer, ripple), 2.0, 6, "pump", np.full(1000, 6.0))
+    better, before, after = add_effect(longer, recording, "supply_ripple")
+    (found,) = better.effects
+    assert found.parameters["frequency_hz"] == pytest.approx(23.0, abs=0.05)
+    assert found.parameters["amplitude_pa"] == pytest.approx(2e4, rel=0.05)
+    assert before.held_out_times_noise > 5.0 * after.held_out_times_noise
+
+
+def test_added_effects_are_fitted_again_until_that_gains_nothing() -> None:
+    """It is said what is left without the last of them, with it, and after each iteration."""
+    gain = AttachedEffect(effect="sensor_gain", place="end", parameters={"error": 0.03})
+    plate, recording = _lumped([LATE, gain], 2.0, 7)
+    problem = make_problem(plate, recording)
+    told: list[tuple[float, float]] = []
+
+    def note(done: float, errors: dict[str, float]) -> None:
+        told.append((done, errors["end"]))
+
+    near = [
+        LATE.model_copy(update={"parameters": {"delay_s": 1e-3}}),
+        gain.model_copy(update={"parameters": {"error": 0.001}}),
+    ]
+    found = refit_added(problem, with_effects(plate, *near), 2, note)
+    assert found.effects[0].parameters["delay_s"] == pytest.approx(3e-3, rel=0.01)
+    assert found.effects[1].parameters["error"] == pytest.approx(0.03, rel=0.02)
+    assert [done for done, _ in told] == [0.0, 0.0, *(k / 4 for k in range(1, len(told) - 1))]
+    assert told[0][1] > told[1][1] > told[2][1] and told[-1][1] < 1.1
+    # Where all is as it should be nothing is changed, or by less than it is known to.
+    told.clear()
+    again = refit_added(problem, found, 1, note)
+    assert len(told) == 3
+    assert again.effects[0] == found.effects[0]
+    assert again.effects[1].parameters["error"] == pytest.approx(0.03, rel=0.02)
 
 
 @pytest.mark.long

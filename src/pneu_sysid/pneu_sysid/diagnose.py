@@ -189,7 +189,8 @@ def diagnose_apart(
             differ = [r for r in recordings if r.name in whole.changed]
             found = diagnose(rig, differ, finalists, refine, workers, progress, limits, without)
             names = [r.name for r in recordings]
-            found.statements[0] = since_calibration(whole, names, True)
+            if not found.left_open:
+                found.statements[0] = since_calibration(whole, names, True)
             found.statements.append(
                 f"The verdict is of {', '.join(whole.changed)}; the model without it explains"
                 f" {', '.join(n for n in names if n not in whole.changed)}."

@@ -7,7 +7,7 @@ acceleration: Transtrum and Sethna 2012, arXiv:1201.5885).
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,7 +142,6 @@ def minimise(
     iterations: int = 10,
     tolerance: float = 1e-3,
     robust: bool = False,
-    progress: Callable[[int, float], None] | None = None,
     ties: tuple[Floats, Floats] | None = None,
     secants: int = 0,
     slope: Floats | None = None,
@@ -162,7 +161,6 @@ def minimise(
         iterations: At most this many.
         tolerance: Stops when the cost falls by less than this fraction.
         robust: Huber loss instead of squares.
-        progress: Called with the iteration and its cost.
         ties: Prior relations between variables, (K, P) matrix and (K,) right side, in units of
             their standard deviation: the smoothness of a curve.
         secants: Steps that may be taken besides with a Jacobian corrected by secants, for each that
@@ -257,8 +255,6 @@ def minimise(
                 j = _secant(j, change, (trials[best] - x) / span, span)
             x, r = trials[best], found[best]
             history.append(costs[best])
-            if progress is not None:
-                progress(len(history) - 1, costs[best])
         if gain > SECANT_WORTH and reused < secants:
             fresh, reused = False, reused + 1
             continue
@@ -427,9 +423,7 @@ def _after(
 
 def _secant(j: Floats, change: Floats, step: Floats, span: Floats) -> Floats:
     """A Jacobian that agrees with the last step (Broyden's good update), in units of the span."""
-    length = float(step @ step)
-    if length <= 0.0:
-        return j
+    length = float(step @ step)  # not zero: the residual has changed
     missed = change - (j * span) @ step
     return np.asarray(j + missed[..., None] * (step / (length * span)))
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pneu_common.errors import InputError
 from pneu_sim.effects import find_effect
-from pneu_sim.effects.base import POSITION
+from pneu_sim.effects.base import FREQUENCY, POSITION
 from pneu_sim.models import kind_of
 from pneu_sim.rig import save_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig
@@ -33,6 +33,7 @@ from pneu_sysid.results.files import write_json
 from pneu_sysid.results.learn import Experiment, LearnResult, Step
 from pneu_sysid.sensor_units import apart
 from pneu_sysid.sites import all_sites
+from pneu_sysid.spectrum import lines_of
 from pneu_sysid.thresholds import Thresholds
 from pneu_sysid.words import strength_in_words
 
@@ -117,15 +118,20 @@ def add_effect(
     """
     effect = find_effect(name)
     places = effect.places(rig)
+    if not places:
+        raise InputError(f"effect {name!r}: rig {rig.name!r} has no place for it")
     if place is not None and place not in places:
-        raise InputError(
-            f"effect {name!r}: place {place!r} is not one of {', '.join(places) or 'none here'}"
-        )
+        raise InputError(f"effect {name!r}: place {place!r} is not one of {', '.join(places)}")
     problem = make_problem(rig, recording, workers=workers)
     before, rmse, held = _errors(problem, rig)
     first = _step(0, problem, rig, before, rmse, held)
+    # A pulsation begins at the strongest line of the residual.
+    default = [p.typical for p in effect.parameters if p.name == FREQUENCY]
+    pulses_hz = [line.frequency_hz for line in lines_of(problem, before)] if default else []
     sites = [
-        s for s in all_sites(rig) if s.effect.name == name and (place is None or s.place == place)
+        s
+        for s in all_sites(rig, pulses_hz=next(iter(pulses_hz + default), None))
+        if s.effect.name == name and (place is None or s.place == place)
     ]
     if position_m is not None:
         sites = [
@@ -133,8 +139,6 @@ def add_effect(
             for s in sites[:1]
             if POSITION in s.shape
         ] or sites
-    if not sites:
-        raise InputError(f"effect {name!r}: this rig has no place for it")
     known = sensitivities(problem, rig, sites, Thresholds())
     best = best_per_place(scores_of(before, known))[0]
     strength = effect.strength
@@ -517,9 +521,13 @@ def _conclude(
     before, after = state.steps[0], state.steps[-1]
     state.verdict = "ambiguous" if alike else "effect"
     state.alike = alike
+    # A single stretch leaves nothing to hold out.
+    held = before.held_out_times_noise, after.held_out_times_noise
+    whole = before.total_times_noise, after.total_times_noise
+    of, (first, now) = ("error", whole) if None in held else ("held-out error", held)
     state.sentence = (
-        f"Missing: {' and '.join(parts)}; with that the held-out error falls from"
-        f" {before.held_out_times_noise:.2f} to {after.held_out_times_noise:.2f} times the noise"
+        f"Missing: {' and '.join(parts)}; with that the {of} falls from"
+        f" {first:.2f} to {now:.2f} times the noise"
     )
     if alike:
         state.sentence += f"; not to be told from {', '.join(sorted(set(alike)))}"

@@ -153,6 +153,12 @@ class Problem:
         return np.asarray(self._apart % HELD_OUT_EVERY == HELD_OUT_EVERY - 1)
 
     @property
+    def judged(self) -> NDArray[np.bool_]:
+        """(n_stretches,) stretches that verdicts are judged on: all where none is held out."""
+        held = self.held_out
+        return held if held.any() else np.ones_like(held)
+
+    @property
     def _apart(self) -> Ints:
         """(n_stretches,) what is kept aside as a whole: a recording if there are several."""
         return self.of if len(self.recordings) >= HELD_OUT_EVERY else np.arange(self.stretches)

@@ -55,7 +55,7 @@ class Refit:
         std_error: Its standard error.
         position_error_m: Standard error of its position; None where it has none.
         explained: Fraction of the squared residual explained where it was fitted.
-        held_out: The same on the part kept aside.
+        held_out: The same on the part kept aside; on all where none is (`Problem.judged`).
         t: Strength over its standard error; that with the shape as found, where both are traded.
         score_explained: The score's explained fraction.
         residual: (n_stretches, m) what is left, in noise units, without what is uncertain anyway.
@@ -214,7 +214,7 @@ def refit(
         std_error=error,
         position_error_m=None if position is None else float(estimate.std_errors[position]),
         explained=share_explained(base[used], residual[used]),
-        held_out=share_explained(base[~used], residual[~used]),
+        held_out=share_explained(base[problem.judged], residual[problem.judged]),
         t=abs(value - strength.absent) / max(sure, 1e-300),
         score_explained=candidate.explained,
         residual=residual,
@@ -368,7 +368,7 @@ def settled(problem: Problem, base: Floats, found: Refit, project: Project | Non
         if at is None
         else _place_error(float(estimate.std_errors[at]), found.places_m),
         explained=share_explained(base[used], residual[used]),
-        held_out=share_explained(base[~used], residual[~used]),
+        held_out=share_explained(base[problem.judged], residual[problem.judged]),
         residual=residual,
         change=base - residual,
         rig=rig,
