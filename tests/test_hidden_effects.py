@@ -157,9 +157,7 @@ def test_an_effect_of_one_recording_is_absent_in_the_others(exact: Rig, tmp_path
     assert found.unchanged == ["monday"]
     assert [r.name for r in found.problem.recordings] == ["tuesday"]
     changed, _, about = found.statements
-    assert changed == (
-        "Something changed in tuesday since the calibration, and nothing in monday."
-    )
+    assert changed == ("Something changed in tuesday since the calibration, and nothing in monday.")
     assert about == "The verdict is of tuesday; the model without it explains monday."
     assert found.sentence.startswith("In tuesday alone: Missing: ")
     saved = load_rig(tmp_path / "step_1.yaml")

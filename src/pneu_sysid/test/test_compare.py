@@ -6,11 +6,13 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import math
 import re
 import shutil
 import subprocess
 from importlib import resources
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, get_args
 
 import numpy as np
@@ -20,12 +22,14 @@ from rich.console import Console
 from pneu_common.errors import InputError
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Simulator
-from pneu_sysid.compare import SERIES_POINTS, compare, compare_table
+from pneu_sysid import compare as module
+from pneu_sysid.compare import SERIES_POINTS, _distinct, compare, compare_table
 from pneu_sysid.records import Finding, Recording, Signal, even_recording
+from pneu_sysid.regimes import SampleSet
 from pneu_sysid.report import write_report
 from pneu_sysid.results.compare import CompareResult, Regime, RegimeKind
 from pneu_sysid.results.files import result_of, write_json
-from pneu_sysid.shift import estimate_shift
+from pneu_sysid.shift import Shift, estimate_shift
 
 RATE_HZ = 500.0
 NOISE_PA = 200.0
@@ -483,3 +487,166 @@ def test_unusable_input_is_one_sentence(truth: Recording) -> None:
         against(nothing, valve_rig())
     with pytest.raises(InputError, match="command 'volts' is not in recording 'made'"):
         against(dataclasses.replace(truth, commands={}), valve_rig())
+
+
+def test_models_of_one_name_are_numbered(truth: Recording) -> None:
+    """By their files where they have any, else by numbers that are free."""
+    rig = valve_rig()
+    named = [
+        ("tube", rig, None),
+        ("tube (2)", rig, None),
+        ("tube", rig, None),
+        ("tube", rig, "c/a.yaml"),
+    ]
+    assert _distinct(named) == ["tube", "tube (2)", "tube (3)", "a"]
+
+
+def test_what_has_no_reading_has_no_figure(truth: Recording) -> None:
+    """A tap that one of two recordings lacks, and one that is lost in the stretches compared."""
+    rig = valve_rig()
+    early = truth.until(1.2)
+    none = Signal(np.zeros(0), np.zeros(0))
+    lacking = dataclasses.replace(early, name="lacking", pressures={**early.pressures, "end": none})
+    result = compare([truth, lacking], [("tube", rig, None)], refine=False)
+    (model,) = result.models
+    alone = against(truth, rig).models[0]
+    assert model.taps["end"].rmse_pa == pytest.approx(alone.taps["end"].rmse_pa, rel=1e-6)
+    assert {w.recording for w in model.taps["end"].worst} == {"made"}
+    assert {w.recording for w in model.taps["start"].worst} == {"made", "lacking"}
+
+
+def test_errors_of_no_reading_are_none() -> None:
+    lost = np.full((2, 40), np.nan)
+    shown = SimpleNamespace(
+        taps=["feed", "end"],
+        measured=np.stack([np.ones((2, 40)), np.arange(80.0).reshape(2, 40)], axis=-1),
+        time_s=np.tile(0.002 * np.arange(80.0).reshape(2, 40, 1), (1, 1, 2)),
+    )
+    figures = module._error(lost, 3.0, "end", shown, None)
+    assert set(figures) == {"rmse", "normalised", "times_noise", "bias", "lag_s", "gain"}
+    assert set(figures.values()) == {None}
+    assert module._worst(lost, "end", shown, None) == []
+    assert module._regimes(lost, 3.0, "end", shown, None) == []
+    # One that never moves has no spread that an error could be a share of.
+    error = np.tile([6.0, -2.0], (2, 20))
+    for tap, spread in (("feed", None), ("end", float(np.std(np.arange(80.0))))):
+        figures = module._error(error, 3.0, tap, shown, Shift(0.25, 1.5, 0.1))
+        rmse = math.sqrt(20.0)
+        assert figures == {
+            "rmse": pytest.approx(rmse), "times_noise": pytest.approx(rmse / 3.0),
+            "normalised": None if spread is None else pytest.approx(rmse / spread),
+            "bias": pytest.approx(2.0), "lag_s": 0.25, "gain": 1.5,
+        }  # fmt: skip
+    # Sets of which too few readings are left are none.
+    masks = np.zeros((2, 2, 40), dtype=bool)
+    masks[0, 0, :6], masks[1, 1, 4:] = True, True
+    sets = [
+        SampleSet("time", f"set {k}", mask, "", 0.5 * k, 0.5 * k + 0.5)
+        for k, mask in enumerate(masks)
+    ]
+    error[0, :2] = np.nan
+    work = SimpleNamespace(sets=lambda tap: sets)
+    (kept, *bands) = module._regimes(error, 3.0, "end", shown, work)
+    assert (kept["label"], kept["lower"], kept["upper"]) == ("set 1", 0.5, 1.0)
+    assert (kept["samples"], kept["bias"]) == (36, pytest.approx(2.0))
+    assert kept["share"] == pytest.approx(36 / 78)
+    assert {band["kind"] for band in bands} == {"frequency"}
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_share_of_cells_in_an_error(turned: bool) -> None:
+    """A rig that was fitted on its cells may be worse on finer ones; then it is to be fitted again."""
+    rng = np.random.default_rng(2)
+    measured = rng.normal(size=(3, 50, 2)) * [1.0, 1.0]
+    apart = rng.choice([-1.0, 1.0], (3, 50, 2))
+    coarse = measured + apart * [60.0, 3.0]
+    change = np.array([-40.0, 0.5]) * (-1.0 if turned else 1.0)
+    finer = coarse + apart * change
+    given = SimpleNamespace(
+        dx_m=None, taps=["start", "end"], noise_pa=np.array([2.5, 2.0]),
+        target=lambda: measured,
+        with_grid=lambda dx_m: SimpleNamespace(
+            simulate=lambda rigs, progress: SimpleNamespace(readings=finer[None])
+        ),
+    )  # fmt: skip
+    rig = valve_rig()
+    remaining = 1.0 - 0.5**rig.grid.order
+    predicted = {"start": coarse[..., 0], "end": coarse[..., 1]}
+    found = module.grid_check(given, rig, predicted)
+    assert found.change_pa == pytest.approx({"start": 40.0, "end": 0.5})
+    excess = [math.sqrt(60.0**2 - 6.25) / 2.5, math.sqrt(9.0 - 4.0) / 2.0]
+    of_grid = [40.0 / remaining / 2.5, 0.5 / remaining / 2.0]
+    share = min(100.0 * math.hypot(*of_grid) / math.hypot(*excess), 100.0)
+    assert found.discretisation
+    turn = (
+        "rises from 60 to 100 Pa: refine the grid and fit again"
+        if turned
+        else ("falls from 60 to 20 Pa: refine the grid")
+    )
+    assert found.sentence == (
+        "On cells of half the length (5 instead of 10 cm) the prediction at start changes by 40 Pa:"
+        f" about {share:.0f} % of the error above noise is discretisation rather than physics."
+        f" The error at start {turn}."
+    )
+    # The share of all sensors decides; one alone is only named.
+    finer[..., 0] = coarse[..., 0] + apart[..., 0]
+    finer[..., 1] = coarse[..., 1] - 2.0 * apart[..., 1]
+    found = module.grid_check(given, rig, predicted)
+    assert not found.discretisation
+    assert found.sentence.endswith(
+        "predictions change by at most 2 Pa (at end), so the error is not one of the grid, except"
+        " at end."
+    )
+
+
+def test_stretches_that_are_too_many_are_not_all_kept() -> None:
+    """Those of the largest error over the noise first, as long as there is room."""
+    time = np.arange(40.0).reshape(1, 40) * 0.1
+    there = np.ones((1, 40), dtype=bool)
+    given = SimpleNamespace(
+        recordings=[SimpleNamespace(name="made")], taps=["start", "end"],
+        noise_pa=np.array([1.0, 10.0]), of=np.zeros(1, dtype=int),
+    )  # fmt: skip
+    places = {
+        "start": [(0.0, 1.0, 50.0), (2.0, 2.5, 9.0)],
+        "end": [(1.0, 3.0, 400.0), (3.5, 4.0, 80.0)],
+    }
+    sensors = {
+        name: SimpleNamespace(
+            worst=[
+                SimpleNamespace(recording=None, start_s=a, end_s=b, rmse=rmse) for a, b, rmse in of
+            ]
+        )
+        for name, of in places.items()
+    }
+    chosen = module._worst_of(there, time + 1e-6, given, [SimpleNamespace(sensors=sensors)], 16)
+    # The 20 of the second have no room beside the 10 of the first; the 5 of the third do.
+    assert np.flatnonzero(chosen[0]).tolist() == [*range(10), *range(20, 25)]
+
+
+def test_stretches_of_one_time_are_told_once() -> None:
+    def stretch(a: float, b: float, rmse: float, recording: str | None = None) -> Any:
+        return SimpleNamespace(recording=recording, start_s=a, end_s=b, rmse=rmse)
+
+    sensors = {
+        "start": SimpleNamespace(worst=[stretch(1.0, 2.0, 90.0), stretch(1.5, 2.5, 8.0)]),
+        "end": SimpleNamespace(worst=[stretch(1.9, 3.0, 300.0), stretch(2.0, 4.0, 40.0, "other")]),
+    }
+    noise = {"start": 1.0, "end": 10.0}
+    found = module._merged(SimpleNamespace(sensors=sensors), noise)
+    assert [(s.start_s, s.recording, taps) for s, taps in found] == [
+        (1.0, None, ["start", "end"]), (2.0, "other", ["end"]),
+    ]  # fmt: skip
+
+
+def test_a_command_that_a_recording_lacks_is_none_there(truth: Recording) -> None:
+    rig = valve_rig()
+    more = {**truth.commands, "spare": Signal(np.array([0.0]), np.array([3.5]))}
+    both = [dataclasses.replace(truth.until(0.6), commands=more), truth.until(0.5)]
+    both[1] = dataclasses.replace(both[1], name="bare")
+    series = compare(both, [("tube", rig, None)], refine=False).series
+    spare, begin = series.command["spare"], series.begins_s[1]
+    time = np.array(series.time_s)
+    assert {x for x, t in zip(spare, time, strict=True) if t < begin} == {3.5}
+    assert {x for x, t in zip(spare, time, strict=True) if t >= begin} == {None}
+    assert None not in series.command["volts"]
