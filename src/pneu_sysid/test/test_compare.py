@@ -555,7 +555,7 @@ def test_errors_of_no_reading_are_none() -> None:
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_the_share_of_cells_in_an_error(turned: bool) -> None:
-    """A rig that was fitted on its cells may be worse on finer ones; then it is to be fitted again."""
+    """A rig that was fitted on its cells may be worse on finer ones: it is to be fitted again."""
     rng = np.random.default_rng(2)
     measured = rng.normal(size=(3, 50, 2)) * [1.0, 1.0]
     apart = rng.choice([-1.0, 1.0], (3, 50, 2))

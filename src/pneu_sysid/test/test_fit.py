@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from studies.exact_rigs import draw_rig, record
 from studies.experiments import plants
+from tests.fit_jobs import job_of
 
 from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
@@ -18,9 +21,11 @@ from pneu_sim.rig.schema import AttachedEffect, FitParameter, Opening, Rig
 from pneu_sim.run import run_from_rest
 from pneu_sim.signals import Signal
 from pneu_sim.valve import positions_along
+from pneu_sysid import fit as fit_module
 from pneu_sysid.curves import EXPONENT_APART, WIDEST, curve_ties, mirrors_of, with_own_curves
 from pneu_sysid.design.limits import limits_of
-from pneu_sysid.fit import FitOutcome, fit_rig, parameters_of
+from pneu_sysid.fit import FitOutcome, _brought_back, fit_rig, parameters_of
+from pneu_sysid.fit_step import Taken, key_of
 from pneu_sysid.last_steps import OWN_CELLS
 from pneu_sysid.observed.noise import with_noise
 from pneu_sysid.parameters import (
@@ -31,7 +36,7 @@ from pneu_sysid.parameters import (
 )
 from pneu_sysid.problem import make_problem, pull_of
 from pneu_sysid.records import Recording
-from pneu_sysid.stages import brought_back, steps_of
+from pneu_sysid.stages import Step, brought_back, gained_little, is_slow, steps_of
 
 ROOT = Path(__file__).parents[3]
 
@@ -285,10 +290,171 @@ def test_what_nothing_shows_where_it_was_driven_is_brought_back() -> None:
     rig, seen = brought_back(driven, problem, used, hidden, [8.0, 8.0], [4.0, 4.0])
     assert [p.path for p in seen] == ["pipes.tube.wall.nusselt"]
     assert [get_parameter(rig, path) for path in paths] == [8.0, 8.0]
+    # A step ends there likewise, with what is off by more than half a deviation of what was known.
+    step = Step("all", true.grid.dx_m, None, 1)
+    job = job_of(true, recording, hidden, step)
+    values = [job.centres[key_of(p)] + 4.0 * job.spread(p) for p in hidden]
+    last = Taken(step, driven, hidden, problem, SimpleNamespace(values=np.array(values)), True)  # type: ignore[arg-type]
+    unseen = {key_of(p) for p in hidden}
+    after, still = _brought_back(job, last, unseen)
+    known = [get_parameter(true, path) for path in paths]
+    assert [get_parameter(after.rig, path) for path in paths] == pytest.approx(known)
+    assert after.back and still == {("pipes.exhaust_tube.wall.nusselt", None)}
+    assert replace(after, rig=driven, back=False) == last
+    for near, moved in ((0.51, True), (-0.51, True), (0.49, False), (-0.49, False)):
+        values = [job.centres[key_of(p)] + near * job.spread(p) for p in hidden]
+        tried = replace(last, estimate=SimpleNamespace(values=np.array(values)))  # type: ignore[arg-type]
+        after, still = _brought_back(job, tried, unseen)
+        assert (after is not tried) == moved
+        assert len(still) == (1 if moved else 2)
+    # What is seen where it is stays, however far off that is.
+    after, still = _brought_back(job, last, set())
+    assert after is last and still == set()
     # one that explains more where it is stays there, seen or not
     warm = make_problem(true, Recording("same", recording.commands, signals))
     rig, _ = brought_back(true, warm, used, hidden[:1], [40.0], [0.1])
     assert rig is true
+
+
+def only(rig: Rig, *paths: str) -> Rig:
+    """The rig, of whose list all parameters but some are dropped."""
+    rig.valves["valve"].spool.closing_delay_s = 0.0  # or it would get one on the way
+    rig.fit.drop = ["*.opening.*"]
+    listed = [p.path for p in parameters_of(rig)]
+    assert set(paths) <= set(listed)
+    rig.fit.drop += [path for path in listed if path not in paths]
+    return rig
+
+
+def test_a_spool_is_tried_before_it_is_fitted() -> None:
+    """Where all that flows is known, the step that fits what flows is left out."""
+    rng = np.random.default_rng(21)
+    true = coarse("line", rng)
+    recording = record(true, rng, 250.0, 1.5, moving=False)
+    spool = true.valves["valve"].spool
+    assert spool.bandwidth_hz is not None
+    drawn = true.model_copy(deep=True)
+    drawn.valves["valve"].spool.bandwidth_hz = 1.4 * spool.bandwidth_hz
+    drawn = only(drawn, BANDWIDTH, "valves.valve.spool.damping")
+    told: list[tuple[str, float, str]] = []
+    outcome = fit_rig(drawn, recording, progress=lambda *words: told.append(words))  # type: ignore[arg-type]
+    first = [p for p in calibrated_parameters(drawn) if p.path == BANDWIDTH]
+    (found,) = [p for p in outcome.parameters if p.path == BANDWIDTH]
+    assert found.model_copy(update={"std_error": None}) == first[0]
+    values = dict(zip([p.path for p in outcome.parameters], outcome.values, strict=True))
+    begun = dict(zip([p.path for p in outcome.parameters], outcome.start, strict=True))
+    assert begun[BANDWIDTH] == pytest.approx(1.4 * spool.bandwidth_hz)
+    assert found.std_error is not None and found.std_error < 0.05 * spool.bandwidth_hz
+    assert abs(values[BANDWIDTH] - spool.bandwidth_hz) < 4.0 * found.std_error
+    assert values["valves.valve.spool.damping"] == pytest.approx(spool.damping, rel=0.1)
+    now = outcome.rig.valves["valve"].spool
+    assert (now.max_speed_v_s, now.max_acceleration_v_s2) == (None, None)
+    assert now.bandwidth_hz == values[BANDWIDTH]
+    words = [note for _, _, note in told]
+    assert not any(note.startswith("slow") for note in words)
+    assert any(note.startswith("fast: spools") for note in words)
+    fractions = [done for _, done, _ in told]
+    assert fractions == sorted(fractions) and 0.0 < fractions[-1] <= 1.0
+
+
+def test_what_no_step_shows_is_left_as_it_is() -> None:
+    """Also where all that is to be fitted is of that kind."""
+    rng = np.random.default_rng(21)
+    path = "pipes.*.wall.heat_unsteady"
+    rig = only(coarse("line", rng), path)
+    outcome = fit_rig(rig, record(rig, rng, 250.0, 1.0, moving=False), iterations=1)
+    assert [p.path for p in outcome.parameters] == [path]
+    assert outcome.values == outcome.start and outcome.parameters[0].std_error is None
+    assert outcome.warnings[0].startswith("1 of 1 parameters kept their values")
+
+
+def test_what_is_missed_after_a_step_undoes_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A limit that was given up, without which the fitted rig does worse."""
+    rng = np.random.default_rng(8)
+    rig = coarse("line", rng)
+    recording = record(rig, rng, 125.0, 1.0, moving=False)
+    wrong = rig.model_copy(deep=True)
+    wrong.valves["valve"].ports["supply"].conductance_m3_s_pa *= 1.2
+    wrong.fit.parameters = few(rig, SUPPLY)
+    one = steps_of(wrong, False, 1)[:1]
+    asked: list[tuple[float, float]] = []
+
+    def missed(before: Rig, after: Rig, *on: object) -> bool:
+        asked.append((get_parameter(before, SUPPLY), get_parameter(after, SUPPLY)))
+        return True
+
+    monkeypatch.setattr(fit_module, "limits_missed", missed)
+    undone = fit_rig(wrong, recording, approach=False, iterations=1)
+    monkeypatch.setattr(fit_module, "steps_of", lambda *given: one)
+    alone = fit_rig(wrong, recording, approach=False, iterations=1)
+    assert len(asked) == 1 and undone.values == alone.values == [asked[0][0]]
+    true = get_parameter(rig, SUPPLY)
+    assert abs(asked[0][1] - true) < 0.5 * abs(asked[0][0] - true)
+
+
+def test_spools_that_were_measured_are_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(8)
+    rig = coarse("line", rng)
+    recording = record(rig, rng, 125.0, 1.0, moving=False)
+    assert fit_module._with_measured_spools(rig, [recording]) == (rig, {})
+    spool = rig.valves["valve"].spool.model_copy(update={"bandwidth_hz": 33.0})
+    found = SimpleNamespace(spool=spool, std_error={BANDWIDTH: 0.5})
+    monkeypatch.setattr(fit_module, "fit_spools", lambda *given: {"valve": found})
+    seen = Recording(
+        "seen",
+        recording.commands,
+        recording.pressures,
+        positions={"valve": recording.commands["voltage"]},
+    )
+    rig.fit.parameters = few(rig, SUPPLY, BANDWIDTH)
+    outcome = fit_rig(rig, [seen], approach=False, iterations=1)
+    assert outcome.rig.valves["valve"].spool.bandwidth_hz == 33.0
+    assert rig.valves["valve"].spool.bandwidth_hz != 33.0
+    assert [p.path for p in outcome.fitted] == [SUPPLY]
+    errors = {p.path: p.std_error for p in outcome.parameters}
+    assert errors[BANDWIDTH] == 0.5
+    rig.fit.parameters = few(rig, BANDWIDTH)
+    with pytest.raises(InputError, match="nothing is to be fitted"):
+        fit_rig(rig, [seen], approach=False)
+
+
+def test_a_lumped_model_has_no_cells_that_could_be_wrong() -> None:
+    rig = load_rig(ROOT / "rigs" / "rig_b_thin_plate.yaml")
+    volts = plants.random_volts(rig, limits_of(rig), 2.0, 5)
+    wrong = rig.model_copy(deep=True)
+    wrong.fit.parameters = few(rig, EXHAUST)
+    wrong.valves["valve"].ports["exhaust"].conductance_m3_s_pa *= 1.3
+    noisy = with_noise(rig, dict.fromkeys(rig.taps, 250.0))
+    recording = plants.record(noisy, volts, "plate", 1)
+    outcome = fit_rig(wrong, recording, approach=False, iterations=3)
+    assert outcome.values == [pytest.approx(get_parameter(rig, EXHAUST), rel=1e-2)]
+    assert not any("cells" in line for line in outcome.warnings)
+
+
+@pytest.mark.parametrize(
+    ("path", "slow"),
+    [
+        ("valves.valve.ports.supply.conductance_m3_s_pa", True),
+        ("valves.valve.ports.supply.opening.fraction.3", True), ("valves.valve.spool.delay_s", False),
+        ("reservoirs.supply.pressure_pa", True), ("taps.end.lag_s", False),
+        ("cylinders.forearm.friction.coulomb_n", True), ("bodies.arm.elbow.viscous", True),
+        ("pipes.tube.wall.nusselt", False), ("pipes.tube.volume_from_m3", False),
+        ("chambers.tank.volume_m3", True),
+    ],
+)  # fmt: skip
+def test_what_says_how_much_flows_is_slow(path: str, slow: bool) -> None:
+    assert is_slow(FitParameter(path=path, lower=0.0, upper=1.0)) == slow
+
+
+@pytest.mark.parametrize("weight", [1.0, 2.5])
+def test_a_little_gain_is_little_for_what_the_readings_weigh(weight: float) -> None:
+    """Half the square of four tenths of a standard error of each parameter."""
+    least = 0.5 * 3 * (0.4 * weight) ** 2
+    for gain, little in ((least * (1.0 - 1e-9), True), (least * (1.0 + 1e-9), False)):
+        found = SimpleNamespace(
+            history=[50.0 + gain, 51.0, 50.0], values=np.zeros(3), weight=weight
+        )
+        assert gained_little(found) == little  # type: ignore[arg-type]
 
 
 @pytest.mark.long
