@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-from pneu_sysid.records.alike import MOST_LAYOUTS, Decoded, layout_of
+from pneu_sysid.records.alike import MOST_LAYOUTS, MOST_MEMBERS, Decoded, layout_of
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STORE.register(get_types_from_msg("string name\nint8 small\nfloat64 value\n", "lab/msg/Part"))
@@ -132,3 +132,26 @@ def test_what_is_not_known_has_no_layout() -> None:
     assert layout_of(STORE, "lab/msg/Part", b"") is None
     # a length beyond the message
     assert layout_of(STORE, "lab/msg/Part", plain[:4] + b"\xff" * 4 + plain[8:]) is None
+
+
+def test_what_is_too_much_or_of_another_kind_is_decoded_one_by_one() -> None:
+    """Arrays of more messages than are walked through, and strings of wide characters."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg("string[] words\nfloat64 last\n", "lab/msg/Words"))
+    text = "module lab { module msg { struct Wide { wstring wide; double last; }; }; };"
+    store.register(get_types_from_idl(text))
+    words = store.types["lab/msg/Words"]
+    for count, known in ((MOST_MEMBERS, True), (MOST_MEMBERS + 1, False)):
+        raw = bytes(store.serialize_cdr(words(["a"] * count, 2.5), "lab/msg/Words"))
+        assert (layout_of(store, "lab/msg/Words", raw) is not None) == known
+        data = [raw] * 9
+        asked: list[int] = []
+
+        def one(k: int, data: list[bytes] = data, asked: list[int] = asked) -> Any:
+            asked.append(k)
+            return store.deserialize_cdr(data[k], "lab/msg/Words")
+
+        decoded = Decoded(data, store, "lab/msg/Words", one)
+        assert decoded.numbers("last", attrgetter("last")).tolist() == [2.5] * 9
+        assert asked == ([0] if known else list(range(9)))
+    assert layout_of(store, "lab/msg/Wide", b"\x00\x01" + bytes(40)) is None

@@ -435,7 +435,8 @@ def test_a_lumped_model_has_no_cells_that_could_be_wrong() -> None:
     ("path", "slow"),
     [
         ("valves.valve.ports.supply.conductance_m3_s_pa", True),
-        ("valves.valve.ports.supply.opening.fraction.3", True), ("valves.valve.spool.delay_s", False),
+        ("valves.valve.ports.supply.opening.fraction.3", True),
+        ("valves.valve.spool.delay_s", False),
         ("reservoirs.supply.pressure_pa", True), ("taps.end.lag_s", False),
         ("cylinders.forearm.friction.coulomb_n", True), ("bodies.arm.elbow.viscous", True),
         ("pipes.tube.wall.nusselt", False), ("pipes.tube.volume_from_m3", False),

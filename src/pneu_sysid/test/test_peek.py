@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.writer import Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from pneu_common.errors import InputError
 from pneu_sim.channels import TextFormat
-from pneu_sysid.records.peek import POINTS, peek
+from pneu_sysid.records.peek import DEEPEST, MOST, POINTS, peek
 
 ROOT = Path(__file__).resolve().parents[3]
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -61,6 +61,76 @@ def test_elements_of_arrays_are_told_and_pictures_are_not(tmp_path: Path) -> Non
     assert found["/JointState", "position[0]"].outline == (0.5,) * 10
     never = found["/JointState", "position[1]"]
     assert np.isnan(never.least) and np.isnan(never.outline).all()
+
+
+def _bag(path: Path, kind: str, text: str, rows: list[bytes], written_in: str = "ros2msg") -> Path:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(kind, written_in, text.encode())
+        channel = writer.register_channel("/own", "cdr", schema)
+        for k, raw in enumerate(rows):
+            writer.add_message(channel, k, raw, k)
+        writer.finish()
+    return path
+
+
+def test_no_more_numbers_are_told_than_a_list_may_have(tmp_path: Path) -> None:
+    """Nor messages inside of each other without end, nor arrays of messages."""
+    kind = "lab/msg/Many"
+    line = "=" * 80
+    inner = "".join(f"float32 n{k}\n" for k in range(MOST // 2 + 1))
+    text = f"lab/Part[] parts\nlab/Part one\nlab/Part two\n{line}\nMSG: lab/Part\n{inner}"
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(text, kind))
+    part = store.types["lab/msg/Part"]
+    numbers = iter(range(10**6))
+    message = store.types[kind](
+        [part(*[0.5] * (MOST // 2 + 1))],
+        *(part(*[float(next(numbers)) for _ in range(MOST // 2 + 1)]) for _ in range(2)),
+    )
+    raw = bytes(store.serialize_cdr(message, kind))
+    found = peek(_bag(tmp_path / "a.mcap", kind, text, [raw]), TextFormat())
+    assert len(found) == MOST
+    assert [one.least for one in found] == [float(k) for k in range(MOST)]
+    assert found[0].field == "one.n0" and found[-1].field == f"two.n{MOST // 2 - 2}"
+
+
+def test_messages_deep_inside_of_each_other_are_left_out(tmp_path: Path) -> None:
+    line = "=" * 80
+    depth = DEEPEST + 2
+    text = "float64[2] class\nfloat64 n\nlab/L1 in\n" + "".join(
+        f"{line}\nMSG: lab/L{k}\nfloat64 n\n" + (f"lab/L{k + 1} in\n" if k < depth else "")
+        for k in range(1, depth + 1)
+    )
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(text, "lab/msg/L0"))
+    message = store.types[f"lab/msg/L{depth}"](float(depth))
+    for k in reversed(range(depth)):
+        # Fields may have names that are keywords of Python.
+        first = () if k else (np.array([-7.0, 2.5]),)
+        message = store.types[f"lab/msg/L{k}"](*first, float(k), message)
+    raw = bytes(store.serialize_cdr(message, "lab/msg/L0"))
+    found = peek(_bag(tmp_path / "a.mcap", "lab/msg/L0", text, [raw]), TextFormat())
+    assert {one.field: one.most for one in found} == {
+        "class[0]": -7.0,
+        "class[1]": 2.5,
+        **{"in." * k + "n": float(k) for k in range(DEEPEST + 1)},
+    }
+
+
+def test_what_nobody_can_read_is_passed_over(tmp_path: Path) -> None:
+    raw = bytes(
+        STORE.serialize_cdr(STORE.types["std_msgs/msg/Float64"](data=3.5), "std_msgs/msg/Float64")
+    )
+    text, _ = STORE.generate_msgdef("std_msgs/msg/Float64")
+    for name, kind, definition in (
+        ("a", "lab/msg/Own", ""),
+        ("b", "lab/msg/Own", "float64 a b c\n="),
+    ):
+        assert peek(_bag(tmp_path / f"{name}.mcap", kind, definition, [raw]), TextFormat()) == []
+    (one,) = peek(_bag(tmp_path / "c.mcap", "std_msgs/msg/Float64", text, [raw]), TextFormat())
+    assert (one.topic, one.field, one.least, one.count) == ("/own", "data", 3.5, 1)
 
 
 def test_columns_of_text_are_told_but_for_those_of_words(tmp_path: Path) -> None:

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings are read at their own times, and each defect is found, handled and told."""
 
+import csv
 import os
 import re
 import shutil
+import socket
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType as McapCompression
 from mcap.writer import Writer as McapWriter
@@ -19,8 +22,10 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from pneu_common.errors import InputError
+from pneu_graph.bag import unpacking
 from pneu_sim.channels import Channel, TextFormat
 from pneu_sysid.records import Recording, Signal, bag_topics, read_recording
+from pneu_sysid.records.bag import read_joints, read_messages
 
 EPOCH_NS = 1_760_000_000_000_000_000
 STEP_NS = 2_000_000  # 500 Hz
@@ -928,3 +933,349 @@ def test_a_unit_is_converted_before_it_is_judged() -> None:
     found = Channel(column=0, scale=-2e5, offset=7e3).convert(raw)
     np.testing.assert_allclose(found[:4], [507e3, 7e3, -93e3, -793e3])
     assert (found[4:] == np.inf).all()
+
+
+# ---- bags that other recorders, or nobody, would have written ----------------------------------
+
+
+def raw_bag(
+    path: Path,
+    definitions: dict[str, tuple[str, str, str]],
+    rows: Sequence[tuple[str, int, bytes]],
+    encoding: str = "cdr",
+) -> Path:
+    """Write messages as they are.
+
+    Args:
+        path: The .mcap file.
+        definitions: Per topic its type, and the encoding and the text of its definition.
+        rows: Topic, log time in ns and bytes of each message.
+        encoding: Of the messages.
+    """
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start(profile="ros2")
+        channels = {}
+        for topic, (msgtype, written_in, text) in definitions.items():
+            schema = writer.register_schema(msgtype, written_in, text.encode())
+            channels[topic] = writer.register_channel(topic, encoding, schema)
+        for topic, stamp, raw in rows:
+            writer.add_message(channels[topic], stamp, raw, stamp)
+        writer.finish()
+    return path
+
+
+def float_rows(topic: str, values: NDArray[Any]) -> list[tuple[str, int, bytes]]:
+    """Messages of one number each, at 500 Hz."""
+    kind = STORE.types[FLOAT]
+    return [
+        (topic, int(stamp), bytes(STORE.serialize_cdr(kind(data=float(value)), FLOAT)))
+        for stamp, value in zip(even(values.size), values, strict=True)
+    ]
+
+
+FLOAT_TEXT = STORE.generate_msgdef(FLOAT)[0]
+END = {"commands": {}, "pressures": {"end": Channel(topic="/end")}}
+
+
+def test_a_type_without_definition_is_that_of_ros(tmp_path: Path) -> None:
+    """Recorders write an empty one where they cannot find the package."""
+    values = ramp(even(60))
+    rows = float_rows("/end", values)
+    recording = read(raw_bag(tmp_path / "a.mcap", {"/end": (FLOAT, "ros2msg", "")}, rows), **END)
+    np.testing.assert_array_equal(recording.pressures["end"].values, values)
+    assert kinds(recording) == {"no_definition": 1}
+    assert f"no definition of {FLOAT}; that of ROS 2 Jazzy" in said(recording, "no_definition")
+    own = raw_bag(tmp_path / "b.mcap", {"/end": ("lab/msg/Own", "ros2msg", "")}, rows)
+    assert "topic '/end' (lab/msg/Own): the bag has no definition of this message type" in refusal(
+        own, **END
+    )
+
+
+@pytest.mark.parametrize("written_in", ["ros2idl", "omgidl"])
+@pytest.mark.parametrize("headed", [True, False])
+def test_definitions_written_as_idl_are_read(tmp_path: Path, written_in: str, headed: bool) -> None:
+    """With the heading that recorders put above each part, or as one text."""
+    text = "module lab { module msg { struct Own { double data; }; }; };\n"
+    if headed:
+        other = "module lab { module msg { struct Other { float part; }; }; };\n"
+        line = "=" * 80 + "\n"
+        text = f"{line}IDL: lab/msg/Own\n{text}{line}IDL: lab/msg/Other\n{other}"
+    values = ramp(even(60))
+    bag = raw_bag(
+        tmp_path / "a.mcap", {"/end": ("lab/msg/Own", written_in, text)}, float_rows("/end", values)
+    )
+    np.testing.assert_array_equal(read(bag, **END).pressures["end"].values, values)
+
+
+@pytest.mark.parametrize(
+    ("written_in", "text", "words"),
+    [
+        ("protobuf", "message Own {}", "is written in 'protobuf' (allowed: ros2msg, ros2idl"),
+        ("ros2msg", "float64 float64 float64\n\n=", "the embedded definition cannot be parsed ("),
+        ("ros2msg", "float64 other\n", "topic '/end' (lab/msg/Own) has no field 'data'"),
+        ("ros2msg", "float64[3] data\n", "'data' is an array, write 'data[0]'"),
+        ("ros2msg", "string data\n", "field 'data' is a string, not a number"),
+    ],
+)
+def test_definitions_that_do_not_serve(
+    tmp_path: Path, written_in: str, text: str, words: str
+) -> None:
+    bag = raw_bag(
+        tmp_path / "a.mcap",
+        {"/end": ("lab/msg/Own", written_in, text)},
+        float_rows("/end", ramp(even(60))),
+    )
+    assert words in refusal(bag, **END)
+
+
+def test_elements_of_what_is_fixed_in_length(tmp_path: Path) -> None:
+    """One beyond the end of all arrays, one of what is no array, and one that few messages have."""
+    kind = get_types_from_msg("float64[3] three\nfloat64[] many\nfloat64 one\n", "lab/msg/Rows")
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(kind)
+    rows = []
+    for k, stamp in enumerate(even(60)):
+        many = np.array([7.0, 2e5 + k][: 1 + k % 2])
+        message = store.types["lab/msg/Rows"](np.array([1.0, 2.0, 3e5 + k]), many, 5.0)
+        rows.append(("/end", int(stamp), bytes(store.serialize_cdr(message, "lab/msg/Rows"))))
+    text = "float64[3] three\nfloat64[] many\nfloat64 one\n"
+    bag = raw_bag(tmp_path / "a.mcap", {"/end": ("lab/msg/Rows", "ros2msg", text)}, rows)
+
+    def element(path: str) -> dict[str, Any]:
+        return {"commands": {}, "pressures": {"end": Channel(topic="/end", field=path)}}
+
+    assert "'three' has only 3 elements" in refusal(bag, **element("three[3]"))
+    assert "'one' is not an array" in refusal(bag, **element("one[0]"))
+    assert "no message has a numeric element 'many[2]'" in refusal(bag, **element("many[2]"))
+    np.testing.assert_array_equal(
+        read(bag, **element("three[2]")).pressures["end"].values, 3e5 + np.arange(60)
+    )
+    few = read(bag, **element("many[1]"))
+    np.testing.assert_array_equal(few.pressures["end"].values, 2e5 + np.arange(1, 60, 2))
+
+
+def test_a_message_may_carry_its_stamp_without_a_header(tmp_path: Path) -> None:
+    text = (
+        "builtin_interfaces/Time stamp\nfloat64 data\n" + "=" * 80
+        + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    )  # fmt: skip
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(text, "lab/msg/Own"))
+    rows, early = [], 40_000_000
+    for stamp, value in zip(even(60), ramp(even(60)), strict=True):
+        seconds_, nanoseconds = divmod(int(stamp) - early, 10**9)
+        time = store.types["builtin_interfaces/msg/Time"](seconds_, nanoseconds)
+        raw = store.serialize_cdr(store.types["lab/msg/Own"](time, value), "lab/msg/Own")
+        # The log is late by a time of its own for every other message.
+        rows.append(("/end", int(stamp) + 300_000 * (len(rows) % 2), bytes(raw)))
+    bag = raw_bag(tmp_path / "a.mcap", {"/end": ("lab/msg/Own", "ros2msg", text)}, rows)
+    np.testing.assert_array_equal(read(bag, **END).pressures["end"].time_s, seconds(even(60)))
+
+
+def test_messages_that_do_not_decode(tmp_path: Path) -> None:
+    """One that is cut, and one whose own compression is spoilt; others around them are whole."""
+    definitions = {"/end": (FLOAT, "ros2msg", FLOAT_TEXT)}
+    rows = float_rows("/end", ramp(even(60)))
+    topic, stamp, raw = rows[41]
+    rows[41] = (topic, stamp, raw[:7])
+    bag = raw_bag(tmp_path / "a.mcap", definitions, rows)
+    assert "message 42 of 60 does not decode (" in refusal(bag, **END)
+    packed = zstandard.compress(raw)
+    rows[41] = (topic, stamp, packed)
+    whole = read(raw_bag(tmp_path / "b.mcap", definitions, rows), **END)
+    np.testing.assert_array_equal(whole.pressures["end"].values, ramp(even(60)))
+    rows[41] = (topic, stamp, packed[:9] + b"\xff" * 9)
+    bag = raw_bag(tmp_path / "c.mcap", definitions, rows)
+    assert "message 42 of 60 does not decode (" in refusal(bag, **END)
+
+
+def test_messages_that_unpack_to_far_more_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(unpacking, "FREE_BYTES", 1000)
+    rows = float_rows("/end", ramp(even(60)))
+    definitions = {"/end": (FLOAT, "ros2msg", FLOAT_TEXT)}
+    for size, refused in ((60_000, False), (160_000, True)):
+        rows[3] = (*rows[3][:2], zstandard.compress(rows[4][2] + bytes(size)))
+        bag = raw_bag(tmp_path / f"{size}.mcap", definitions, rows)
+        if refused:
+            message = refusal(bag, **END)
+            assert "topic '/end'" in message and "bytes unpack to more than 0 MB" in message
+        else:
+            assert "message 4 of 60 does not decode (" in refusal(bag, **END)
+
+
+def test_topics_that_do_not_serve(tmp_path: Path) -> None:
+    """Of several types, of none that is meant, without a message, and not of ROS 2."""
+    rows = float_rows("/end", ramp(even(60)))
+    two = tmp_path / "two.mcap"
+    with two.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start(profile="ros2")
+        texts = {
+            FLOAT: FLOAT_TEXT,
+            "std_msgs/msg/Float32": STORE.generate_msgdef("std_msgs/msg/Float32")[0],
+        }
+        for msgtype, text in texts.items():
+            schema = writer.register_schema(msgtype, "ros2msg", text.encode())
+            channel = writer.register_channel("/end", "cdr", schema)
+            for _, stamp, raw in rows[:30]:
+                writer.add_message(channel, stamp, raw, stamp)
+        writer.finish()
+    assert (
+        "channel 'end': topic '/end' carries several message types"
+        " (std_msgs/msg/Float32, std_msgs/msg/Float64); name one with 'type'"
+    ) in refusal(two, **END)
+    definitions = {"/end": (FLOAT, "ros2msg", FLOAT_TEXT), "/idle": (FLOAT, "ros2msg", FLOAT_TEXT)}
+    bag = raw_bag(tmp_path / "idle.mcap", definitions, rows)
+    idle = {"commands": {}, "pressures": {"end": Channel(topic="/idle")}}
+    assert "topic '/idle' is in the bag but holds no message" in refusal(bag, **idle)
+    other = raw_bag(tmp_path / "ros1.mcap", definitions, rows, encoding="ros1")
+    assert "topic '/end' is encoded as 'ros1', only 'cdr' (ROS 2) is read" in refusal(other, **END)
+
+
+def test_numbers_of_names_that_no_message_has(tmp_path: Path) -> None:
+    """Joints and commands that are named beside their numbers, of which there are too few."""
+    joint = "sensor_msgs/msg/JointState"
+    text, _ = STORE.generate_msgdef(joint)
+    time = STORE.types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    header = STORE.types["std_msgs/msg/Header"](stamp=time, frame_id="")
+    none = np.zeros(0)
+    rows = []
+    for k, stamp in enumerate(even(60)):
+        message = STORE.types[joint](header, ["elbow", "wrist"], np.array([0.01 * k]), none, none)
+        rows.append(("/joints", int(stamp), bytes(STORE.serialize_cdr(message, joint))))
+    bag = raw_bag(tmp_path / "a.mcap", {"/joints": (joint, "ros2msg", text)}, rows)
+
+    def of(name: str, role: str) -> dict[str, Any]:
+        channel = {name: Channel(topic="/joints", field="position", stamp="log")}
+        return {"commands": {}, "pressures": {}, role: channel}
+
+    found = read(bag, **of("elbow", "encoders"))
+    np.testing.assert_allclose(found.encoders["elbow"].values, 0.01 * np.arange(60))
+    message = refusal(bag, **of("wrist", "encoders"))
+    assert "no message has a position of joint 'wrist'" in message
+    message = refusal(bag, **of("hand", "encoders"))
+    assert "no joint 'hand', it has 'elbow', 'wrist'" in message
+    # Nor does a bag without such a topic tell anything of joints.
+    stream, told = read_joints(bag, "/joints")
+    assert stream is not None and told[7] == {"elbow": pytest.approx(0.07)}
+    assert read_joints(bag, "/elsewhere") == (None, [])
+    # Stamps that are zero are none: messages are then told by when they were written.
+    messages, _ = read_messages(bag, {"arm": "/joints", "again": "/joints"})
+    assert list(messages) == ["/joints"]
+    np.testing.assert_array_equal(messages["/joints"].stamp_ns, even(60))
+
+
+def test_taps_are_known_by_the_names_beside_their_numbers(tmp_path: Path) -> None:
+    kind, text = "pneu_msgs/msg/TapPressures", "string[] name\nfloat64[] pressure_pa\n"
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(text, kind))
+    rows = []
+    for k, stamp in enumerate(even(60)):
+        message = store.types[kind](["start", "end"], np.array([1e5 + k]))
+        rows.append(("/taps", int(stamp), bytes(store.serialize_cdr(message, kind))))
+    bag = raw_bag(tmp_path / "a.mcap", {"/taps": (kind, "ros2msg", text)}, rows)
+
+    def of(name: str) -> dict[str, Any]:
+        channel = Channel(topic="/taps", field="pressure_pa[0]")
+        return {"commands": {}, "pressures": {name: channel}}
+
+    found = read(bag, **of("start")).pressures["start"]
+    np.testing.assert_array_equal(found.values, 1e5 + np.arange(60))
+    assert "no message has a number in pressure_pa of 'end'" in refusal(bag, **of("end"))
+    words = "found values of 'start', 'end', none of 'middle'; the rig file names them as the bag"
+    assert words in refusal(bag, **of("middle"))
+
+
+def test_some_zero_header_stamps_are_dropped(tmp_path: Path) -> None:
+    t = even()
+    stamp = np.where(np.arange(400) % 50 == 7, 0, t)
+    path = write_bag(tmp_path / "run", tap_rows(stamp, ramp(t), t) + valve_rows(t, t * 0.0))
+    recording = read(path)
+    assert kinds(recording)["no_header_stamp"] == 8
+    assert said(recording, "no_header_stamp") == ("sample(s) with a zero header stamp were dropped")
+    kept = stamp != 0
+    same(recording.pressures["end"], seconds(t[kept]), ramp(t)[kept])
+
+
+def test_a_gap_of_a_command_is_told(tmp_path: Path) -> None:
+    """Of a command that is sampled; over it the value before holds."""
+    t = even()
+    keep = np.ones(400, dtype=bool)
+    keep[120:150] = keep[300:310] = False
+    rows = tap_rows(t, ramp(t)) + valve_rows(t[keep], 5.0 + np.arange(400)[keep] * 0.01)
+    recording = read(write_bag(tmp_path / "run", rows))
+    assert kinds(recording, "valve") == {"gap": 2}
+    assert said(recording, "gap", "valve") == (
+        "gap(s) longer than 3 sample periods, 0.084 s in all, the longest 0.062 s; the value before"
+        " each holds"
+    )
+    when = seconds(t)
+    found = [(a, b) for a, b, finding in recording.marks() if finding.channel == "valve"]
+    np.testing.assert_allclose(found, when[[[119, 150], [299, 310]]], atol=1e-6)
+
+
+def test_a_summary_that_lists_more_is_not_believed(tmp_path: Path) -> None:
+    bag = raw_bag(
+        tmp_path / "a.mcap",
+        {"/end": (FLOAT, "ros2msg", FLOAT_TEXT)},
+        float_rows("/end", ramp(even(60))),
+    )
+    data = bag.read_bytes()
+    count = (60).to_bytes(8, "little")
+    # The record of the statistics begins with its opcode, its length and the number of messages.
+    at = data.index(bytes([Opcode.STATISTICS]), data.rindex(bytes([Opcode.DATA_END]) + bytes([4])))
+    at = data.index(count, at)
+    bag.write_bytes(data[:at] + (67).to_bytes(8, "little") + data[at + 8 :])
+    message = refusal(bag, **END)
+    assert "holds 60 of the 67 messages that its summary lists" in message
+
+
+def test_what_is_no_file_and_arguments_that_contradict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = whole_bag(tmp_path / "run")
+    twice = {"end": Channel(topic="/valve/voltage")}
+    assert "'end' names two of commands, taps and measured positions" in refusal(
+        bag, commands=twice
+    )
+    assert "start_s (0.5) must be before end_s (0.5)" in refusal(bag, start_s=0.5, end_s=0.5)
+    (tmp_path / "folder" / "part.mcap").mkdir(parents=True)
+    with pytest.raises(InputError, match=r"part\.mcap: cannot be read \(Is a directory\)"):
+        read(tmp_path / "folder")
+    (tmp_path / "broken.mcap.zstd").write_bytes(b"\x28\xb5\x2f\xfd" + b"\xff" * 40)
+    assert "the zstd compression of the file is damaged" in refusal(tmp_path / "broken.mcap.zstd")
+    assert "is no file and no bag" in refusal(Path("/dev/null"))
+    with socket.socket(socket.AF_UNIX) as listener:
+        monkeypatch.chdir(tmp_path)  # a socket's path is short
+        listener.bind("plug")
+        assert "cannot be read (No such device or address)" in refusal(tmp_path / "plug")
+
+
+def test_texts_without_rows_and_with_odd_ones(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    text = {"commands": {}, "pressures": {"end": Channel(column="end")}}
+    path.write_text("time,end\n", encoding="utf-8")
+    assert "the file holds a heading but no rows" in refusal(path, **text)
+    path.write_text("# a\n\n# time,end\n", encoding="utf-8")
+    assert "the file holds no rows (3 lines)" in refusal(path, **text)
+    path.write_bytes(b"time,end\n0.0,1\xff\n")
+    assert "byte 14 is not text" in refusal(path, **text)
+    rows = [f"{0.01 * k:.2f},{2e5 + k}" for k in range(40)]
+    path.write_text("\n".join(["time,end", *rows, "x" * 200_000]), encoding="utf-8")
+    message = refusal(path, **text)
+    assert "line 42 cannot be split into columns (" in message
+    # A comment above names the columns; one between the rows, and one of other columns, does not.
+    above = ["# run of monday", "# time,end", rows[0], "# volts,other", "", *rows[1:]]
+    path.write_text("\n".join(above), encoding="utf-8")
+    found = read(path, text=TextFormat(comment="#"), **text)
+    np.testing.assert_array_equal(found.pressures["end"].values, 2e5 + np.arange(40))
+    path.write_text("\n".join(["# run of monday", *rows]), encoding="utf-8")
+    message = refusal(path, text=TextFormat(comment="#"), **text)
+    assert "no column 'end' (the file has: no names, 2 columns numbered from 0)" in message
+    longest = csv.field_size_limit()
+    path.write_text("\n".join(["# " + "x" * (longest + 1), *rows]), encoding="utf-8")
+    message = refusal(path, text=TextFormat(comment="#"), **text)
+    assert "the comment above the numbers cannot be split into columns (" in message

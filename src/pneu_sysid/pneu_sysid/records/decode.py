@@ -2,6 +2,7 @@
 """What messages are and hold: decoded by the definitions inside the file (``rosbags``)."""
 
 import io
+import keyword
 import re
 from collections.abc import Callable
 from functools import reduce
@@ -57,7 +58,7 @@ def typestore_of(where: str, topic: RawTopic, name: str, findings: list[Finding]
         else:
             raise InputError(
                 f"{where}: the definition is written in '{schema.encoding}' "
-                "(allowed: ros2msg, ros2idl)"
+                "(allowed: ros2msg, ros2idl, omgidl)"
             )
     except InputError:
         raise
@@ -232,6 +233,15 @@ def _decoder(where: str, store: Typestore, topic: RawTopic) -> Callable[[int], A
     return one
 
 
+def attribute_of(name: str) -> str:
+    """The attribute of a decoded message that has a field; keywords of Python end in a line.
+
+    Args:
+        name: Name of the field.
+    """
+    return f"{name}_" if keyword.iskeyword(name) else name
+
+
 def getter_of(steps: list[tuple[str, list[int]]]) -> Callable[[Any], float]:
     """What gets a number of a message; NaN where an array is too short to have it.
 
@@ -239,10 +249,10 @@ def getter_of(steps: list[tuple[str, list[int]]]) -> Callable[[Any], float]:
         steps: Where, as `split_field` has it.
     """
     if not any(indices for _, indices in steps):
-        return attrgetter(".".join(name for name, _ in steps))
+        return attrgetter(".".join(attribute_of(name) for name, _ in steps))
 
     def step(value: Any, part: tuple[str, list[int]]) -> Any:
-        value = getattr(value, part[0])
+        value = getattr(value, attribute_of(part[0]))
         for index in part[1]:
             value = value[index]
         return value

@@ -16,6 +16,7 @@ from pneu_common.errors import InputError
 from pneu_sim.channels import TextFormat
 from pneu_sysid.records.container import bag_topics, collect
 from pneu_sysid.records.decode import (
+    attribute_of,
     columns_of,
     fields_of,
     getter_of,
@@ -124,7 +125,7 @@ def _paths_of(store: Typestore, msgtype: str, message: Any, path: str, depth: in
         count = None
         if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
             kind, detail = detail[0]
-            count = min(len(reduce(getattr, here.split("."), message)), WIDEST)
+            count = min(len(reduce(getattr, map(attribute_of, here.split(".")), message)), WIDEST)
         if kind == Nodetype.NAME:
             if count is None and depth < DEEPEST:
                 yield from _paths_of(store, detail, message, here, depth + 1)
