@@ -231,6 +231,9 @@ def test_an_effect_that_is_asked_for_is_added() -> None:
     better, _, after = add_effect(plate, recording, "sensor_gain", "middle")
     assert better.effects[0].place == after.place == "middle"
     assert abs(after.strength) < 4.0 * after.std_error
+    # A lumped model does not show where a leak is: it is left where it was asked for.
+    _, _, after = add_effect(plate, recording, "leak", "tube", 0.7)
+    assert after.place == "tube:0.70"
     with pytest.raises(InputError, match="place 'nowhere' is not one of supply, valve_out"):
         add_effect(plate, recording, "sensor_gain", "nowhere")
     with pytest.raises(InputError, match=f"rig {plate.name!r} has no place for it"):

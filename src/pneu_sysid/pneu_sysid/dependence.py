@@ -98,7 +98,8 @@ def dependences(
         e = r[:, :, t]
         total = float(np.sum(e**2))
         there = np.isfinite(problem.measured[:, :, t])
-        if total <= 1.5 * there.sum():
+        # What one stretch shows there is no other to try on.
+        if total <= 1.5 * there.sum() or problem.stretches < 2:
             continue
         predicted = problem.measured[:, :, t] - e * problem.noise_pa[t]
         for name, x in _variables(problem, t, predicted).items():
@@ -109,7 +110,7 @@ def dependences(
             left = 0.0
             for k in range(FOLDS):
                 train, test = fold != k, fold == k
-                if not test.any() or not train.any():
+                if not test.any():
                     continue
                 count = np.bincount(which[train].ravel(), minlength=edges.size + 1)
                 sums = np.bincount(

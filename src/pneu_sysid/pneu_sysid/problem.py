@@ -286,9 +286,6 @@ class Problem:
         self._prepare(rigs[0])
         dx_m = self.dx_m or rigs[0].grid.dx_m
         own = self.with_grid(dx_m)
-        if not kind_of(rigs[0]).along_lines:
-            readings = own.predict(rigs)
-            return readings, np.zeros_like(readings)
         with ThreadPoolExecutor(1) as pool:  # beside the run on cells as they are
             halved = pool.submit(self.with_grid(HALF * dx_m).predict, rigs)
             readings = own.predict(rigs)

@@ -357,6 +357,20 @@ def test_a_wave_is_in_its_own_band_of_frequencies(hertz: float, label: str) -> N
     assert bands["20-60 Hz"].white == pytest.approx(40.0 / 250.0, abs=0.01)
 
 
+def test_an_error_in_no_or_in_one_band_of_frequencies() -> None:
+    """Too few readings have none; slow ones have a single one; no error has no share anywhere."""
+    time = np.arange(2000) / 500.0
+    lost = np.where(np.arange(2000) < 5, 1.0, np.nan)
+    assert frequency_shares(lost[None], time[None]) == []
+    slow = np.arange(40) / 8.0
+    (band,) = frequency_shares(np.sin(2.0 * np.pi * 1.5 * slow)[None], slow[None])
+    assert (band.label, band.low_hz, band.high_hz) == ("all frequencies", 0.0, None)
+    assert (band.share, band.white) == (pytest.approx(1.0), pytest.approx(1.0))
+    still = frequency_shares(np.zeros((1, 2000)), time[None])
+    assert {b.share for b in still} == {0.0}
+    assert sum(b.white for b in still) == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize("lag", [-0.0473, -0.0021, 0.0, 0.0137, 0.0486])
 def test_a_shift_is_found_up_to_its_reach_with_its_sign(lag: float) -> None:
     ticks = np.arange(0.0, 4.0, 0.002)
@@ -390,6 +404,22 @@ def test_a_shift_beyond_its_reach_is_none(lag: float) -> None:
     measured = np.sin(5.0 * (time - lag)) + np.sin(17.0 * (time - lag))
     given = [(ticks, np.sin(5.0 * ticks) + np.sin(17.0 * ticks))]
     assert estimate_shift(measured, time, given, np.zeros(1, dtype=np.int64)) is None
+
+
+def test_no_shift_is_told_where_nothing_moves() -> None:
+    """Too few readings, a prediction that stands still, or one that goes the other way."""
+    ticks = np.arange(0.0, 4.0, 0.002)
+    time = np.linspace(0.3, 3.5, 400)[None]
+    none = np.zeros(1, dtype=np.int64)
+    wave = np.sin(5.0 * ticks)
+    measured = np.sin(5.0 * (time - 0.01))
+    assert estimate_shift(measured, time, [(ticks, wave)], none) is not None
+    few = np.where(np.arange(400) % 50 == 3, measured, np.nan)
+    assert np.isfinite(few).sum() == 8
+    assert estimate_shift(few, time, [(ticks, wave)], none) is None
+    assert estimate_shift(measured, time, [(ticks, 0.0 * wave)], none) is None
+    rising = 3.0 + 0.5 * time
+    assert estimate_shift(rising, time, [(ticks, -0.5 * ticks)], none) is None
 
 
 @pytest.mark.parametrize("step", [1, -1])

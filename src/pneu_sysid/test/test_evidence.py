@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """When one model is told from another, and what pulsates in a residual."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -13,6 +16,7 @@ from pneu_sysid.records import Recording
 from pneu_sysid.sites import Site
 from pneu_sysid.spectrum import lines_of
 from pneu_sysid.thresholds import Thresholds
+from pneu_sysid.together import each_of
 
 STRETCHES, LENGTH = 12, 400
 
@@ -121,3 +125,26 @@ def test_a_line_in_the_spectrum_is_found() -> None:
 
 def test_noise_has_no_line() -> None:
     assert lines_of(*pulsating(7.3, 0.0)) == []
+
+
+def test_an_error_of_a_run_together_reaches_all_that_asked() -> None:
+    """Also one that had to wait for the others; what only one of them does is its own."""
+    problem = SimpleNamespace(simulate=None)
+
+    def simulate(rigs: list[str], strict: bool) -> None:
+        assert sorted(rigs) == ["a", "b", "c"] and not strict
+        raise ValueError("all three")
+
+    problem.simulate = simulate
+    told: list[str] = []
+
+    def ask(shared: Any, item: str) -> None:
+        try:
+            shared.simulate([item])
+        except ValueError as error:
+            told.append(f"{item}: {error}")
+            raise
+
+    with pytest.raises(ValueError, match="all three"):
+        each_of(["a", "b", "c"], problem, ask)  # type: ignore[arg-type]
+    assert sorted(told) == [f"{item}: all three" for item in "abc"]

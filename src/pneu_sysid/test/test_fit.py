@@ -34,7 +34,7 @@ from pneu_sysid.parameters import (
     rig_at,
     variables_of,
 )
-from pneu_sysid.problem import make_problem, pull_of
+from pneu_sysid.problem import make_problem, pull_of, record_for
 from pneu_sysid.records import Recording
 from pneu_sysid.stages import Step, brought_back, gained_little, is_slow, steps_of
 
@@ -429,6 +429,38 @@ def test_a_lumped_model_has_no_cells_that_could_be_wrong() -> None:
     outcome = fit_rig(wrong, recording, approach=False, iterations=3)
     assert outcome.values == [pytest.approx(get_parameter(rig, EXHAUST), rel=1e-2)]
     assert not any("cells" in line for line in outcome.warnings)
+
+
+def test_what_cannot_be_compared_is_said() -> None:
+    rig = load_rig(ROOT / "rigs" / "rig_a.yaml")
+    with pytest.raises(InputError, match="no recording was given, at least one is needed"):
+        make_problem(rig, [])
+    deaf = rig.model_copy(deep=True)
+    for tap in deaf.taps.values():
+        tap.channel = None
+    words = f"rig {rig.name!r}: no tap has a channel, so nothing can be compared"
+    with pytest.raises(InputError, match=words):
+        record_for(deaf, "run.mcap")
+    deaf.commands["voltage"].channel = None
+    with pytest.raises(InputError, match=r"commands\.voltage has no channel to read"):
+        record_for(deaf, "run.mcap")
+
+
+def test_a_sensor_of_which_hardly_anything_was_read_has_the_finest_noise() -> None:
+    """Of a tap a pascal, which is more than the share of its readings that counts anyway."""
+    rng = np.random.default_rng(8)
+    rig = coarse("line", rng)
+    recording = record(rig, rng, 125.0, 1.5, moving=False)
+    for tap in rig.taps.values():
+        tap.noise_pa = 0.0
+    feed = recording.pressures["feed"]
+    few = {name: Signal(s.time_s[:0], s.values[:0]) for name, s in recording.pressures.items()}
+    few["feed"] = Signal(feed.time_s[[0, 90, -1]], np.array([7.0, 8.0, 9.0]))
+    problem = make_problem(rig, Recording("few", recording.commands, few))
+    np.testing.assert_array_equal(problem.noise_pa, 1.0)
+    few["feed"] = Signal(feed.time_s[[0, 90, -1]], np.array([2e5, 3e5, 4e5]))
+    problem = make_problem(rig, Recording("few", recording.commands, few))
+    np.testing.assert_array_equal(problem.noise_pa, 40.0)
 
 
 @pytest.mark.parametrize(

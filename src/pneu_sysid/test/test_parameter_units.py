@@ -93,6 +93,8 @@ def test_units_of_paths() -> None:
         "reservoirs.supply.temperature_k": "K",
         "effects.0.parameters.area_m2": "m^2, effective",
         "effects.7.parameters.position_m": "m",
+        "effects.*.parameters.area_m2": "m^2",
+        "effects.0.parameters.lag_s": "s",
         "pipes.tube.area_profile.0.1": None,
     }.items():
         assert unit_of_parameter(rig, path) == unit, path

@@ -1085,7 +1085,7 @@ def test_messages_that_do_not_decode(tmp_path: Path) -> None:
     rows[41] = (topic, stamp, packed)
     whole = read(raw_bag(tmp_path / "b.mcap", definitions, rows), **END)
     np.testing.assert_array_equal(whole.pressures["end"].values, ramp(even(60)))
-    rows[41] = (topic, stamp, packed[:9] + b"\xff" * 9)
+    rows[41] = (topic, stamp, packed[:4] + b"\xff" * 30)
     bag = raw_bag(tmp_path / "c.mcap", definitions, rows)
     assert "message 42 of 60 does not decode (" in refusal(bag, **END)
 
@@ -1104,6 +1104,16 @@ def test_messages_that_unpack_to_far_more_are_refused(
             assert "topic '/end'" in message and "bytes unpack to more than 0 MB" in message
         else:
             assert "message 4 of 60 does not decode (" in refusal(bag, **END)
+
+
+def test_a_chunk_that_unpacks_to_far_more_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(unpacking, "FREE_BYTES", 1000)
+    monkeypatch.setattr(unpacking, "LARGEST_RATIO", 1)
+    bag = whole_bag(tmp_path / "run", CompressionMode.STORAGE)
+    message = refusal(bag)
+    assert "bytes unpack to more than 0 MB" in message and "damaged" not in message
 
 
 def test_topics_that_do_not_serve(tmp_path: Path) -> None:
@@ -1267,6 +1277,11 @@ def test_texts_without_rows_and_with_odd_ones(tmp_path: Path) -> None:
     path.write_text("\n".join(["time,end", *rows, "x" * 200_000]), encoding="utf-8")
     message = refusal(path, **text)
     assert "line 42 cannot be split into columns (" in message
+    # What separates thousands separates no columns.
+    path.write_text("\n".join(f"{k},000.5\t{2 * k},500.5" for k in range(40)), encoding="utf-8")
+    grouped = TextFormat(thousands_separator=",", time_scale=1e-3)
+    found = read(path, text=grouped, commands={}, pressures={"end": Channel(column=1)})
+    np.testing.assert_array_equal(found.pressures["end"].values[:3], [500.5, 2500.5, 4500.5])
     # A comment above names the columns; one between the rows, and one of other columns, does not.
     above = ["# run of monday", "# time,end", rows[0], "# volts,other", "", *rows[1:]]
     path.write_text("\n".join(above), encoding="utf-8")

@@ -13,6 +13,7 @@ from pneu_sim.effects import find_effect
 from pneu_sim.effects.base import EffectParameter
 from pneu_sim.rig import with_parameters
 from pneu_sim.rig.schema import AttachedEffect, Rig
+from pneu_sysid.along import positions
 from pneu_sysid.bench import REFIT_CELLS
 from pneu_sysid.candidates import Score, residual_matrix
 from pneu_sysid.design.foreseen import foresee
@@ -221,3 +222,30 @@ def test_a_residual_that_was_not_kept_is_computed_again() -> None:
         wanted = project(residual_matrix(problem, problem.predict([alone])[0]))
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(out[k], wanted[used], rtol=1e-9, atol=1e-9)
+
+
+def test_a_better_place_along_a_pipe_is_found() -> None:
+    """A leak that was fitted at the wrong end; there it would be of another strength."""
+    rig = one_tap(0.25)
+    leak = find_effect("leak")
+    true = {"area_m2": 3e-8, "position_m": 0.2}
+    steps = np.random.default_rng(4).uniform(4.0, 6.0, 12)
+    volts = {"voltage": np.repeat(steps, round(0.1 / STEP_S))}
+    plant = rig.model_copy(
+        update={"effects": [AttachedEffect(effect="leak", place="tube", parameters=true)]}
+    )
+    problem = make_problem(rig, foresee(plant, volts, 500.0).recording)
+    far = {"area_m2": 1.5e-8, "position_m": 1.4}
+    wrong = rig.model_copy(
+        update={"effects": [AttachedEffect(effect="leak", place="tube", parameters=far)]}
+    )
+    blocks = blocks_of(problem, Thresholds().block)
+    found = positions(problem, wrong, 0, blocks, None)
+    assert found.better is not None and wrong.effects[0].parameters == far
+    placed = found.better.effects[0].parameters
+    position = next(p for p in leak.fitted(rig, "tube") if p.name == "position_m")
+    spots = np.linspace(*leak.limits(position, rig, "tube"), position.scanned)
+    assert placed["position_m"] in spots and abs(placed["position_m"] - 0.2) < 0.4
+    assert placed["area_m2"] == pytest.approx(3e-8, rel=0.15)
+    # Where it is right, nowhere else is better.
+    assert positions(problem, plant, 0, blocks, None).better is None

@@ -9,7 +9,7 @@ import pytest
 from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
-from pneu_sysid.records import Recording, even_recording
+from pneu_sysid.records import Recording, Signal, even_recording
 from pneu_sysid.units import checked
 
 ROOT = Path(__file__).parents[3]
@@ -86,3 +86,31 @@ def test_milliseconds_are_named(rig: Rig) -> None:
         signal.time_s[:] *= 1e3
     with pytest.raises(InputError, match=r"milliseconds, say so with text\.time_scale"):
         checked(rig, "run.csv", given)
+
+
+def test_numbers_of_no_unit_are_doubted(rig: Rig) -> None:
+    """Neither pascals nor volts, nor anything that a factor would make of them."""
+    with pytest.raises(InputError) as caught:
+        checked(rig, "run.mcap", recording(rig, 1e-7))
+    assert str(caught.value).startswith("run.mcap: tap 'supply': readings run from ")
+    assert str(caught.value).endswith("; are scale and offset of its channel right?")
+    for factor, words in (
+        (10.2e3, "are scale and offset of its channel right?"),
+        (1.4e3, "they seem to be millivolts: say so with scale: 0.001"),
+    ):
+        given = recording(rig)
+        given.commands["voltage"].values[:] = 10.0 * factor
+        with pytest.raises(InputError) as caught:
+            checked(rig, "run.mcap", given)
+        assert str(caught.value) == (
+            f"run.mcap: command 'voltage': values reach {10.0 * factor:.4g} V, the valve's opening"
+            f" is known to 10 V; {words}"
+        )
+    # A command that no valve listens to may have any values, and one may have none.
+    given = recording(rig)
+    other = rig.model_copy(deep=True)
+    other.commands["spare"] = other.commands["voltage"]
+    given.commands["spare"] = Signal(np.array([0.0, 1.0]), np.array([1e9, -1e9]))
+    assert checked(other, "run.mcap", given).commands["spare"].values[0] == 1e9
+    given.commands["voltage"] = Signal(np.zeros(0), np.zeros(0))
+    assert len(checked(other, "run.mcap", given).commands["voltage"]) == 0

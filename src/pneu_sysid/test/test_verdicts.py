@@ -22,6 +22,7 @@ from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import AttachedEffect, Calibration, FitParameter, Rig
 from pneu_sysid import diagnose as diagnose_module
 from pneu_sysid import learn as learn_module
+from pneu_sysid.along import Positions
 from pneu_sysid.bench import Bench
 from pneu_sysid.candidates import Score, to_refit
 from pneu_sysid.contacts.candidates import SceneScore, Scores
@@ -29,7 +30,7 @@ from pneu_sysid.contacts.diagnose import Finalist, _tie
 from pneu_sysid.contacts.diagnose import _verdict as scene_verdict
 from pneu_sysid.contacts.effects import find_scene_effect
 from pneu_sysid.contacts.estimate import Parameter
-from pneu_sysid.dependence import seldom
+from pneu_sysid.dependence import dependences, seldom
 from pneu_sysid.diagnose import (
     Diagnosis,
     _alike_but_scored,
@@ -42,7 +43,7 @@ from pneu_sysid.diagnose import (
 from pneu_sysid.evidence import lead
 from pneu_sysid.learn import _worth_adding
 from pneu_sysid.problem import Problem
-from pneu_sysid.records import Recording
+from pneu_sysid.records import Recording, Signal
 from pneu_sysid.refits import Refit
 from pneu_sysid.seals.estimate import Estimate
 from pneu_sysid.seals.identify import Errors
@@ -438,6 +439,62 @@ def test_what_is_unknown_is_described(rig: Rig) -> None:
     assert "most of it is at 1.6 to 2.0 s of run" in found.sentence
     given = result_of_diagnosis("rig", found, [])
     assert [d.gain for d in given.depends_on] == [gain for _, _, gain in found.depends_on]
+
+
+def moving(rig: Rig, stretches: int) -> Problem:
+    """A problem with an encoder that is compared, and one of which hardly anything was read."""
+    problem = problem_of(rig)
+    problem.taps[3] = "elbow"
+    time = np.arange(0.0, 4.0, 0.005)
+    signals = {
+        "elbow": Signal(time, np.sin(2.0 * np.pi * 0.9 * time)),
+        "wrist": Signal(np.array([0.1, 0.2]), np.array([0.0, 1.0])),
+    }
+    problem.recordings = [Recording("run", {}, {}, encoders=signals)]
+    for name in ("time_s", "measured", "of", "span_s"):
+        setattr(problem, name, getattr(problem, name)[:stretches])
+    return problem
+
+
+def test_what_a_residual_of_motion_depends_on(rig: Rig) -> None:
+    """Of its own sensor's motion, not of its reading as if that were a pressure."""
+    problem = moving(rig, STRETCHES)
+    rng = np.random.default_rng(3)
+    r = 0.5 * rng.normal(size=problem.measured.shape)
+    direction = np.sign(np.cos(2.0 * np.pi * 0.9 * problem.time_s[:, :, 3]))
+    r[:, :, 3] += 4.0 * direction
+    found = dependences(problem, r.reshape(STRETCHES, -1), Thresholds())
+    assert (found[0][0], found[0][1]) in (
+        ("direction of elbow", "elbow"), ("speed of elbow", "elbow")
+    )  # fmt: skip
+    assert found[0][2] > 0.9 and {tap for _, tap, _ in found} == {"elbow"}
+    named = {name for name, _, _ in found}
+    assert "direction of elbow" in named and not any("pressure" in name for name in named)
+    assert not any("wrist" in name for name in named)
+
+
+@pytest.mark.parametrize(("stretches", "named"), [(1, False), (2, True), (5, True)])
+def test_a_dependence_is_tried_on_other_stretches(rig: Rig, stretches: int, named: bool) -> None:
+    """On one alone nothing can be tried, so nothing is said."""
+    problem = moving(rig, stretches)
+    r = np.zeros_like(problem.measured)
+    level = np.where(np.arange(HORIZON) % 2, 9.0, -3.0)
+    problem.measured[:, :, 1] = 1e5 + 1e4 * (level > 0.0)
+    r[:, :, 1] = level
+    found = dependences(problem, r.reshape(stretches, -1), Thresholds())
+    assert (("pressure", list(rig.taps)[1], pytest.approx(1.0)) in found) == named
+    if not named:
+        assert found == []
+
+
+def test_of_readings_that_are_hardly_any_no_rate_is_told(rig: Rig) -> None:
+    problem = problem_of(rig)
+    for name in ("time_s", "measured"):
+        setattr(problem, name, getattr(problem, name)[:, :2])
+    r = np.full(problem.measured.shape, 9.0)
+    found = dependences(problem, r.reshape(STRETCHES, -1), Thresholds())
+    names = {name for name, _, _ in found}
+    assert "pressure" in names and "rate of pressure" not in names
 
 
 @pytest.mark.parametrize(("blocks", "named"), [(6, True), (7, False)])
@@ -1113,6 +1170,60 @@ def test_an_addition_that_makes_another_superfluous_is_the_last(script: Script) 
     assert [step.added for step in learned.steps] == [None, "leak"]
     assert [names_of(r.effects) for r in learned.rigs] == [("sensor_lag",), ("sensor_lag", "leak")]
     assert learned.alike == []
+
+
+@pytest.mark.parametrize(("elsewhere", "stays"), [(0.49, False), (0.51, True)])
+@pytest.mark.parametrize("own_cells", [True, False])
+def test_what_was_added_last_is_placed(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, own_cells: bool, elsewhere: float, stays: bool
+) -> None:
+    """It goes where it does better after it was fitted there, and is then looked at from there."""
+    case = Case(with_effects(calibrated(rig), LAG, DELAY), 9.0)
+    there = LEAK.model_copy(update={"parameters": {"area_m2": 3e-8, "position_m": 2.0}})
+    longer = replace(case.problem)
+    on = case.problem if own_cells else longer
+    wrong = np.full_like(case.base, 0.25)
+    model = learn_module._Model(
+        with_effects(case.rig, LAG, DELAY, LEAK), case.bench.readings, 0.5 * case.base
+    )
+    better = with_effects(case.rig, LAG, DELAY, there)
+    fitted: list[Any] = []
+    looked: list[Any] = []
+
+    def refit_effects(problem: Problem, of: Rig, indices: list[int], *more: Any) -> Any:
+        fitted.append((problem is on, of, indices, more))
+        return of, SimpleNamespace(of=of)
+
+    def predict(rigs: list[Rig]) -> Floats:
+        share = elsewhere if rigs[0] is better else 0.5
+        units = share * case.base.reshape(case.problem.measured.shape)
+        return np.asarray([case.problem.measured - units * NOISE])
+
+    def positions(problem: Problem, of: Rig, last: int, *more: Any) -> Positions:
+        looked.append((problem is on, of, last, more))
+        return Positions(better, 0.3) if len(looked) == 1 else Positions(None, 0.7)
+
+    monkeypatch.setattr(learn_module, "refit_effects", refit_effects)
+    monkeypatch.setattr(learn_module, "positions", positions)
+    case.problem.predict = predict  # type: ignore[method-assign]
+    case.bench.faithful = lambda rig, readings: (on, wrong)  # type: ignore[method-assign]
+    given = SimpleNamespace(of=None)
+    found, estimate = learn_module._placed(case.bench, model, given, 1)  # type: ignore[arg-type]
+    assert found.rig is (model.rig if stays else better)
+    assert found.untold_m == (0.3 if stays else 0.7)
+    if stays and not own_cells:
+        assert found is model and estimate is given
+    else:
+        assert estimate.of is found.rig
+        left = 0.5 if stays else elsewhere
+        np.testing.assert_allclose(found.residual, left * case.base, atol=1e-9)
+    tried = [model.rig, better] if own_cells else [better]
+    assert fitted == [(True, of, [1, 2], (3, None)) for of in tried]
+    assert [(mine, of) for mine, of, _, _ in looked] == [
+        (True, model.rig), *([] if stays else [(True, better)])
+    ]  # fmt: skip
+    for _, _, last, (blocks, project, what) in looked:
+        assert last == 2 and blocks is case.bench.blocks and project is None and what is wrong
 
 
 def test_a_rig_that_lacks_nothing_stays_as_it_is(script: Script) -> None:
