@@ -86,21 +86,14 @@ class NamedTable:
         """Characters that a column needs."""
         column = self.columns[k]
         cells = [row[k] for row in self.rows]
-        longest = max((cell_len(cell) for cell in cells), default=0)
-        words = column.heading.split()
-        if column.kind == "words":
-            words += [word for cell in cells for word in cell.split()]
-        # Wrapped between words, or folded where these are long; of names everything is one.
-        word = max((cell_len(word) for word in words), default=0)
-        if column.kind == "name":
-            return min(LEAST_NAME, max(longest, word, 1))
-        least = min(LEAST_NAME, max(word, 1))
-        return least if column.kind == "words" else max(longest, least)
+        # Wrapped between words, or folded where these are long; a name is one word.
+        parts = cells if column.kind == "name" else [word for c in cells for word in c.split()]
+        least = min(LEAST_NAME, _longest([*column.heading.split(), *parts]))
+        return max(least, _longest(cells)) if column.kind == "number" else least
 
     def _whole(self, k: int) -> int:
         """Characters of the longest that a column holds, its heading included."""
-        cells = [self.columns[k].heading, *(row[k] for row in self.rows)]
-        return max(1, *(cell_len(cell) for cell in cells))
+        return _longest([self.columns[k].heading, *(row[k] for row in self.rows)])
 
     def _needed(self, columns: list[int]) -> int:
         return 1 + sum(self._least(k) + BETWEEN for k in columns)
@@ -128,12 +121,10 @@ class NamedTable:
                 now = []
             now.append(k)
         parts.append(now)
-        if len(parts) == 1:
-            return [shown]
         return [[k for k in shown if k in names or k in part] for part in parts]
 
     def _widths(self, columns: list[int], width: int) -> dict[int, int]:
-        """Characters of each column: the least, and what is left over to names, then to words."""
+        """Characters of each column: the least, the rest to names, numbers and words in turn."""
         widths = {k: self._least(k) for k in columns}
         spare = width - self._needed(columns)
         for kind in ("name", "number", "words"):
@@ -158,3 +149,8 @@ class NamedTable:
         for i, row in enumerate(self.rows):
             table.add_row(*(Text(row[k]) for k in columns), end_section=i in self._ends)
         return table
+
+
+def _longest(texts: Sequence[str]) -> int:
+    """Characters of the longest text, and one where there is none or all are empty."""
+    return max([1, *(cell_len(text) for text in texts)])
