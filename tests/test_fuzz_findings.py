@@ -99,13 +99,6 @@ def test_the_laughs_are_what_they_should_be():
         parse_yaml(f"a: {LAUGHED}", "a.yaml", "file")
 
 
-def test_an_anchor_that_is_set_anew_is_allowed():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        text = "a: &x 1\nb: *x\nc: &x 2\nd: *x"
-        assert parse_yaml(text, "a", "file") == {"a": 1, "b": 1, "c": 2, "d": 2}
-
-
 @pytest.mark.parametrize("content", ["[" * 100_000, f'{{"control_port": {DIGITS}}}', "{}", "\0"])
 def test_a_ready_file_that_is_none(refused, folder, content):
     (folder / "ready.json").write_text(content)

@@ -24,8 +24,8 @@ MOST_VALUES = 1_000_000
 """Values that a document may stand for, those that an alias repeats counted each time."""
 DEEPEST = 100
 """Lists and mappings inside of each other."""
-MOST_BITS = 1023
-"""Whole numbers beyond are no floating-point numbers."""
+MOST_WHOLE = 10**308
+"""Largest whole number; those from 1.8e308 on are no floating-point numbers."""
 
 
 def read_text(path: str | Path, what: str) -> str:
@@ -40,9 +40,11 @@ def read_text(path: str | Path, what: str) -> str:
     """
     try:
         with Path(path).open("rb") as stream:
-            content = stream.read(LARGEST_BYTES + 1)  # a device may have no end
-        if len(content) > LARGEST_BYTES:
-            raise InputError(f"{path}: has more than {LARGEST_BYTES} bytes, too many for a {what}")
+            content = stream.read(LARGEST_BYTES)
+            if stream.peek():  # a device may have no end
+                raise InputError(
+                    f"{path}: has more than {LARGEST_BYTES} bytes, too many for a {what}"
+                )
         return content.decode().replace("\r\n", "\n").replace("\r", "\n")
     except InputError:  # before its base, ValueError
         raise
@@ -116,8 +118,8 @@ def _parsed(load: Callable[[], Any], language: str, name: str, what: str) -> Any
         raise InputError(f"{name}: is not YAML{at}: {getattr(error, 'problem', error)}") from None
     except json.JSONDecodeError as error:
         raise InputError(f"{name}: is not JSON, line {error.lineno}: {error.msg}") from None
-    except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
-        # a date that is none, a mapping as a key
+    except (ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
+        # a date that is none, an empty number
         if "integer string conversion" in str(error):
             error = ValueError("a number has thousands of digits, allowed are those up to 1e308")
         raise InputError(f"{name}: is no {what} in {language} ({error})") from None
@@ -135,42 +137,49 @@ def check_values(data: Any, name: str) -> None:
     Raises:
         InputError: They are too many, contain themselves, or one is out of all bounds.
     """
-    sizes: dict[int, int] = {}  # how many values a list or mapping stands for, 0 while it is open
+    # How many values and levels a list or mapping stands for, none of them while it is open.
+    sizes: dict[int, tuple[int, int]] = {}
 
-    def size_of(value: Any, where: str, depth: int) -> int:
+    def size_of(value: Any, where: str, depth: int) -> tuple[int, int]:
         if isinstance(value, str):
             _check_text(value, name, where)
-            return 1
-        if isinstance(value, int) and value.bit_length() > MOST_BITS:
-            digits = round(value.bit_length() * math.log10(2.0))
+            return 1, 0
+        if isinstance(value, int) and abs(value) > MOST_WHOLE:
+            digits = math.floor(math.log10(abs(value))) + 1
             raise InputError(
-                f"{name}: {where}: found a whole number of {digits} digits, allowed are numbers up"
-                " to 1e308"
+                f"{_place(name, where)}: found a whole number of {digits} digits, allowed are"
+                " numbers up to 1e308"
             )
         if not isinstance(value, dict | list):
-            return 1
+            return 1, 0
         known = sizes.get(id(value))
-        if known == 0:
+        if known == (0, 0):
             raise InputError(f"{name}: {where}: an alias stands for a part that contains it")
-        if known is not None:
-            return known
-        if depth > DEEPEST:
+        values, levels = known or (1, 1)
+        if depth + levels > DEEPEST:
             raise InputError(f"{name}: is nested too deeply, allowed are {DEEPEST} levels")
-        sizes[id(value)] = 0
-        total = 1
+        if known:
+            return known
+        sizes[id(value)] = 0, 0
         for key, one in value.items() if isinstance(value, dict) else enumerate(value):
             if isinstance(key, str):
                 _check_text(key, name, where)
-            total += size_of(one, f"{where}.{key}" if where else str(key), depth + 1)
-            if total > MOST_VALUES:
+            more, inside = size_of(one, f"{where}.{key}" if where else str(key), depth + 1)
+            values += more
+            levels = max(levels, 1 + inside)
+            if values > MOST_VALUES:
                 raise InputError(
                     f"{name}: {where or key}: stands for more than {MOST_VALUES} values, which is"
                     " the most that are read"
                 )
-        sizes[id(value)] = total
-        return total
+        sizes[id(value)] = values, levels
+        return values, levels
 
     size_of(data, "", 0)
+
+
+def _place(name: str, where: str) -> str:
+    return f"{name}: {where}" if where else name
 
 
 def _check_text(text: str, name: str, where: str) -> None:
@@ -178,5 +187,5 @@ def _check_text(text: str, name: str, where: str) -> None:
         text.encode()
     except UnicodeEncodeError as error:
         raise InputError(
-            f"{name}: {where}: found {text[error.start]!r}, which is half of a character"
+            f"{_place(name, where)}: found {text[error.start]!r}, which is half of a character"
         ) from None
