@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A tally: how much of a work is done whose parts are done side by side."""
 
+import math
 from collections.abc import Callable, Sequence
 from threading import Lock
 
@@ -27,13 +28,15 @@ class Tally:
 
         Args:
             part: Which part.
-            fraction: How much of it is done, 0 to 1.
+            fraction: How much of it is done, 0 to 1; more counts as 1.
         """
         if self._tell is None:
             return
         with self._lock:
-            self._done[part] = max(self._done[part], fraction * self._amounts[part])
-            self._tell(min(1.0, sum(self._done) / sum(self._amounts)))
+            done = min(fraction, 1.0) * self._amounts[part]
+            self._done[part] = max(self._done[part], done)
+            # Exact sums: rounded ones might exceed the whole, or fall as a part grows.
+            self._tell(math.fsum(self._done) / math.fsum(self._amounts))
 
     def of(self, part: int) -> Callable[[float], None]:
         """Return what is to be called with the fraction of one part that is done.
