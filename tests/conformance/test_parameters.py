@@ -259,6 +259,9 @@ def test_integers_keep_to_their_range(ros, value, allowed):
     node.declare_parameter("p", 4, ParameterDescriptor(integer_range=[limits]))
     assert node.set_parameters([Parameter("p", value=value)])[0].successful == allowed
     assert node.get_parameter("p").value == (value if allowed else 4)
+    smooth = IntegerRange(from_value=9, to_value=-2)  # any step, and its ends the other way round
+    node.declare_parameter("q", 4, ParameterDescriptor(integer_range=[smooth]))
+    assert node.set_parameters([Parameter("q", value=value)])[0].successful == (-2 <= value <= 9)
 
 
 @pytest.mark.parametrize(
@@ -271,6 +274,14 @@ def test_integers_keep_to_their_range(ros, value, allowed):
         (0.3, False),
         (-0.35, False),
         (1.05, False),
+        (1.0 + 1e-7, True),  # within the tolerance
+        (-0.25 - 1e-8, True),
+        (0.05 + 1e-8, True),
+        (1.00001, False),
+        (-0.25001, False),
+        (0.05001, False),
+        (float("inf"), False),
+        (-float("inf"), False),
     ],
 )
 def test_doubles_keep_to_their_range(ros, value, allowed):
@@ -279,6 +290,10 @@ def test_doubles_keep_to_their_range(ros, value, allowed):
     node.declare_parameter("p", 0.45, ParameterDescriptor(floating_point_range=[limits]))
     assert node.set_parameters([Parameter("p", value=value)])[0].successful == allowed
     assert node.get_parameter("p").value == (value if allowed else 0.45)
+    smooth = FloatingPointRange(from_value=1.0, to_value=-0.25)  # any step, ends the other way
+    node.declare_parameter("q", 0.45, ParameterDescriptor(floating_point_range=[smooth]))
+    inside = -0.250001 < value < 1.000001
+    assert node.set_parameters([Parameter("q", value=value)])[0].successful == inside
 
 
 def test_nan_is_in_no_range(ros):

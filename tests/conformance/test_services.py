@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Requests and responses within one process."""
 
+import threading
+import time
+
 import pytest
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
@@ -58,7 +61,21 @@ def test_done_callbacks_get_the_future(node, executor, spin_until):
 def test_a_service_that_is_not_there(node):
     client = node.create_client(Trigger, "nowhere")
     assert not client.service_is_ready()
+    begin_s = time.monotonic()
     assert client.wait_for_service(timeout_sec=0.1) is False
+    assert time.monotonic() - begin_s >= 0.1
+
+
+def test_a_service_that_comes_while_it_is_waited_for(node):
+    client = node.create_client(SetBool, "set")
+    waited = []
+    waiting = threading.Thread(target=lambda: waited.append(client.wait_for_service(20.0)))
+    waiting.start()
+    waiting.join(0.1)
+    assert waiting.is_alive()
+    node.create_service(SetBool, "set", answer)
+    waiting.join(30.0)
+    assert waited == [True]
 
 
 def test_only_requests_of_the_type_are_sent(node):

@@ -70,9 +70,15 @@ def test_what_is_no_hash_is_refused(ask):
     assert answer.failure_reason
 
 
-def test_the_service_can_be_left_out(ros):
-    parameter = Parameter("start_type_description_service", value=False)
-    ros.node("closed", parameter_overrides=[parameter])
+@pytest.mark.parametrize("value", [False, "yes", 1])
+def test_the_service_can_be_left_out(ros, value, capfd):
+    """A value that is none of the two is an error, and leaves it out too."""
+    parameter = Parameter("start_type_description_service", value=value)
+    # Declared before the service asks for it, so that its type is that of the value.
+    declared = {"automatically_declare_parameters_from_overrides": True}
+    ros.node("closed", parameter_overrides=[parameter], **declared)
+    said = capfd.readouterr().err
+    assert ("Invalid type for parameter" in said) == (value is not False)
     watcher = ros.node("watching")
     assert ros.spin_until(lambda: "closed" in watcher.get_node_names())
     names = dict(watcher.get_service_names_and_types_by_node("closed", "/"))

@@ -17,7 +17,7 @@ from tests.wire_shapes import (
 )
 
 from pneu_runtime import interfaces
-from pneu_runtime.transport import naming
+from pneu_runtime.transport import naming, sent
 
 pytestmark = pytest.mark.kernel_free
 
@@ -139,3 +139,34 @@ def test_a_message_that_ends_early_is_refused(name, seed, data):
     end = data.draw(st.integers(0, len(written) - 1))
     with pytest.raises(interfaces.DecodeError):
         interfaces.deserialize(written[:end], interfaces.message_class(name))
+
+
+def test_counts_of_what_was_sent():
+    assert sent.decode('{"01ab": [3, 17], "02": [0, 0]}') == {"01ab": (3, 17), "02": (0, 0)}
+    assert sent.decode("{}") == {}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{",
+        "[1]",
+        "7",
+        "null",
+        '{"a": 3}',
+        '{"a": [1]}',
+        '{"a": [1, 2, 3]}',
+        '{"a": [null, 1]}',
+        '{"a": [1, {}]}',
+        '{"a": ["x", 1]}',
+        '{"a": [Infinity, 1]}',
+        '{"a": [1, NaN]}',
+        '{"a": ' + "[" * 100_000,
+    ],
+    ids=range(14),
+)
+def test_what_is_no_count_is_refused(text):
+    """Anybody on the network may send it."""
+    with pytest.raises(ValueError):
+        sent.decode(text)

@@ -40,10 +40,10 @@ def decode(text: str) -> Counts:
     Raises:
         ValueError: It is no such message.
     """
-    found = json.loads(text)
     try:
+        found = json.loads(text)
         return {str(gid): (int(count), int(at_ns)) for gid, (count, at_ns) in found.items()}
-    except (AttributeError, TypeError) as error:
+    except (AttributeError, TypeError, OverflowError, RecursionError) as error:
         raise ValueError(str(error)) from None
 
 

@@ -63,13 +63,11 @@ def check_integer_range(parameter: Parameter, limits: IntegerRange) -> SetParame
     """
     low, high = sorted((limits.from_value, limits.to_value))
     value = parameter.value
-    if value in (low, high):
-        return SetParametersResult(successful=True)
-    if not low < value < high:
+    if not low <= value <= high:
         return _refused(
             f"Parameter {parameter.name} out of range. Min: {low}, Max: {high}, value: {value}"
         )
-    if limits.step != 0 and (value - low) % limits.step != 0:
+    if value != high and limits.step != 0 and (value - low) % limits.step != 0:
         return _refused(
             f"The parameter value for {parameter.name} is not a valid step. "
             f"Min: {low}, max: {high}, value: {value}, step: {limits.step}"
@@ -90,7 +88,7 @@ def check_floating_point_range(
     value = parameter.value
     if any(math.isclose(value, bound, rel_tol=RELATIVE_TOLERANCE) for bound in (low, high)):
         return SetParametersResult(successful=True)
-    if not low < value < high:  # NaN is out of every range
+    if value != min(max(value, low), high):  # NaN is out of every range
         return _refused(
             f"Parameter {parameter.name} out of range Min: {low}, Max: {high}, value: {value}"
         )
