@@ -138,14 +138,14 @@ def build_app(
                 f"the commands of {plugin.value.partition(':')[0]} cannot be imported:"
                 f" {type(error).__name__}: {error}"
             )
-        if wanted is not None and wanted in _subcommands(app):
+        if wanted in _subcommands(app):
             break
     return app
 
 
-def _subcommands(app: typer.Typer) -> set[str | None]:
+def _subcommands(app: typer.Typer) -> set[str]:
     """Names of the subcommands that an application has so far."""
-    names = {group.name for group in app.registered_groups}
+    names = {group.name or "" for group in app.registered_groups}
     for command in app.registered_commands:
         names.add(command.name or getattr(command.callback, "__name__", "").replace("_", "-"))
     return names
@@ -156,8 +156,7 @@ def main() -> None:
     process.prepare()
     show_log()
     try:
-        first = sys.argv[1] if len(sys.argv) > 1 else "-"
-        app = build_app(wanted=None if first.startswith("-") else first)
+        app = build_app(wanted=next(iter(sys.argv[1:]), None))  # no subcommand begins with "-"
     except KeyboardInterrupt as error:
         process.restore_signals()
         sys.exit(_report(error))

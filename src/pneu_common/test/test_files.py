@@ -8,7 +8,14 @@ from pathlib import Path
 import pytest
 
 from pneu_common.errors import InputError
-from pneu_common.files import copy_whole, write_whole
+from pneu_common.files import (
+    check_name_is_text,
+    copy_whole,
+    replacing,
+    scratch_beside,
+    whole,
+    write_whole,
+)
 
 pytestmark = pytest.mark.kernel_free
 
@@ -21,11 +28,79 @@ def test_what_was_there_is_replaced(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_text_is_written_as_it_is(tmp_path: Path) -> None:
+    write_whole(tmp_path / "a", "α\n\r\nb\r")
+    assert (tmp_path / "a").read_bytes() == "α\n\r\nb\r".encode()
+
+
 def test_a_folder_in_its_place(tmp_path: Path) -> None:
     (tmp_path / "a.json").mkdir()
-    with pytest.raises(InputError, match=r"a\.json: cannot be written"):
+    with pytest.raises(InputError) as caught:
         write_whole(tmp_path / "a.json", "new")
+    assert str(caught.value) == f"{tmp_path / 'a.json'}: cannot be written (Is a directory)"
     assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_it_is_written_aside(tmp_path: Path) -> None:
+    """What a process that was killed has left is gone; the file stays as it was until the end."""
+    path, aside = tmp_path / "a.json", tmp_path / ".a.json.part"
+    path.write_text("old")
+    aside.write_text("killed")
+    with replacing(path) as found:
+        assert found == aside and not aside.exists()
+        aside.write_text("new")
+        assert path.read_text() == "old"
+    assert path.read_text() == "new" and not aside.exists()
+
+
+@pytest.mark.parametrize("written", [False, True])
+def test_what_fails_leaves_nothing_aside(tmp_path: Path, written: bool) -> None:
+    path, aside = tmp_path / "a.json", tmp_path / ".a.json.part"
+    path.write_text("old")
+    for cause, keeper in ((OSError("odd"), replacing), (KeyError("x"), replacing),
+                          (KeyError("x"), whole)):  # fmt: skip
+        with pytest.raises(type(cause)) as caught, keeper(path):
+            if written:
+                aside.write_text("half")
+            raise cause
+        assert caught.value is cause
+        assert path.read_text() == "old" and not aside.exists()
+    for cause, reason in ((OSError("odd"), "odd"), (OSError(28, "No space left"), "No space left")):
+        with pytest.raises(InputError) as refused, whole(path) as found:
+            assert found == aside
+            raise cause
+        assert str(refused.value) == f"{path}: cannot be written ({reason})"
+
+
+def test_names_that_are_text() -> None:
+    check_name_is_text("café/a.yaml", "metadata.yaml")
+    with pytest.raises(InputError) as caught:
+        check_name_is_text("caf\udce9", "metadata.yaml")
+    assert str(caught.value) == (
+        "caf\udce9: the name holds bytes that are no text, which metadata.yaml cannot hold; give"
+        " another name"
+    )
+
+
+def test_a_folder_to_work_in(tmp_path: Path) -> None:
+    path = tmp_path / "bag"
+    with pytest.raises(KeyError), scratch_beside(path) as aside:
+        assert aside.parent == tmp_path and aside.name.startswith(".bag.")
+        (aside / "a").write_text("a")
+        raise KeyError
+    assert not list(tmp_path.iterdir())
+    with scratch_beside(path) as aside:
+        (aside / "a").write_text("a")
+        (aside / "a").rename(path)
+    assert list(tmp_path.iterdir()) == [path]
+    for place, cause, reason in (
+        (tmp_path / "no" / "bag", None, "No such file or directory"),
+        (path, OSError("odd"), "odd"),
+    ):
+        with pytest.raises(InputError) as caught, scratch_beside(place):
+            raise cause or AssertionError
+        assert str(caught.value) == f"{place}: cannot be written ({reason})"
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_no_room_for_it(tmp_path: Path) -> None:

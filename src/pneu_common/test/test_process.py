@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signals end a command in order at any moment, and no character stops its output."""
 
+import codecs
 import os
 import signal
 import subprocess
@@ -8,6 +9,7 @@ import sys
 
 import pytest
 
+from pneu_common import process
 from pneu_common.files import write_whole
 
 COMMAND = """
@@ -146,3 +148,101 @@ def test_what_is_no_text_is_printed_and_written_all_the_same(tmp_path):
     assert shown.splitlines()[0] == "of \\udcff" and "x ± 1" in shown
     write_whole(tmp_path / "a.json", '"caf\u00e9 \udcff"')
     assert (tmp_path / "a.json").read_bytes() == '"caf\u00e9 \\udcff"'.encode()
+
+
+def test_what_is_told_of_a_signal():
+    assert process.ending(KeyboardInterrupt()) == ("interrupted", 130)
+    assert process.ending(process.TerminatedError()) == ("terminated", 143)
+    assert (process.INTERRUPTED, process.TERMINATED) == (130, 143)
+
+
+def test_characters_that_an_encoding_lacks():
+    codecs.register_error("pneu", process._represent)
+    text = "1 ± 2 °, ≥ 3, ≤ 4, é€\udcff"
+    assert text.encode("ascii", "pneu") == rb"1 +- 2  deg, >= 3, <= 4, \xe9\u20ac\udcff"
+    assert text.encode("latin-1", "pneu") == b"1 \xb1 2 \xb0, >= 3, <= 4, \xe9\\u20ac\\udcff"
+    with pytest.raises(UnicodeDecodeError):
+        b"\xff".decode("ascii", "pneu")
+
+
+SIGNALS = """
+import os, signal, sys
+from pneu_common import process
+names = {{signal.SIG_DFL: "default", signal.SIG_IGN: "ignored", process._on_signal: "ours"}}
+
+def tell():
+    both = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    print(*(names.get(one, "another") for one in both), signal.getitimer(signal.ITIMER_REAL)[0])
+
+{before}
+process.prepare()
+tell()
+process.begin_work()
+assert process.received() is None
+process.raise_postponed()
+{between}
+process.restore_signals()
+tell()
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "between", "told"),
+    [
+        ("", "", ["ours ours 0.0", "default default 0.0"]),
+        (
+            "signal.signal(signal.SIGTERM, lambda *_: None)",
+            "",
+            ["ours another 0.0", "default another 0.0"],
+        ),
+        (
+            "signal.signal(signal.SIGINT, signal.SIG_IGN)",
+            "signal.setitimer(signal.ITIMER_REAL, 100.0)",
+            ["ignored ours 0.0", "ignored default 0.0"],
+        ),
+    ],
+)
+def test_handlers_of_signals_are_installed_and_removed(before, between, told):
+    code = SIGNALS.format(before=before, between=between)
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).splitlines() == told
+
+
+RAISED = """
+import signal
+from pneu_common import process
+process.prepare()
+process.begin_work()
+for number, name in ((signal.SIGINT, "KeyboardInterrupt"), (signal.SIGTERM, "TerminatedError")):
+    try:
+        signal.raise_signal(number)
+    except KeyboardInterrupt as error:
+        print(type(error).__name__ == name, type(process.received()).__name__ == name)
+    signal.setitimer(signal.ITIMER_REAL, 100.0)  # as where it was postponed
+    try:
+        process.raise_postponed()
+    except KeyboardInterrupt as error:
+        print(type(error).__name__ == name, signal.getitimer(signal.ITIMER_REAL)[0])
+process.raise_postponed()  # once only
+process._received = 0
+signal.setitimer(signal.ITIMER_REAL, 100.0)
+try:
+    process.raise_postponed()
+except KeyboardInterrupt as error:
+    print(type(error).__name__)
+"""
+
+
+def test_exceptions_of_signals():
+    told = subprocess.check_output([sys.executable, "-c", RAISED], text=True).splitlines()
+    assert told == ["True True", "True 0.0", "True True", "True 0.0", "KeyboardInterrupt"]
+
+
+def test_an_error_in_a_finaliser_is_printed_as_always():
+    code = (
+        "import sys; from pneu_common import process\nprocess.prepare()\n"
+        "class Bad:\n    def __del__(self): raise ValueError('odd')\n"
+        "Bad(); sys.stdout = None; process.represent_all_characters()"  # no stream at all
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0 and done.stderr.startswith("Exception ignored in: <function Bad")
+    assert done.stderr.endswith("ValueError: odd\n")

@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Long work tells how far it is where nobody watches a terminal, and the compiler that it works."""
 
+import contextlib
 import os
+import pty
 import re
 import subprocess
 import sys
+import threading
+import time
 
 import pytest
 
@@ -74,6 +78,90 @@ def test_short_work_says_nothing(capfd):
 )
 def test_lengths_of_time(seconds, text):
     assert progress.clock(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("fraction", "note", "text"),
+    [
+        (None, "", ""),
+        (None, "cost 7", ", cost 7"),
+        (0.0, "", ", 0 % done"),
+        (0.02, "", ", 2 % done"),  # too early for an estimate
+        (0.04, "cost 7", ", 4 % done, about 24:00 left of this, cost 7"),
+        (0.75, "", ", 75 % done, about 0:20 left of this"),
+        (1.0, "", ", 100 % done"),
+    ],
+)
+def test_time_left_is_told_of_a_stage_that_has_begun_and_not_ended(fraction, note, text):
+    """It is that of the stage, while the time so far is that of all stages."""
+    lines = progress._Lines("reading")
+    lines._begun_s = 100.0
+    assert lines._text(161.0) == "reading: 1:01 so far"
+    lines.tell("fitting", 0.5, "before")
+    lines._stage_s = 130.0
+    lines.tell("fitting", fraction, note)
+    assert lines._text(190.0) == f"fitting: 1:30 so far{text}"
+    lines.tell("comparing")  # from now on
+    assert lines._text(190.0) == "comparing: 1:30 so far"
+    assert 0.0 <= time.monotonic() - lines._stage_s < 60.0
+
+
+def test_lines_are_few(monkeypatch, capfd):
+    """The first after a while, the next much later; the end does not wait for it."""
+    assert (progress.FIRST_AFTER_S, progress.EVERY_S, progress.SETTLED) == (2.0, 10.0, 0.02)
+    monkeypatch.setattr(progress, "FIRST_AFTER_S", 0.01)
+    monkeypatch.setattr(progress, "EVERY_S", 1000.0)
+    said = ""
+    with progress.progress("reading"):
+        while not said:
+            time.sleep(0.01)
+            said = capfd.readouterr().err
+        time.sleep(0.05)
+    assert said == "reading: 0:00 so far\n"
+    assert capfd.readouterr().err == "done after 0:00\n"
+
+
+@contextlib.contextmanager
+def terminal(monkeypatch):
+    """Makes standard error a terminal; yields a list, which holds all that it got at the end."""
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "100")
+    monkeypatch.setenv("NO_COLOR", "1")  # of a bar only what is done is drawn then
+    for name in ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
+        monkeypatch.delenv(name, raising=False)
+    master, slave = pty.openpty()
+    parts, got = [b""], []
+
+    def read():
+        while b"\0" not in parts[-1]:
+            parts.append(os.read(master, 1000))
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    with os.fdopen(slave, "w", encoding="utf-8") as stream, monkeypatch.context() as patch:
+        patch.setattr(sys, "stderr", stream)
+        yield got
+        stream.write("\0")
+        stream.flush()
+        reader.join(20.0)
+    os.close(master)
+    got.append(b"".join(parts).decode())
+
+
+def test_a_bar_for_each_stage_on_a_terminal(monkeypatch):
+    """What comes first is gone when a stage is told; at the end all is."""
+    with terminal(monkeypatch) as got, progress.progress("reading [bags]") as tell:
+        tell("fit [a]", 0.25, "cost [7]")
+        tell("fit [b]", 0.75, "cost [8]")
+        tell("fit [a]", 0.5)
+        tell("fit [b]", None, "cost [9]")
+    shown = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", got[0])
+    assert shown.rindex("reading [bags]") < shown.index("fit [a]")
+    last = {name: shown[shown.rindex(name) :].splitlines()[0] for name in ("fit [a]", "fit [b]")}
+    # A bar has 40 characters.
+    assert re.fullmatch(r"fit \[a\] ━{20} +0:00:\d\d [-0-9:]+ *", last["fit [a]"])
+    assert re.fullmatch(r"fit \[b\] ━{30} +0:00:\d\d [-0-9:]+ cost \[9\] *", last["fit [b]"])
+    assert got[0].rindex("\x1b[2K") > got[0].rindex("cost [9]")
 
 
 @pytest.mark.long
