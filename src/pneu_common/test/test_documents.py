@@ -169,9 +169,10 @@ def test_values_within_the_limits(data: Any) -> None:
     check_values(data, "a.yaml")
 
 
-def test_levels_that_aliases_hide() -> None:
+@pytest.mark.parametrize("leaf", ["1", "text"])
+def test_levels_that_aliases_hide(leaf: str) -> None:
     """Each part nests the one before, so that no line of the text is deep."""
-    parts = ["- &a0 [1]", *(f"- &a{k} [*a{k - 1}]" for k in range(1, 99))]
+    parts = [f"- &a0 [{leaf}]", *(f"- &a{k} [*a{k - 1}]" for k in range(1, 99))]
     assert len(parse_yaml("\n".join(parts), "a.yaml", "file")) == 99
     parts.append("- [*a98]")
     said = "a.yaml: is nested too deeply, allowed are 100 levels"
