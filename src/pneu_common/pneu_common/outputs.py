@@ -64,7 +64,7 @@ def check_folder(folder: Path, mark: str, others: Sequence[str], force: bool = F
     Raises:
         InputError: A file would be replaced, and the result that should lie beside it does not.
     """
-    if force or not folder.is_dir() or is_result(folder / mark):
+    if force or is_result(folder / mark):
         return
     there = [path for name in (mark, *others) for path in sorted(folder.glob(name))]
     if there:

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.packages import python_path
 
 from pneu_common.entry import COMMAND
 
@@ -62,7 +63,11 @@ def run(tmp_path: Path):
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: own\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(ENTRY_POINTS)
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": python_path(tmp_path),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
 
     def run(*words: str, command: tuple[str, ...] = COMMAND) -> tuple[int, str, str]:
         done = subprocess.run(

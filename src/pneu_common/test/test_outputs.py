@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of output files and folders: exact refusals, and the marks of results."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -50,7 +51,7 @@ def test_an_output_that_is_refused(tmp_path: Path) -> None:
     long = tmp_path / ("x" * 300)
     assert refusal(long) == f"{long}: cannot be written (File name too long)"
     odd = tmp_path / "a\0b"
-    assert refusal(odd).startswith(f"{odd}: cannot be written (")
+    assert re.fullmatch(r".*a\0b: cannot be written \(.*null.*\)", refusal(odd))
     assert [p.name for p in tmp_path.iterdir()] == ["a.json"] and path.read_text() == "mine"
 
 
@@ -68,7 +69,7 @@ def test_an_output_that_is_allowed(tmp_path: Path) -> None:
 def test_a_folder_of_outputs(tmp_path: Path) -> None:
     """Refused where a file of the same name lies there, and not the mark of our results."""
     folder = tmp_path / "out"
-    check_folder(folder, "learn.json", ["rig.yaml"])
+    check_folder(folder, "learn.json", ["rig.yaml"])  # there is none yet
     folder.mkdir()
     (folder / "other.txt").write_text("mine")
     names = ["step_*.yaml", "rig.yaml"]

@@ -8,6 +8,7 @@ import subprocess
 import sys
 
 import pytest
+from tests.packages import python_path
 
 from pneu_common import process
 from pneu_common.files import write_whole
@@ -87,7 +88,7 @@ def test_a_signal_ends_a_command_in_order(moment, number, word, status, tmp_path
     with subprocess.Popen(
         [sys.executable, "-B", "-c", COMMAND, moment],
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        env={**os.environ, "PYTHONPATH": python_path(tmp_path)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from tests.packages import python_path
 
 from pneu_runtime import hook
 from pneu_runtime.interfaces import known_types
@@ -15,6 +16,8 @@ pytestmark = pytest.mark.kernel_free
 
 def run(code, folder, *arguments, status=0, **environment):
     """Runs a program in a fresh interpreter, started in a folder; returns what it printed."""
+    if "PYTHONPATH" in environment:
+        environment["PYTHONPATH"] = python_path(environment["PYTHONPATH"])
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments],
         cwd=folder,
