@@ -41,6 +41,7 @@ _COMPARE: dict[type, Callable[[Any, Any], Any]] = {
     ast.NotIn: lambda a, b: a not in b,
 }
 _MATH = {name: getattr(math, name) for name in dir(math) if not name.startswith("_")}
+_CONSTANTS = {name: found for name, found in _MATH.items() if not callable(found)}
 _NAMES: dict[str, Any] = {
     **{name: found for name, found in _MATH.items() if name not in ("factorial", "comb", "perm")},
     **{f.__name__: f for f in (abs, bool, float, int, len, max, min, round, str)},
@@ -77,8 +78,8 @@ def _value(node: ast.expr) -> Any:
             return _NAMES[name]
         case ast.Name(id=name):
             raise ValueError(f"uses the name {name!r}, which means nothing here")
-        case ast.Attribute(value=ast.Name(id="math"), attr=name) if name in _MATH:
-            return _MATH[name]
+        case ast.Attribute(value=ast.Name(id="math"), attr=name) if name in _CONSTANTS:
+            return _CONSTANTS[name]
         case ast.List() | ast.Tuple():
             return [_value(item) for item in node.elts]
         case ast.UnaryOp() if type(node.op) in _UNARY:

@@ -20,6 +20,8 @@ TRUNCATE_LENGTH = 128
 
 _PLAIN = re.compile(r"[A-Za-z_/.][\w /.\-+(),]*")
 _RESERVED = {"true", "false", "yes", "no", "on", "off", "null", "y", "n", ".nan", ".inf"}
+_UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
+"""Characters that YAML does not print, or that YAML 1.1 takes for line breaks."""
 _SEQUENCE = re.compile(r"(?:sequence<(?P<s>[^,>]+(?:<\d+>)?)(?:, *\d+)?>|(?P<a>.+)\[\d*\])")
 
 
@@ -42,7 +44,7 @@ def plain(
         shown = {}
         for name, kind in fields().items():
             found = getattr(value, name)
-            if no_arr and not isinstance(found, str) and _SEQUENCE.fullmatch(kind):
+            if no_arr and _SEQUENCE.fullmatch(kind):
                 shown[name] = f"<array type: {kind}, length: {len(found)}>"
             elif no_str and isinstance(found, str):
                 shown[name] = f"<string length: {len(found)}>"
@@ -57,7 +59,7 @@ def plain(
     if isinstance(value, np.generic):
         return value.item()
     if hasattr(value, "__len__"):
-        items = list(value if truncate_length is None else value[:truncate_length])
+        items = list(value[:truncate_length])
         shown_items = [plain(item, truncate_length, no_arr, no_str) for item in items]
         if len(value) > len(items):
             shown_items.append("...")
@@ -120,8 +122,9 @@ def _scalar(value: Any) -> str:
     if isinstance(value, str):
         if value == "...":
             return "'...'"
-        if any(ord(c) < 32 or ord(c) == 127 for c in value):
-            return json.dumps(value, ensure_ascii=False)
+        if _UNPRINTABLE.search(value):
+            quoted = json.dumps(value, ensure_ascii=False)
+            return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", quoted)
         plainly = _PLAIN.fullmatch(value) and value.lower() not in _RESERVED
         if plainly and value == value.strip() and "," not in value:
             return value
@@ -192,7 +195,7 @@ def _converted(present: Any, kind: str, value: Any, path: str, now: Any) -> Any:
         fill(present, value, path, now)
         return present
     sequence = _SEQUENCE.fullmatch(kind)
-    if sequence and not isinstance(present, str):
+    if sequence:
         element = sequence["s"] or sequence["a"]
         if not isinstance(value, list):
             raise InputError(f"{path}: is {kind}, a list; found {value!r}")
