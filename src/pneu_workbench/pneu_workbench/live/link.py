@@ -180,7 +180,8 @@ class Live:
                 for name, samples in told["commands"].items():
                     trace = self.commands[name]
                     trace.extend((float(t), float(v)) for t, v in samples)
-                    while len(trace) > 2 and trace[1][0] < trace[-1][0] - SHOWN_S:
+                    old = sum(at < trace[-1][0] - SHOWN_S for at, _ in trace)
+                    for _ in range(old - 1):  # the last of them holds where what is shown begins
                         trace.popleft()
                 return  # shown with the next window
             elif "status" in told:
