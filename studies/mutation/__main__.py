@@ -18,7 +18,7 @@ from rich.progress import Progress
 
 from pneu_common.files import write_whole
 from studies.mutation.faults import GROUPS, Fault, sample
-from studies.mutation.page import PAGE, page
+from studies.mutation.page import PAGE, equivalents, page
 from studies.mutation.trial import OUT, Copy, Recorded, attempt, record
 
 RESULTS = OUT / "results.json"
@@ -43,9 +43,12 @@ def run(
         workers: How many copies.
     """
     waiting: queue.SimpleQueue[tuple[str, Fault]] = queue.SimpleQueue()
+    known = equivalents()
     for fault in faults:
-        key = _key(fault, fault.lines())
-        if key not in kept or (again and kept[key]["status"] != "noticed"):
+        lines = fault.lines()
+        key = _key(fault, lines)
+        survivor = key in kept and kept[key]["status"] != "noticed"
+        if key not in kept or (again and survivor and (fault.path, *lines) not in known):
             waiting.put((key, fault))
     copies = [Copy(f"copy{number}") for number in range(workers)]
     lock = threading.Lock()
