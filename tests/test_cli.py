@@ -132,7 +132,9 @@ def test_success_and_help_exit_with_zero(run):
         result = run(*arguments)
         assert result.exit_code == 0
         assert "Reject its input." in result.stdout
-    assert run("--version").stdout == f"pneu {importlib.metadata.version('pneu')}\n"
+        assert "completion" not in result.stdout
+    for arguments in (["--version"], ["--version", "--help"]):
+        assert run(*arguments).stdout == f"pneu {importlib.metadata.version('pneu')}\n"
 
 
 def test_a_caller_in_python_gets_exceptions_and_no_exit(run):
@@ -160,6 +162,7 @@ def register(app):
     @group.command()
     def inner(): ...
     app.add_typer(group, name="group_{name}")
+    app.add_typer(typer.Typer(), name=None)
 """
 
 
@@ -189,14 +192,17 @@ def test_groups_of_commands_after_the_one_that_is_wanted_are_not_loaded(
                     wanted)  # fmt: skip
     try:
         assert [name for name in "abc" if f"several_{name}" in sys.modules] == list(loaded)
-        assert [group.name for group in app.registered_groups] == [f"group_{n}" for n in loaded]
+        groups = [group.name for group in app.registered_groups if group.name]
+        assert groups == [f"group_{n}" for n in loaded]
         assert len(app.registered_commands) == 2 * len(loaded)
     finally:
         for name in "abc":
             sys.modules.pop(f"several_{name}", None)
 
 
-def test_a_group_of_commands_that_cannot_be_imported_is_an_error_with_its_cause(run, tmp_path):
+def test_a_group_of_commands_that_cannot_be_imported_is_an_error_with_its_cause(
+    run, monkeypatch, capsys
+):
     """Its commands exist, so "no such command" would be wrong; those of other groups work."""
     run("fine")  # imports the plugin that works
     broken = importlib.metadata.EntryPoint("a", "no_such_module:register", COMMANDS_GROUP)
@@ -210,6 +216,10 @@ def test_a_group_of_commands_that_cannot_be_imported_is_an_error_with_its_cause(
     assert (missing.exit_code, missing.stdout) == (1, "")
     assert missing.stderr == f"{cause}No module named 'no_such_module'\n"
     assert both("--version").exit_code == 0
+    monkeypatch.setenv("PNEU_TRACEBACK", "1")
+    build_app([broken])
+    assert "Traceback (most recent call last)" in capsys.readouterr().err
+    monkeypatch.delenv("PNEU_TRACEBACK")
     other = importlib.metadata.EntryPoint("b", "no_other:register", COMMANDS_GROUP)
     result = CliRunner().invoke(build_app([broken, works, other]), ["fit"], prog_name="pneu")
     assert result.stderr == (

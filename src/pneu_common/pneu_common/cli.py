@@ -87,7 +87,7 @@ class _OneLineErrorGroup(TyperGroup):
                 args, prog_name, complete_var, False, windows_expand_args, **extra
             )
             if self.incomplete:
-                status = status or EXIT_INTERNAL_ERROR
+                status = EXIT_INTERNAL_ERROR
         except (Exception, KeyboardInterrupt) as error:
             if not standalone_mode:
                 raise
@@ -95,7 +95,7 @@ class _OneLineErrorGroup(TyperGroup):
             status = _report(error)
         if standalone_mode:
             process.restore_signals()
-            sys.exit(status or 0)
+            sys.exit(status)
         return status
 
 

@@ -105,15 +105,14 @@ def scratch_beside(path: Path) -> Iterator[Path]:
     Raises:
         InputError: The path cannot be written.
     """
-    aside: Path | None = None
     try:
         aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-        yield aside
+        try:
+            yield aside
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)  # it may have got another name
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
-    finally:
-        if aside is not None:
-            shutil.rmtree(aside, ignore_errors=True)
 
 
 def copy_whole(source: Path, names: Iterable[str], folder: Path) -> None:

@@ -101,6 +101,8 @@ def test_words_that_it_passes_on(run) -> None:
     said = "command line ['pass', 'on'] False\nTrue\n"  # no other commands are loaded
     assert run("quick", "pass", "on") == (0, said, "pneu: compiling\n")
     assert run("quick", "pass", "registering") == (143, "True\n", "pneu: terminated\n")
+    alone = (sys.executable, "-m", "pneu_common.cli")
+    assert run("quick", "registering", command=alone) == (143, "", "pneu: terminated\n")
 
 
 def test_no_words_at_all(run) -> None:

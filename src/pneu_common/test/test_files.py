@@ -93,6 +93,9 @@ def test_a_folder_to_work_in(tmp_path: Path) -> None:
         (aside / "a").write_text("a")
         (aside / "a").rename(path)
     assert list(tmp_path.iterdir()) == [path]
+    with scratch_beside(path) as aside:
+        aside.rename(tmp_path / "bags")
+    (tmp_path / "bags").rmdir()
     for place, cause, reason in (
         (tmp_path / "no" / "bag", None, "No such file or directory"),
         (path, OSError("odd"), "odd"),
@@ -130,6 +133,8 @@ def test_a_folder_is_copied(tmp_path: Path) -> None:
     assert copied == {"a", "deep", "deep/er", "deep/er/b"}
     assert (tmp_path / "copy" / "deep" / "er" / "b").read_text() == "deep/er/b"
     assert {p.name for p in tmp_path.iterdir()} == {"source", "copy"}
+    (tmp_path / "new").mkdir()  # and can be read by whoever can read new folders
+    assert (tmp_path / "copy").stat().st_mode == (tmp_path / "new").stat().st_mode
 
 
 def test_a_folder_that_cannot_be_copied_whole(tmp_path: Path) -> None:
