@@ -63,6 +63,11 @@ class House(BaseModel):
             " found 'low'",
         ),
         ({"ports": {"in": {"to_node": "a"}}}, "ports.in.area_m2: Field required"),
+        ({"channel": {"address": 2}}, "channel: kind is needed, which says what kind it is"),
+        (
+            {"channel": {"kind": "wrote"}},
+            "channel: kind: found 'wrote', allowed are 'read', 'write'",
+        ),
     ],
 )
 def test_one_sentence_says_where_and_what(data, told):

@@ -50,6 +50,10 @@ def register(app):
             time.sleep(30.0)
 
     @app.command()
+    def ending():
+        import swallowing  # and no time is left for the signal to be repeated
+
+    @app.command()
     def finalising():
         Finalised()
         time.sleep(30.0)
@@ -80,7 +84,9 @@ except BaseException:
     [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 143)],
     ids=["SIGINT", "SIGTERM"],
 )
-@pytest.mark.parametrize("moment", ["loading", "working", "importing", "finalising", "mistaking"])
+@pytest.mark.parametrize(
+    "moment", ["loading", "working", "importing", "ending", "finalising", "mistaking"]
+)
 def test_a_signal_ends_a_command_in_order(moment, number, word, status, tmp_path):
     (tmp_path / "own.py").write_text(OWN)
     (tmp_path / "swallowing.py").write_text(SWALLOWING)

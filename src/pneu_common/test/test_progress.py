@@ -154,14 +154,14 @@ def test_a_bar_for_each_stage_on_a_terminal(monkeypatch):
         tell("fit [a]", 0.25, "cost [7]")
         tell("fit [b]", 0.75, "cost [8]")
         tell("fit [a]", 0.5)
-        tell("fit [b]", None, "cost [9]")
+        tell("fit [b]", None, "cost [red]")
     shown = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", got[0])
     assert shown.rindex("reading [bags]") < shown.index("fit [a]")
     last = {name: shown[shown.rindex(name) :].splitlines()[0] for name in ("fit [a]", "fit [b]")}
     # A bar has 40 characters.
     assert re.fullmatch(r"fit \[a\] ━{20} +0:00:\d\d [-0-9:]+ *", last["fit [a]"])
-    assert re.fullmatch(r"fit \[b\] ━{30} +0:00:\d\d [-0-9:]+ cost \[9\] *", last["fit [b]"])
-    assert got[0].rindex("\x1b[2K") > got[0].rindex("cost [9]")
+    assert re.fullmatch(r"fit \[b\] ━{30} +0:00:\d\d [-0-9:]+ cost \[red\] *", last["fit [b]"])
+    assert got[0].rindex("\x1b[2K") > got[0].rindex("cost [red]")
 
 
 @pytest.mark.long
