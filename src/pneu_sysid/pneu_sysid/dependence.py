@@ -98,8 +98,7 @@ def dependences(
         e = r[:, :, t]
         total = float(np.sum(e**2))
         there = np.isfinite(problem.measured[:, :, t])
-        # What one stretch shows there is no other to try on.
-        if total <= 1.5 * there.sum() or problem.stretches < 2:
+        if total <= 1.5 * there.sum():
             continue
         predicted = problem.measured[:, :, t] - e * problem.noise_pa[t]
         for name, x in _variables(problem, t, predicted).items():
@@ -116,7 +115,7 @@ def dependences(
                 sums = np.bincount(
                     which[train].ravel(), weights=e[train].ravel(), minlength=edges.size + 1
                 )
-                mean = sums / np.maximum(count, 1)
+                mean = sums / np.maximum(count, 1)  # 0 where no other stretch has any reading
                 left += float(np.sum((e[test] - mean[which[test]]) ** 2))
             gain = 1.0 - left / total
             if gain >= thresholds.named:

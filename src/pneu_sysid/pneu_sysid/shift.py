@@ -58,8 +58,6 @@ def estimate_shift(
     """
     weight = np.isfinite(measured).astype(float)
     usable = weight.sum(axis=1) > FEWEST
-    if not usable.any():
-        return None
     y, weight, of = measured[usable], weight[usable], of[usable]
     at = np.where(weight > 0.0, time_s[usable], 0.0)
     total = weight.sum(axis=1, keepdims=True)

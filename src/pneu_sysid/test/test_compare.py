@@ -560,7 +560,7 @@ def test_the_share_of_cells_in_an_error(turned: bool) -> None:
     measured = rng.normal(size=(3, 50, 2)) * [1.0, 1.0]
     apart = rng.choice([-1.0, 1.0], (3, 50, 2))
     coarse = measured + apart * [60.0, 3.0]
-    change = np.array([-40.0, 0.5]) * (-1.0 if turned else 1.0)
+    change = np.array([-40.0, 1.3]) * (-1.0 if turned else 1.0)
     finer = coarse + apart * change
     given = SimpleNamespace(
         dx_m=None, taps=["start", "end"], noise_pa=np.array([2.5, 2.0]),
@@ -573,9 +573,9 @@ def test_the_share_of_cells_in_an_error(turned: bool) -> None:
     remaining = 1.0 - 0.5**rig.grid.order
     predicted = {"start": coarse[..., 0], "end": coarse[..., 1]}
     found = module.grid_check(given, rig, predicted)
-    assert found.change_pa == pytest.approx({"start": 40.0, "end": 0.5})
+    assert found.change_pa == pytest.approx({"start": 40.0, "end": 1.3})
     excess = [math.sqrt(60.0**2 - 6.25) / 2.5, math.sqrt(9.0 - 4.0) / 2.0]
-    of_grid = [40.0 / remaining / 2.5, 0.5 / remaining / 2.0]
+    of_grid = [40.0 / remaining / 2.5, 1.3 / remaining / 2.0]
     share = min(100.0 * math.hypot(*of_grid) / math.hypot(*excess), 100.0)
     assert found.discretisation
     turn = (
@@ -630,12 +630,12 @@ def test_stretches_of_one_time_are_told_once() -> None:
 
     sensors = {
         "start": SimpleNamespace(worst=[stretch(1.0, 2.0, 90.0), stretch(1.5, 2.5, 8.0)]),
-        "end": SimpleNamespace(worst=[stretch(1.9, 3.0, 300.0), stretch(2.0, 4.0, 40.0, "other")]),
+        "end": SimpleNamespace(worst=[stretch(1.9, 3.0, 300.0), stretch(1.5, 4.0, 40.0, "other")]),
     }
     noise = {"start": 1.0, "end": 10.0}
     found = module._merged(SimpleNamespace(sensors=sensors), noise)
     assert [(s.start_s, s.recording, taps) for s, taps in found] == [
-        (1.0, None, ["start", "end"]), (2.0, "other", ["end"]),
+        (1.0, None, ["start", "end"]), (1.5, "other", ["end"]),
     ]  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,10 +23,11 @@ from pneu_sim.run import run_from_rest
 from pneu_sim.signals import Signal
 from pneu_sim.valve import positions_along
 from pneu_sysid import fit as fit_module
+from pneu_sysid import fit_step, spool_starts
 from pneu_sysid.curves import EXPONENT_APART, WIDEST, curve_ties, mirrors_of, with_own_curves
 from pneu_sysid.design.limits import limits_of
 from pneu_sysid.fit import FitOutcome, _brought_back, fit_rig, parameters_of
-from pneu_sysid.fit_step import Taken, key_of
+from pneu_sysid.fit_step import Job, Taken, key_of
 from pneu_sysid.last_steps import OWN_CELLS
 from pneu_sysid.observed.noise import with_noise
 from pneu_sysid.parameters import (
@@ -326,7 +328,7 @@ def only(rig: Rig, *paths: str) -> Rig:
     return rig
 
 
-def test_a_spool_is_tried_before_it_is_fitted() -> None:
+def test_a_spool_is_tried_before_it_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where all that flows is known, the step that fits what flows is left out."""
     rng = np.random.default_rng(21)
     true = coarse("line", rng)
@@ -337,7 +339,25 @@ def test_a_spool_is_tried_before_it_is_fitted() -> None:
     drawn.valves["valve"].spool.bandwidth_hz = 1.4 * spool.bandwidth_hz
     drawn = only(drawn, BANDWIDTH, "valves.valve.spool.damping")
     told: list[tuple[str, float, str]] = []
+    tried: list[Rig] = []
+    begun: list[Rig] = []
+
+    def taken(job: Job, rig: Rig, *more: Any) -> Taken:
+        begun.append(rig)
+        return fit_step.taken(job, rig, *more)
+
+    def try_spools(rig: Rig, *more: Any) -> Rig:
+        tried.append(spool_starts.try_spools(rig, *more))
+        return tried[-1]
+
+    monkeypatch.setattr(fit_module, "taken", taken)
+    monkeypatch.setattr(fit_module, "try_spools", try_spools)
     outcome = fit_rig(drawn, recording, progress=lambda *words: told.append(words))  # type: ignore[arg-type]
+    (first_try,) = tried
+    assert begun[0] is first_try
+    assert first_try.valves["valve"].spool.bandwidth_hz == pytest.approx(
+        0.6 * 1.4 * spool.bandwidth_hz
+    )
     first = [p for p in calibrated_parameters(drawn) if p.path == BANDWIDTH]
     (found,) = [p for p in outcome.parameters if p.path == BANDWIDTH]
     assert found.model_copy(update={"std_error": None}) == first[0]
@@ -355,6 +375,47 @@ def test_a_spool_is_tried_before_it_is_fitted() -> None:
     assert any(note.startswith("fast: spools") for note in words)
     fractions = [done for _, done, _ in told]
     assert fractions == sorted(fractions) and 0.0 < fractions[-1] <= 1.0
+
+
+@pytest.mark.parametrize("changed", [True, False])
+def test_limits_that_are_found_are_fitted(monkeypatch: pytest.MonkeyPatch, changed: bool) -> None:
+    """Unless a list was given, which is all that is fitted then."""
+    rig = coarse("line", np.random.default_rng(21))
+    path = "valves.valve.spool.max_speed_v_s"
+    every = [p for p in calibrated_parameters(rig) if "spool" in p.path]
+    step = Step("limits", rig.grid.dx_m, None, 1, limits=True)
+    empty = Recording("none", {}, {})
+    job = replace(
+        job_of(rig, empty, every, step), given=False, measured={"valves.b.spool.delay_s": None}
+    )
+    known = {key_of(p): p for p in every}
+    job.known.update(known)
+    limited = rig.model_copy(deep=True)
+    limited.valves["valve"].spool.max_speed_v_s = 300.0
+    problem = SimpleNamespace(held_out=np.zeros(2, dtype=bool), stretches=2)
+    last = Taken(step, rig, every, problem, SimpleNamespace(name="it"), True)  # type: ignore[arg-type]
+    asked: list[Any] = []
+
+    def try_limits(*given: Any) -> tuple[Rig, bool]:
+        asked.append(given[:6])
+        return limited, changed
+
+    monkeypatch.setattr(fit_module, "try_limits", try_limits)
+    monkeypatch.setattr(fit_module, "try_spools", lambda *given: pytest.fail("not now"))
+    assert fit_module._tried(replace(job, given=True), rig, step, every, last) == (rig, every)
+    assert asked == []
+    found, listed = fit_module._tried(job, rig, step, every, last)
+    assert found is limited
+    ((of, on, used, estimate, fitted, done),) = asked
+    assert (of, on, estimate, fitted, done) == (rig, problem, last.estimate, every, {"b"})
+    assert used.all()
+    if not changed:
+        assert listed is every and job.known == known
+        return
+    assert path in {p.path for p in listed}
+    assert job.centres[path, None] == pytest.approx(np.log(300.0))
+    for p in listed:
+        assert job.known[key_of(p)] == p and known.get(key_of(p), p) == p
 
 
 def test_what_no_step_shows_is_left_as_it_is() -> None:
@@ -376,18 +437,27 @@ def test_what_is_missed_after_a_step_undoes_it(monkeypatch: pytest.MonkeyPatch) 
     wrong = rig.model_copy(deep=True)
     wrong.valves["valve"].ports["supply"].conductance_m3_s_pa *= 1.2
     wrong.fit.parameters = few(rig, SUPPLY)
-    one = steps_of(wrong, False, 1)[:1]
+    one, two = steps_of(wrong, False, 1)
+    three = replace(two, words="all once more")
     asked: list[tuple[float, float]] = []
+    begun: list[float] = []
+
+    def taken(job: Job, rig: Rig, *more: Any) -> Taken:
+        begun.append(get_parameter(rig, SUPPLY))
+        return fit_step.taken(job, rig, *more)
 
     def missed(before: Rig, after: Rig, *on: object) -> bool:
         asked.append((get_parameter(before, SUPPLY), get_parameter(after, SUPPLY)))
         return True
 
+    monkeypatch.setattr(fit_module, "taken", taken)
     monkeypatch.setattr(fit_module, "limits_missed", missed)
+    monkeypatch.setattr(fit_module, "steps_of", lambda *given: [one, two, three])
     undone = fit_rig(wrong, recording, approach=False, iterations=1)
-    monkeypatch.setattr(fit_module, "steps_of", lambda *given: one)
+    assert begun == [get_parameter(wrong, SUPPLY), asked[0][0], asked[0][0]]
+    monkeypatch.setattr(fit_module, "steps_of", lambda *given: [one])
     alone = fit_rig(wrong, recording, approach=False, iterations=1)
-    assert len(asked) == 1 and undone.values == alone.values == [asked[0][0]]
+    assert len(asked) == 2 and undone.values == alone.values == [asked[0][0]] == [asked[1][0]]
     true = get_parameter(rig, SUPPLY)
     assert abs(asked[0][1] - true) < 0.5 * abs(asked[0][0] - true)
 

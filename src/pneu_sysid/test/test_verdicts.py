@@ -448,7 +448,7 @@ def moving(rig: Rig, stretches: int) -> Problem:
     time = np.arange(0.0, 4.0, 0.005)
     signals = {
         "elbow": Signal(time, np.sin(2.0 * np.pi * 0.9 * time)),
-        "wrist": Signal(np.array([0.1, 0.2]), np.array([0.0, 1.0])),
+        "wrist": Signal(np.array([0.1]), np.array([0.5])),
     }
     problem.recordings = [Recording("run", {}, {}, encoders=signals)]
     for name in ("time_s", "measured", "of", "span_s"):
