@@ -109,13 +109,11 @@ def dependences(
             left = 0.0
             for k in range(FOLDS):
                 train, test = fold != k, fold == k
-                if not test.any():
-                    continue
                 count = np.bincount(which[train].ravel(), minlength=edges.size + 1)
                 sums = np.bincount(
                     which[train].ravel(), weights=e[train].ravel(), minlength=edges.size + 1
                 )
-                mean = sums / np.maximum(count, 1)  # 0 where no other stretch has any reading
+                mean = sums / np.maximum(count, 1)
                 left += float(np.sum((e[test] - mean[which[test]]) ** 2))
             gain = 1.0 - left / total
             if gain >= thresholds.named:
