@@ -354,7 +354,7 @@ def test_beside_a_kink_the_lesser_slope_counts_and_elsewhere_the_mean() -> None:
 
 
 def test_a_secant_agrees_with_the_last_step_and_changes_nothing_across_it() -> None:
-    """Broyden's condition, in variables whose spans differ; a step of nothing says nothing."""
+    """Broyden's condition, in variables whose spans differ."""
     rng = np.random.default_rng(6)
     j, change = rng.normal(size=(4, 7, 3)), rng.normal(size=(4, 7))
     span, step = np.array([0.5, 20.0, 3e-4]), np.array([0.3, -0.1, 0.7])
@@ -362,4 +362,3 @@ def test_a_secant_agrees_with_the_last_step_and_changes_nothing_across_it() -> N
     found = gauss_newton._secant(j, change, step, span)
     np.testing.assert_allclose((found * span) @ step, change, rtol=1e-12)
     np.testing.assert_allclose((found * span) @ across, (j * span) @ across, rtol=1e-9)
-    assert gauss_newton._secant(j, change, 0.0 * step, span) is j
