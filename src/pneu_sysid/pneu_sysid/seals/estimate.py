@@ -155,6 +155,7 @@ class Whitened:
         raw = np.zeros(len(law))
         covariance = np.zeros((len(law), len(law)))
         rest = self.rest
+        others = self.fixed[:, :1]
         cost = float(target @ target)
         if law:
             white = self.columns(law, stribeck_m_s)
@@ -166,13 +167,15 @@ class Whitened:
             raw = solved / size
             rest = rest - white @ raw
             inside = solved > 0.0
-            if inside.any():
-                scaled = columns[:, inside] / size[inside]
-                inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
-                inverse /= np.outer(size[inside], size[inside])
-                covariance[np.ix_(inside, inside)] = inverse
+            scaled = columns[:, inside] / size[inside]
+            inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+            inverse /= np.outer(size[inside], size[inside])
+            covariance[np.ix_(inside, inside)] = inverse
+            others = np.column_stack([others, white[:, inside] / size[inside]])
         own = np.linalg.lstsq(self.fixed, rest, rcond=None)[0]
-        gain_error = float(np.sqrt(np.linalg.inv(self.fixed.T @ self.fixed)[1, 1]))
+        # The gain is known by what of its column the zero and the law cannot make.
+        made = others @ np.linalg.lstsq(others, self.fixed[:, 1], rcond=None)[0]
+        gain_error = 1.0 / float(np.linalg.norm(self.fixed[:, 1] - made))
         to_own = _unbound(law)
         value = to_own @ raw
         # The force's own scale is no better known than it repeats.

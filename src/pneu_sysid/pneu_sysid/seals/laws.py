@@ -80,8 +80,8 @@ def range_of(pieces: Pieces) -> Range:
     return Range(
         (float(slow), float(fast)),
         (least, most),
-        any(bool(high > LEAST_SPEEDS * low) for low, high in ways),
-        most - least > LEAST_SPAN_PA and most > LEAST_PRESSURES * max(least, 0.0),
+        any(bool(high >= LEAST_SPEEDS * low) for low, high in ways),
+        most - least >= LEAST_SPAN_PA and most >= LEAST_PRESSURES * least,
     )
 
 

@@ -107,7 +107,7 @@ def read_drag(rig: Rig, path: str | Path) -> DragTest:
     head, rod = (gauge, other) if drag.side == "head" else (other, gauge)
     areas = cylinder.areas
     spring = cylinder.spring_preload_n + cylinder.spring_n_m * position
-    load = areas[0] * head - areas[1] * rod - (spring if cylinder.spring_n_m > 0.0 else 0.0)
+    load = areas[0] * head - areas[1] * rod - spring
     force = at["force"]
     push, pressed = float(np.median(load)), float(np.median(force))
     if abs(push) > 1.0:
