@@ -10,11 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pneu_sysid.contacts.arrow import eliminate
-from pneu_sysid.contacts.estimate import Problem, State, estimate, parameters_of
+from pneu_sysid.contacts.estimate import Estimated, Problem, State, estimate, parameters_of
 from pneu_sysid.contacts.fit import fit_scene
-from pneu_sysid.contacts.knots import chain_of
+from pneu_sysid.contacts.knots import chain_of, guess
 from pneu_sysid.contacts.manifold import Floats, manifold_of
 from pneu_sysid.contacts.norms import STEEPEST, Norm
+from pneu_sysid.contacts.outcome import OTHERS, UNITS, dof_names, result_of_fit, unit_of
 from pneu_sysid.contacts.physics import Physics
 from pneu_sysid.contacts.scene import (
     ControlSettings,
@@ -26,6 +27,7 @@ from pneu_sysid.contacts.scene import (
     SensorSettings,
     Value,
 )
+from pneu_sysid.contacts.together import SceneFit
 from pneu_sysid.contacts.track import Series, Track, unbroken
 from pneu_sysid.contacts.trajectories import begun
 
@@ -438,3 +440,132 @@ def test_parameters_stay_within_their_bounds(tmp_path: Path) -> None:
     found = fit_scene(loaded, [track], values, Physics(1))
     told = {p.label: found.told(k)[0] for k, p in enumerate(found.parameters)}
     assert told["contact_friction@all"] == pytest.approx(0.2)
+
+
+COUPLED = """<mujoco><worldbody>
+<body><joint name="a" axis="0 1 0"/><geom size=".1" mass="1"/><site name="s"/>
+ <body pos="0 0 1"><joint name="b" axis="0 1 0"/><geom size=".1" mass="1"/><site name="t"/>
+  <body pos="0 0 1"><joint name="c" axis="1 0 0"/><geom size=".1" mass="1"/>
+   <body pos="0 0 1"><joint name="d" axis="1 0 0"/><geom size=".1" mass="1"/>
+   </body></body></body></body>
+</worldbody><tendon>
+<spatial name="way"><site site="s"/><site site="t"/></spatial>
+<fixed name="sum"><joint joint="a" coef="2"/><joint joint="b" coef="-0.5"/></fixed>
+<fixed name="rest"><joint joint="b" coef="3"/><joint joint="c" coef="1.5"/></fixed>
+</tendon><sensor>
+<tendonpos name="first" tendon="way"/><tendonpos name="second" tendon="sum"/>
+<tendonpos name="third" tendon="rest"/><jointpos name="own" joint="{own}"/>
+</sensor></mujoco>"""
+
+
+def coupled(folder: Path, own: str) -> Loaded:
+    (folder / "m.xml").write_text(COUPLED.format(own=own))
+    names = ("first", "second", "third", "own")
+    scene = Scene(
+        name="coupled",
+        mjcf="m.xml",
+        sensors={name: sensor(1, norm(0.01)) for name in names},
+        forces={name: ForceSettings(along=norm(0.1)) for name in "abcd"},
+    )
+    return Loaded(scene, folder)
+
+
+@pytest.mark.parametrize("own", ["a", "b", "c"])
+@pytest.mark.parametrize("spatial", [False, True])
+def test_joints_that_fixed_tendons_tell_together(own: str, spatial: bool, tmp_path: Path) -> None:
+    loaded = coupled(tmp_path, own)
+    model = loaded.setup(()).spec.compile()
+    t = np.arange(30) * 0.01
+    told = {"a": 0.3 + 0.2 * t, "b": -0.4 + 0.5 * t, "c": 0.7 - 0.9 * t}
+    lengths = {
+        "first": 1.0 + 0.1 * t,  # through space: tells no joint
+        "second": 2.0 * told["a"] - 0.5 * told["b"],
+        "third": 3.0 * told["b"] + 1.5 * told["c"],
+        "own": told[own],
+    }
+    if not spatial:
+        del lengths["first"]
+    track = Track("made up", {k: Series(t, v[:, None]) for k, v in lengths.items()}, {})
+    q = guess(loaded, track, t, model)
+    inner = slice(5, -5)  # smoothing bends what is near the ends
+    for name, values in told.items():
+        at = model.joint(name).qposadr[0]
+        np.testing.assert_allclose(q[inner, at], values[inner], atol=1e-6, err_msg=name)
+    assert not q[:, model.joint("d").qposadr[0]].any()
+
+
+def test_an_encoder_between_joints_is_shared_by_its_coefficients(tmp_path: Path) -> None:
+    loaded = coupled(tmp_path, "d")
+    model = loaded.setup(()).spec.compile()
+    t = np.arange(30) * 0.01
+    length = 1.0 + 0.5 * t
+    track = Track("made up", {"second": Series(t, length[:, None])}, {})
+    q = guess(loaded, track, t, model)[10]
+    # The least motion that gives the length.
+    assert q[model.joint("a").qposadr[0]] == pytest.approx(length[10] * 2.0 / 4.25)
+    assert q[model.joint("b").qposadr[0]] == pytest.approx(length[10] * -0.5 / 4.25)
+    assert q[model.joint("c").qposadr[0]] == 0.0
+
+
+def test_figures_of_a_fit(tmp_path: Path) -> None:
+    loaded = linked_scene(tmp_path)
+    track, q = wandering(loaded, 0.3, 2)
+    other = replace(track, name="second")
+    values = loaded.scene.values
+    model = loaded.setup(values).spec.compile()
+    chains = [chain_of(loaded, x, model) for x in (track, other)]
+    parameters = parameters_of(loaded, values)
+    at = {"joint_damping": 0.03, "sensor_scale": 0.04}
+    x = np.array(
+        [p.coordinate(at.get(p.effect.name, 0.5 * (p.lower + p.upper))) for p in parameters]
+    )
+    x[0], x[-1] = (
+        parameters[0].coordinate(parameters[0].lower),
+        parameters[-1].coordinate(parameters[-1].upper),
+    )
+    errors = 0.1 + 0.01 * np.arange(x.size)
+    n = len(parameters)
+    estimated = Estimated(
+        values, State((q, q), x), parameters, [9.0, 4.0], np.ones(2), np.zeros((2, n, n)),
+        np.zeros((2, n)), 3, True,
+    )  # fmt: skip
+    found = SceneFit(
+        loaded, values, parameters, x, errors, chains, (q, q), estimated, None,
+        np.array([0.25, 0.75]), ["a note"],
+    )  # fmt: skip
+    result = result_of_fit(Path("s.yaml"), Path("o.yaml"), found, [track, other], 1.5)
+
+    # A floating body and a joint: seven directions at every knot of both recordings.
+    assert result.unknowns == 2 * len(q) * 7 + n and n > 3
+    assert (result.scene, result.output, result.seconds) == ("s.yaml", "o.yaml", 1.5)
+    assert result.recordings == ["made up", "second"]
+    assert result.loss == {"made up": 0.25, "second": 0.75}
+    assert (result.history, result.converged, result.notes) == ([9.0, 4.0], True, ["a note"])
+    for k, (p, told) in enumerate(zip(parameters, result.parameters, strict=True)):
+        assert (told.effect, told.place, told.unit) == (p.effect.name, p.place, p.effect.unit)
+        value = float(np.exp(x[k])) if p.effect.logarithmic else float(x[k])
+        assert told.value == pytest.approx(value)
+        scale = value if p.effect.logarithmic else 1.0
+        assert told.std_error == pytest.approx(scale * errors[k])
+        assert told.at_bound is (k in (0, n - 1)), told.effect
+    starts = {(v.effect, v.at): v.value for v in values}
+    for told in result.parameters:
+        if starts.get((told.effect, told.place)) is not None:
+            assert told.start == pytest.approx(starts[told.effect, told.place])
+    assert set(result.force) == {"f.x", "f.y", "f.z", "f.rx", "f.ry", "f.rz", "h"}
+    assert set(result.rmse) == set(loaded.names)
+    # Made along this motion, readings differ by their noise of 0.002 in each component.
+    assert result.rmse["a"] == pytest.approx(0.002, rel=0.6)
+
+
+def test_units_and_names(tmp_path: Path) -> None:
+    setup = linked_scene(tmp_path).setup()
+    wanted = {"p": "m", "o": "rad", "a": "rad or m", "w": "rad/s", "acc": "m/s^2", "fo": "N"}
+    assert {name: unit_of(setup, name) for name in wanted} == wanted
+    assert not set(UNITS) & set(OTHERS)
+    every = """<mujoco><worldbody><body><joint name="h" type="hinge"/><joint name="s" type="slide"/>
+    <geom size=".1"/></body><body><joint name="b" type="ball"/><geom size=".1"/></body>
+    <body><freejoint name="f"/><geom size=".1"/></body></worldbody></mujoco>"""
+    assert dof_names(mujoco.MjModel.from_xml_string(every)) == [
+        "h", "s", "b.rx", "b.ry", "b.rz", "f.x", "f.y", "f.z", "f.rx", "f.ry", "f.rz",
+    ]  # fmt: skip
