@@ -12,18 +12,11 @@ BagPaths = Annotated[
         metavar="BAG...", help="rosbag2 folders, .mcap files, or text recordings, of one rig."
     ),
 ]
-RigPath = Annotated[
-    Path, typer.Option("--rig", help="Rig file, or scene file (YAML).", show_default=False)
-]
-JsonPath = Annotated[
-    Path | None, typer.Option("--json", help="Write the result as JSON.", show_default=False)
-]
-HtmlPath = Annotated[
-    Path | None, typer.Option("--report", help="Write an HTML report.", show_default=False)
-]
+RigPath = Annotated[Path, typer.Option("--rig", help="Rig file, or scene file (YAML).")]
+JsonPath = Annotated[Path | None, typer.Option("--json", help="Write the result as JSON.")]
+HtmlPath = Annotated[Path | None, typer.Option("--report", help="Write an HTML report.")]
 EffectsPath = Annotated[
-    Path | None,
-    typer.Option("--effects", help="Python file with effects of your own.", show_default=False),
+    Path | None, typer.Option("--effects", help="Python file with effects of your own.")
 ]
 KeptAside = Annotated[
     list[str] | None,
