@@ -116,7 +116,7 @@ class DeviceClock:
         self._since_ns = 0
         self._seen_s = -math.inf
         self._reads = 0
-        self._least: tuple[int, int] | None = None  # arrival less device time; device time
+        self._least_ns = math.inf  # arrival less device time
 
     def _compare(self, device_ns: int, received_ns: int, steady_s: float) -> None:
         """Looks for the quickest way, and maps the clocks when there was time to find one."""
@@ -126,20 +126,18 @@ class DeviceClock:
             self._since_ns = device_ns
         self._seen_s = steady_s
         self._reads += 1
-        delay_ns = received_ns - device_ns
-        if self._least is None or delay_ns < self._least[0]:
-            self._least = delay_ns, device_ns
+        self._least_ns = min(self._least_ns, received_ns - device_ns)
         if self._reads < SETTLE_READS or device_ns - self._since_ns < 1e9 * SETTLE_S:
             return
-        least_ns, at_ns = self._least
+        compared_ns = device_ns + round(self._least_ns)
         if self._anchor is not None:
-            apart_s = 1e-9 * (at_ns + least_ns - self._ours(at_ns)) - self.behind_s
+            apart_s = 1e-9 * (compared_ns - self._ours(device_ns)) - self.behind_s
             if abs(apart_s) > JUMP_S:
                 self.restarts += 1
                 self.told.append(f"the device's clock was set by {-apart_s:.3f} s meanwhile")
                 self._anchor = None
         if self._anchor is None:
-            self._anchor = device_ns, device_ns + least_ns
+            self._anchor = device_ns, compared_ns
             self.drift = self.behind_s = self._least_s = 0.0
         self._settling = False
         self._window_s = steady_s

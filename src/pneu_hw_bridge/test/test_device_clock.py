@@ -121,6 +121,199 @@ def test_after_a_lost_connection_the_clocks_are_compared_again(lost_s, anew):
         assert "was set by -0.300 s meanwhile" in poll.clock.told[0]
 
 
+class Told:
+    """Samples whose lateness is chosen, at even intervals of device time."""
+
+    def __init__(self, period_ns=100_000_000):
+        self.clock = DeviceClock()
+        self.period_ns = period_ns
+        self.device_ns = 7_000_000_000
+        self.offset_ns = ZERO_NS
+        self.set_ns = 0
+
+    def observe(self, late_ns=0):
+        """The next sample, so late by what the clock stamps it with, or by the offset before."""
+        self.device_ns += self.period_ns
+        ours_ns = self.clock.stamp(self.device_ns)
+        ours_ns = self.device_ns + self.offset_ns if ours_ns is None else ours_ns - self.set_ns
+        received_ns = ours_ns + late_ns
+        steady_s = 1e-9 * (received_ns - ZERO_NS)
+        was_ns = self.clock.stamp(self.device_ns)
+        self.clock.observe(self.device_ns, received_ns + self.set_ns, steady_s)
+        if was_ns is not None and self.clock.settled:
+            assert self.clock.stamp(self.device_ns) == was_ns, "no stamp jumps"
+
+    def settle(self):
+        while not self.clock.settled:
+            self.observe()
+        return self
+
+    def window(self, late_ns):
+        """Samples until the next comparison of drifts; the smallest lateness is not the first."""
+        begun_s = self.clock._window_s
+        for extra_ns in (3_000_000, 0, 5_000_000):
+            self.observe(late_ns + extra_ns)
+        while self.clock._window_s == begun_s:
+            self.observe(late_ns + 8_000_000)
+
+
+@pytest.mark.parametrize(
+    ("period_ms", "reads"), [(5, 41), (10, 21), (10.0000001, 21), (9.9, 22), (20, 20), (100, 20)]
+)
+def test_clocks_are_compared_for_a_time_and_for_some_reads(period_ms, reads):
+    told = Told(round(1e6 * period_ms))
+    for count in range(1, reads + 1):
+        assert not told.clock.settled and told.clock.stamp(told.device_ns) is None
+        told.observe(1000 - count)  # the quickest way is the last
+    assert told.clock.settled
+    assert told.clock.stamp(told.device_ns) == told.device_ns + ZERO_NS + 1000 - reads
+    assert told.clock.stamp(told.device_ns + 77) == told.device_ns + ZERO_NS + 1077 - reads
+
+
+def test_the_quickest_way_counts_wherever_it_was():
+    for quickest in (0, 7, 19):
+        told = Told(20_000_000)
+        for count in range(20):
+            told.observe(-300 if count == quickest else 5_000_000 + count)
+        assert told.clock.stamp(told.device_ns) == told.device_ns + ZERO_NS - 300
+
+
+@pytest.mark.parametrize(("gap_ms", "reads"), [(190, 10), (210, 20)])
+def test_a_device_that_stands_still_meanwhile_is_compared_from_when_it_goes_on(gap_ms, reads):
+    told = Told(20_000_000)
+    for _ in range(10):
+        told.observe()
+    told.offset_ns += 1_000_000 * (gap_ms - 20)  # no device time passes, ours does
+    for count in range(reads):
+        assert not told.clock.settled, count
+        told.observe()
+    assert told.clock.settled
+
+
+@pytest.mark.parametrize(
+    ("set_ms", "says"),
+    [
+        (19, None),
+        (-19, None),
+        (21, "this machine's clock was set by 0.021 s"),
+        (-21, "this machine's clock was set by -0.021 s"),
+    ],
+)
+def test_how_far_this_machines_clock_may_be_set(set_ms, says):
+    told = Told().settle()
+    told.set_ns = 1_000_000 * set_ms
+    told.observe()
+    assert list(told.clock.told) == ([] if says is None else [says])
+    assert (told.clock.restarts, told.clock.settled) == ((0, True) if says is None else (1, False))
+    told.settle()
+    for _ in range(3):
+        told.observe()
+    assert told.clock.restarts == (says is not None), "told once"
+
+
+@pytest.mark.parametrize(
+    ("late_ms", "says"), [(-19, None), (-21, "the device's clock leapt ahead by 0.021 s")]
+)
+def test_how_far_ahead_a_sample_may_be(late_ms, says):
+    told = Told().settle()
+    told.observe(1_000_000 * late_ms)
+    assert list(told.clock.told) == ([] if says is None else [says])
+    assert (told.clock.restarts, told.clock.settled) == ((0, True) if says is None else (1, False))
+    if says is not None:
+        assert told.clock._reads == 1, "the sample itself is compared already"
+
+
+@pytest.mark.parametrize(
+    ("apart_ms", "says"),
+    [
+        (19, None),
+        (-19, None),
+        (21, "the device's clock was set by -0.021 s meanwhile"),
+        (-21, "the device's clock was set by 0.021 s meanwhile"),
+    ],
+)
+def test_how_far_clocks_may_be_apart_after_a_connection_was_lost(apart_ms, says):
+    told = Told().settle()
+    told.clock.doubt()
+    told.offset_ns += 1_000_000 * apart_ms
+    told.settle()
+    assert list(told.clock.told) == ([] if says is None else [says])
+    assert told.clock.restarts == (says is not None)
+    moved_ns = 0 if says is None else 1_000_000 * apart_ms
+    assert told.clock.stamp(told.device_ns) == told.device_ns + ZERO_NS + moved_ns
+
+
+@pytest.mark.parametrize(
+    ("late_us", "behind_us", "drift"),
+    [
+        ([900], 0, 0.0),
+        ([1100], 0, 1100e-6 / 30.0),
+        ([2900], 0, 2900e-6 / 30.0),
+        ([3200], 3200, 0.0),
+        ([-900], 0, 0.0),
+        ([-1100], 0, -1100e-6 / 30.0),
+        ([-2900], 0, -2900e-6 / 30.0),
+        ([-5000], 0, -5000e-6 / 30.0),
+        ([-7000], 0, -MOST_DRIFT),
+        ([700_000], 700_000, 0.0),
+        ([2900, 5800], 0, 2900e-6 / 30.0),  # the quickest of two windows counts
+        ([2900, 5800, 5800], 0, 5800e-6 / 30.0),
+        ([2900, 5800, 5800, 8700, 8700], 0, MOST_DRIFT),
+        ([700_000, 701_500, 701_500], 700_000, 1500e-6 / 30.0),
+        ([700_000, 500_000], 500_000, 0.0),
+        ([700_000, 100_000, -3500], 0, -3500e-6 / 30.0),
+    ],
+)  # fmt: skip
+def test_what_is_made_of_the_quickest_way_of_a_window(late_us, behind_us, drift):
+    told = Told().settle()
+    for one in late_us:
+        told.window(1000 * one)
+    clock = told.clock
+    assert clock.behind_s == pytest.approx(1e-6 * behind_us, abs=1e-7)
+    assert clock.drift == pytest.approx(drift, abs=1e-10)
+    assert (clock.restarts, list(clock.told)) == (0, [])
+    at_ns = told.device_ns
+    later_ns = clock.stamp(at_ns + 10**10) - clock.stamp(at_ns)
+    assert later_ns - 10**10 == pytest.approx(1e10 * drift, abs=2.0)
+
+
+def test_windows_are_as_long_as_they_are():
+    told = Told().settle()
+    assert told.clock._window_s == pytest.approx(1e-9 * told.device_ns)
+    for count in range(99):
+        told.observe(2_000_000)
+        assert told.clock.drift == 0.0, count
+    told.observe(2_000_000)
+    told.observe(2_000_000)
+    assert told.clock.drift == pytest.approx(2e-3 / 30.0)
+
+
+def test_a_device_that_stood_still_may_be_doubted():
+    """What it stood still for is no setting of its clock; that it caught up would be one."""
+    told = Told().settle()
+    told.window(500_000_000)
+    assert told.clock.behind_s == pytest.approx(0.5)
+    told.clock.doubt()
+    told.offset_ns += 500_000_000
+    told.settle()
+    assert (told.clock.restarts, told.clock.behind_s) == (0, pytest.approx(0.5))
+    told.clock.doubt()
+    told.offset_ns -= 500_000_000
+    told.settle()
+    assert list(told.clock.told) == ["the device's clock was set by 0.500 s meanwhile"]
+    assert (told.clock.restarts, told.clock.behind_s, told.clock.drift) == (1, 0.0, 0.0)
+    told.window(2_000_000)  # and what was before is forgotten
+    assert told.clock.behind_s == 0.0 and told.clock.drift == pytest.approx(2e-3 / 30.0)
+
+
+def test_the_newest_of_what_happened_is_kept():
+    clock = DeviceClock()
+    for k in range(9):
+        clock.restart(f"reason {k}")
+    assert list(clock.told) == [f"reason {k}" for k in range(1, 9)]
+    assert clock.restarts == 9
+
+
 # Records
 
 

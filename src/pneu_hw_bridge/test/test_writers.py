@@ -25,10 +25,11 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Float64
 
 from pneu_graph.nodes.common import COMMAND_QOS
-from pneu_hw_bridge.nodes.writers import UNLISTED, Writers
+from pneu_hw_bridge.nodes.writers import NO_NODES, UNLISTED, Writers, competing, wrong_writer
 
 pytestmark = pytest.mark.kernel_free
 
@@ -218,3 +219,67 @@ def test_only_the_node_that_is_named_is_followed(bench):
     wait_for(
         lambda: writers.look() == (1, "/rival publishes commands, only /policy may (commander)")
     )
+
+
+def listed(name, namespace="/", qos=COMMAND_QOS):
+    """A publisher as the graph lists it."""
+    return TopicEndpointInfo(node_name=name, node_namespace=namespace, qos_profile=qos)
+
+
+ONE, OTHER, LAB = listed("one"), listed("other"), listed("one", "/lab")
+DEAF = listed("one", qos=qos_profile_sensor_data)
+NOT_HEARD = "commands of /one are not heard: "
+
+
+@pytest.mark.parametrize(
+    ("topics", "commander", "count", "why"),
+    [
+        ([([], 0)], "", 0, ""),
+        ([([ONE], 1)], "", 1, ""),
+        ([([ONE], 0)], "", 1, ""),
+        ([([], 1)], "", 1, UNLISTED),
+        ([([ONE], 2)], "", 2, UNLISTED),
+        ([([ONE, OTHER], 2)], "", 2, ""),
+        ([([ONE, ONE], 2)], "", 2, ""),
+        ([([ONE, ONE], 3)], "", 3, UNLISTED),
+        ([([ONE], 1), ([ONE], 1)], "", 1, ""),
+        ([([ONE], 1), ([OTHER], 1)], "", 2, ""),
+        ([([ONE], 1), ([LAB], 1)], "", 2, ""),
+        ([([ONE], 1), ([], 1)], "", 1, UNLISTED),
+        ([([ONE], 2), ([ONE, OTHER], 1)], "", 2, UNLISTED),
+        ([([ONE], 1), ([], 0)], "/one", 1, ""),
+        ([([LAB], 1)], "one", 1, "/lab/one publishes commands, only one may (commander)"),
+        ([([LAB], 1)], "lab/one", 1, ""),
+        ([([ONE, OTHER], 2)], "/none", 2, ""),
+        ([([DEAF], 0)], "", 1, NOT_HEARD),
+    ],
+)
+def test_who_competes(topics, commander, count, why):
+    found, wrong = competing(topics, commander)
+    assert found == count and (wrong == why or (why and wrong.startswith(why) and why[-1] == " "))
+
+
+@pytest.mark.parametrize(
+    ("writers", "commander", "why"),
+    [
+        ([], "/one", ""),
+        ([OTHER, ONE], "/one", ""),
+        ([ONE], "", ""),
+        ([ONE], "/one", ""),
+        ([LAB], "/lab/one", ""),
+        ([listed("one", "/lab/")], "/lab/one", ""),
+        ([OTHER], "/one", "/other publishes commands, only /one may (commander)"),
+        *(
+            ([listed(name)], commander, "the publisher on the command topic belongs to no node")
+            for name in NO_NODES
+            for commander in ("", f"/{name}")
+        ),
+    ],
+)
+def test_why_the_one_writer_is_not_followed(writers, commander, why):
+    assert wrong_writer(writers, commander) == why
+
+
+def test_words_about_a_writer_that_is_not_heard_say_why():
+    found = wrong_writer([DEAF], "")
+    assert found.startswith(NOT_HEARD) and "reliab" in found.lower()

@@ -12,8 +12,8 @@ WATCHDOG_S = 0.005
 """Without a word for so long the motors get no torque."""
 
 FAULTS = ("none", "gone", "frozen", "jump", "amplifier")
-"""What an amplifier can be made to do: hang up and take no calls, tell always the same, tell counts
-that jump by a quarter of a thousand, tell that it is faulty."""
+"""What an amplifier can be made to do: hang up and take no calls, tell nothing more, tell counts that
+jump by a quarter of a thousand, tell that it is faulty."""
 
 
 class Amplifier:
@@ -44,7 +44,6 @@ class Amplifier:
         self.heard_s = float("-inf")
         self.zero_s: float | None = float("-inf")
         self._link: socket.socket | None = None
-        self._told = (0, 0, 0)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -95,16 +94,13 @@ class Amplifier:
             counts: Of the encoders.
             plant_ns: When they were read, of the plant's time.
         """
+        if self._link is None or self.fault == "frozen":
+            return
         if self.fault == "jump":
             counts = (counts[0] + 250, counts[1], counts[2])
-        if self.fault != "frozen":
-            self._told = counts
         wrong = 1 if self.fault == "amplifier" else 0
-        if self._link is None:
-            return
         try:
-            if self.fault != "frozen":
-                self._link.send(FRAME.pack(plant_ns, *self._told, wrong))
+            self._link.send(FRAME.pack(plant_ns, *counts, wrong))
         except BlockingIOError:  # its reader is behind: it reads what is older first
             pass
         except OSError:

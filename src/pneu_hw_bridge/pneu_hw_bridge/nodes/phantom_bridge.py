@@ -251,15 +251,7 @@ class PhantomBridge(Bridge):
     def _on_samples(self) -> None:
         while self._joints:
             sample = self._joints.popleft()
-            stamp_ns = sample.host_ns if sample.device_ns < 0 else sample.device_ns
-            message = JointState(
-                name=list(self._joint_names),
-                position=list(sample.position_rad),
-                velocity=list(sample.velocity_rad_s),
-                effort=list(sample.effort_n_m),
-            )
-            message.header.stamp = to_stamp(stamp_ns)
-            self._to_joints.publish(message)
+            self._to_joints.publish(joint_state(sample, self._joint_names))
         while self._wrenches and self._calibration is not None:
             record = self._wrenches.popleft()
             device_ns = round(1e9 * record.sample / self._calibration.sample_hz)
@@ -397,6 +389,24 @@ class PhantomBridge(Bridge):
                 status(level, f"{name}: force sensor", text or "works", report["sensor"], "phantom")
             )
         return lines
+
+
+def joint_state(sample: JointSample, names: Sequence[str]) -> JointState:
+    """A sample as a message, stamped by the device's clock where it has one.
+
+    Args:
+        sample: The sample.
+        names: Of the joints.
+    """
+    message = JointState(
+        name=list(names),
+        position=list(sample.position_rad),
+        velocity=list(sample.velocity_rad_s),
+        effort=list(sample.effort_n_m),
+    )
+    stamp_ns = sample.host_ns if sample.device_ns < 0 else sample.device_ns
+    message.header.stamp = to_stamp(stamp_ns)
+    return message
 
 
 def main(args: list[str] | None = None) -> None:

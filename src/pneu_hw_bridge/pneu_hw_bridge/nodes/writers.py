@@ -75,8 +75,10 @@ class Writers:
         if gids != self._gids:  # whoever comes next has a clock of its own
             self._lateness = Lateness()
         self._gids = gids
-        heard = [one.get_publisher_count() for one in self._subscriptions.values()]
-        count, wrong = competing(list(listed.values()), heard, self._commander)
+        topics = [
+            (of, self._subscriptions[topic].get_publisher_count()) for topic, of in listed.items()
+        ]
+        count, wrong = competing(topics, self._commander)
         gid = None if info is None else _gid(info)
         if gid is not None and not any(gid in of for of in gids.values()):
             wrong = UNLISTED
@@ -127,21 +129,20 @@ def wrong_writer(writers: Sequence[TopicEndpointInfo], commander: str) -> str:
 
 
 def competing(
-    by_topic: Sequence[Sequence[TopicEndpointInfo]], heard: Sequence[int], commander: str
+    topics: Sequence[tuple[Sequence[TopicEndpointInfo], int]], commander: str
 ) -> tuple[int, str]:
     """How many publish commands, and why the one that does is not followed.
 
     Args:
-        by_topic: The writers of each topic with commands that the graph lists; one node may have
-            one on each.
-        heard: How many publishers the subscription to each of these topics receives from.
+        topics: Of each topic with commands the writers that the graph lists, and how many
+            publishers the subscription receives from; one node may have a writer on each topic.
         commander: The node that may command; see `wrong_writer`.
 
     Returns:
         Their number; and why the one is not followed, empty where it is.
     """
-    nodes = {(one.node_namespace, one.node_name): one for of in by_topic for one in of}
-    count = max([len(nodes), *(len(of) for of in by_topic), *heard])
-    if any(number > len(of) for number, of in zip(heard, by_topic, strict=True)):
+    nodes = {(one.node_namespace, one.node_name): one for of, _ in topics for one in of}
+    count = max([len(nodes), *(max(len(of), heard) for of, heard in topics)])
+    if any(heard > len(of) for of, heard in topics):
         return count, UNLISTED
     return count, wrong_writer(list(nodes.values()), commander) if count == 1 else ""
