@@ -5,6 +5,7 @@ import math
 import os
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -240,7 +241,7 @@ def test_a_plant_that_has_not_moved_has_not_stood_still(hand: Hand, tmp_path: Pa
         assert list(plant.amplifiers) == list(plant.boxes) == ["phantom"]
         assert plant.amplifiers["phantom"].path == tmp_path / "phantom.sock"
         box = plant.boxes["phantom"]
-        assert box.port > 0 and box.web_port > 0
+        assert box.port > 1023 and box.web_port > 1023
         told = read_calibration("127.0.0.1", box.web_port)
         assert told.counts_per_n == hand.settings.arms["phantom"].wrench.counts_per_n  # type: ignore[union-attr]
         ports = {"phantom": (box.port, box.web_port)}
@@ -295,6 +296,13 @@ def test_a_plant_that_fails_says_why(hand: Hand, tmp_path: Path) -> None:
     assert plant.failure == "the plant failed: no look"
     assert world.time_s == pytest.approx(2 * world.step_s)
     assert os.listdir(tmp_path) == []
+
+    world = World(hand, Truth(), 0)
+    world.time_s = 5.0
+    plant = HandPlant(world, tmp_path, look=Steps(0))
+    before_ns = time.time_ns()
+    run(plant)
+    assert before_ns <= plant.origin_ns + 5_000_000_000 <= time.time_ns()
 
     world = World(hand, Truth(), 0)
     moved = world.advance

@@ -202,6 +202,7 @@ def test_how_many_samples_are_due(rig, clock, behind_s, due, skipped_s):
     status = plant.status()
     assert status.lag_s == status.worst_lag_s == pytest.approx(max(behind_s, 0.0))
     assert status.skipped_s == pytest.approx(skipped_s)
+    assert plant._due() == (due, pytest.approx(1e-3 if skipped_s else behind_s))
     plant._begun_s = 1000.0 - 5 * STEP_S
     assert plant._due()[0] == 0
     assert plant.status().worst_lag_s == pytest.approx(max(behind_s, 0.0))
@@ -481,6 +482,7 @@ def test_a_device_with_a_clock_shows_samples_and_commands(rig):
     lab = lab_of(rig, "logging_plc", pace=paced(period_s=1e-3, kept=4))
     plan = lab._registers.clock
     advance(lab._plant, 20)
+    lab._plant._promised = 30
     lab._apply({"voltage": 7.5})
     lab._apply({"voltage": 2.5})
     assert [(one.number, one.volts["voltage"]) for one in lab._commands][-2:] == [

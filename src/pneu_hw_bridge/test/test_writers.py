@@ -242,6 +242,8 @@ NOT_HEARD = "commands of /one are not heard: "
         ([([ONE, OTHER], 2)], "", 2, ""),
         ([([ONE, ONE], 2)], "", 2, ""),
         ([([ONE, ONE], 3)], "", 3, UNLISTED),
+        ([([ONE, ONE], 0)], "", 2, ""),
+        ([([DEAF, DEAF], 2)], "", 2, ""),
         ([([ONE], 1), ([ONE], 1)], "", 1, ""),
         ([([ONE], 1), ([OTHER], 1)], "", 2, ""),
         ([([ONE], 1), ([LAB], 1)], "", 2, ""),

@@ -22,8 +22,9 @@ from pneu_policy.control.robot_controllers import (
     load_robot_controller,
     save_robot_controller,
 )
+from pneu_policy.judge import joint_command
 from pneu_policy.judge.latency import latency
-from pneu_policy.judge.robot import JointTasks, judge_joint
+from pneu_policy.judge.robot import JointRun, JointTasks, judge_joint
 from pneu_policy.tune.joint_gains import JointTuneSettings, tune_joint
 from pneu_sim.rig.load import load_rig
 
@@ -135,7 +136,38 @@ def test_the_commands_tune_and_judge(app: typer.Typer, tmp_path: Path) -> None:
         (("--joint", "knee"), "--joint: found 'knee', --rig has elbow"),
         (("--low", "0.9"), "--low: found 0.9, allowed is below --high, 0.5"),
         (("--periods", "fast"), "--periods: found 'fast', needed are two such as 0.6,0.2"),
-        (("--dx", "9"), "--dx: found 9"),
+        (("--periods", "1"), "--periods: found '1', needed are two such as 0.6,0.2"),
+        (("--periods", "1,2,3"), "--periods: found '1,2,3', needed are two such as 0.6,0.2"),
+        (("--periods", "0.6,0.0099"), "--periods: found '0.6,0.0099', allowed are 0.01 to 100 s"),
+        (("--periods", "100.1,0.2"), "--periods: found '100.1,0.2', allowed are 0.01 to 100 s"),
+        (("--periods", "nan,0.2"), "--periods: found 'nan,0.2', allowed are 0.01 to 100 s"),
+        (("--low", "0.5"), "--low: found 0.5, allowed is below --high, 0.5"),
+        (("--low", "nan"), "--low: found nan, allowed is below --high, 0.5"),
+        (("--dx", "9"), "--dx: found 9, allowed are 0.0001 to 1 m"),
+        (("--dx", "1.01"), "--dx: found 1.01, allowed are 0.0001 to 1 m"),
+        (("--dx", "0.00009"), "--dx: found 9e-05, allowed are 0.0001 to 1 m"),
+        (("--plant", str(ROOT / "rigs/lab.yaml")), "found 'elbow', --plant has no encoders"),
+        (("--runs", "0"), "should be greater than or equal to 1 "),
+        (("--runs", "1001"), "should be less than or equal to 1000 "),
+        (("--seconds", "0.9"), "should be greater than or equal to 1 "),
+        (("--seconds", "3601"), "should be less than or equal to 3600 "),
+        (("--seed", "-1"), "should be greater than or equal to 0 "),
+        (("--seed", "2147483648"), "should be less than or equal to 2147483647 "),
+        *(  # what is allowed is asked for the controller next
+            (pair, "none.yaml: no such")
+            for pair in (
+                ("--runs", "1"),
+                ("--runs", "1000"),
+                ("--seconds", "1"),
+                ("--seconds", "3600"),
+                ("--dx", "1"),
+                ("--dx", "0.0001"),
+                ("--seed", "0"),
+                ("--seed", "2147483647"),
+                ("--periods", "0.01,100"),
+                ("--periods", "100,0.01"),
+            )
+        ),
     ],
 )
 def test_what_cannot_be_judged_is_said(
@@ -145,4 +177,38 @@ def test_what_cannot_be_judged_is_said(
     options[changed[0]] = changed[1]
     words = [word for pair in options.items() for word in pair]
     result = CliRunner().invoke(app, ["evaluate-joint", str(tmp_path / "none.yaml"), *words])
-    assert said in str(result.exception) + result.output
+    assert said in f"{result.exception} {' '.join(result.output.replace('│', ' ').split())}"
+
+
+def test_periods_are_smooth_then_jagged() -> None:
+    assert joint_command._periods("0.6,0.2") == (0.6, 0.2)
+    assert joint_command._periods("0.01, 100") == (0.01, 100.0)
+
+
+def run_of(kind: str, number: int, *values: float) -> JointRun:
+    none = np.zeros(0)
+    return JointRun(kind, number, *values, none, none, none, none)
+
+
+def test_the_table_tells_means_over_the_runs_of_a_kind() -> None:
+    runs = [
+        run_of("smooth", 0, 0.03, 0.010, 0.01, 1.0),
+        run_of("jagged", 0, 0.5, 0.2, 0.4, 3.0),
+        run_of("smooth", 1, 0.04, -0.004, 0.02, 1.5),
+    ]
+    table = joint_command._table({"some/pid.yaml": runs, "b.npz": runs[1:]}, ("smooth", "jagged"))
+    assert [(column.heading, column.kind) for column in table.columns] == [
+        ("controller", "name"), ("target", "name"), ("RMSE, rad or m", "number"),
+        ("latency, ms", "number"), ("adjusted RMSE", "number"), ("effort, V", "number"),
+    ]  # fmt: skip
+    assert table.rows == [
+        ("pid.yaml", "smooth", "0.0354", "3", "0.0158", "1.25"),
+        ("pid.yaml", "jagged", "0.5000", "200", "0.4000", "3.00"),
+        ("b.npz", "smooth", "0.0400", "-4", "0.0200", "1.50"),
+        ("b.npz", "jagged", "0.5000", "200", "0.4000", "3.00"),
+    ]
+    assert table.title == "means over runs; errors as root mean squares"
+    assert joint_command._plain("f", runs[2]) == {
+        "controller": "f", "kind": "smooth", "run": 1, "rmse": 0.04, "latency_s": -0.004,
+        "adjusted_rmse": 0.02, "effort_v": 1.5,
+    }  # fmt: skip

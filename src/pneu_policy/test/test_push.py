@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("gymnasium")
+gymnasium = pytest.importorskip("gymnasium")
 mujoco = pytest.importorskip("mujoco")
 
 from pneu_common.errors import InputError  # noqa: E402
@@ -112,6 +112,73 @@ def test_seeds_decide_episodes_and_plants():
     env = Pushing(PushSettings(**(PLAIN | {"drawn": drawn, "num_envs": 20})))
     masses = [float(m.body("object").mass[0]) for m in env.models]
     assert 0.075 <= min(masses) < 0.12 < 0.18 < max(masses) <= 0.3
+
+
+@pytest.mark.parametrize("kept", ["all", "off", "log", "near", "effort", "offset"])
+def test_the_reward_is_what_it_says(kept):
+    """By hand from where things are; each term alone, and all of them."""
+    weights = {"off": 3.0, "log": 0.7, "near": 0.9, "effort": 0.4, "offset": 1.25}
+    if kept != "all":
+        weights = {name: weights[name] if name == kept else 0.0 for name in weights}
+    env = Pushing(PushSettings(**(PLAIN | {"reward": weights | {"floor_m": 0.002}})))
+    env.reset(seed=1)
+    floored = set()
+    for _ in range(4):
+        action = np.random.default_rng(5).uniform(-1.5, 1.5, (3, 6))
+        _, reward, ended, done, info = env.step(action)
+        assert not ended.any() and not done.any()
+        for k in range(3):
+            error = math.dist(info["thing_m"][k], info["path_m"][k])
+            gaps = [math.dist(tip[:2], info["thing_m"][k]) for tip in env._tips[k]]
+            cut = [min(max(x, -1.0), 1.0) for x in action[k]]
+            expected = weights["offset"] - weights["off"] * error / 0.02
+            expected -= weights["log"] * math.log2(max(error / 0.002, 1.0))
+            expected -= weights["near"] * sum(gaps) / 3 / 0.05
+            expected -= weights["effort"] * sum(x * x for x in cut) / 6
+            assert reward[k] == pytest.approx(expected, rel=1e-9, abs=1e-12)
+            assert info["error"][k] == pytest.approx(error)
+            floored.add(error < 0.002)
+    assert floored == {True, False}
+    env.close()
+
+
+def test_an_episode_ends_at_its_horizon():
+    env = Pushing(PushSettings(**(PLAIN | {"horizon": 2})))
+    still = np.zeros((3, 6))
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(still)
+    env.reset(seed=1)
+    assert not env.step(still)[3].any()
+    assert env.step(still)[3].all()
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"the episodes are over; reset begins"):
+        env.step(still)
+    with pytest.raises(InputError, match=r"^seed: found a list, one seed decides all episodes"):
+        env.reset(seed=[1, 2, 3])
+
+
+def test_delays_and_places_are_drawn_within_their_ranges():
+    env = Pushing(PushSettings(**(PLAIN | {"num_envs": 40, "delay_s": (0.003, 0.009)})))
+    env.reset(seed=2)
+    assert set(env._late.tolist()) == {2, 3, 4}  # steps of 2 ms, the nearest
+    off = env._thing - np.array([data.body("object").xpos[:2] for data in env._plants])
+    assert np.allclose(off, 0.0)
+    home = env.hand.spec().compile().body("object").pos[:2]
+    begun = env._thing - home
+    assert 0.0025 < np.abs(begun).max() <= 0.003 and np.abs(begun).min() < 0.001
+    assert np.abs(begun.mean(axis=0)).max() < 0.001
+    late = Pushing(PushSettings(**(PLAIN | {"delay_s": (0.1, 0.2)})))
+    late.reset(seed=2)
+    assert set(late._late.tolist()) == {late._steps}, "no later than the next period"
+
+
+@pytest.mark.parametrize(("share", "fits"), [(1.0 + 1e-7, True), (1.0 - 1e-7, True), (1.01, False)])
+def test_a_period_is_a_whole_number_of_steps(share, fits):
+    given = PLAIN | {"physics_step_s": RECIPE.period_s / 10.0 * share, "num_envs": 1}
+    if fits:
+        assert Pushing(PushSettings(**given))._steps == 10
+        return
+    with pytest.raises(InputError, match=r"the control period of 0\.02 s must be a whole multiple"):
+        Pushing(PushSettings(**given))
 
 
 def test_what_motors_close_is_in_the_plants():

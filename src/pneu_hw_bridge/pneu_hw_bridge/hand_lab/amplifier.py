@@ -12,8 +12,8 @@ WATCHDOG_S = 0.005
 """Without a word for so long the motors get no torque."""
 
 FAULTS = ("none", "gone", "frozen", "jump", "amplifier")
-"""What an amplifier can be made to do: hang up and take no calls, tell nothing more, tell counts that
-jump by a quarter of a thousand, tell that it is faulty."""
+"""What an amplifier can be made to do: hang up and take no calls, send no more frames, send counts
+that jump by a quarter of a thousand, report that it is faulty."""
 
 
 class Amplifier:
