@@ -111,9 +111,9 @@ def test_lines_are_few(monkeypatch, capfd):
     assert (progress.FIRST_AFTER_S, progress.EVERY_S, progress.SETTLED) == (2.0, 10.0, 0.02)
     monkeypatch.setattr(progress, "FIRST_AFTER_S", 0.01)
     monkeypatch.setattr(progress, "EVERY_S", 1000.0)
-    said = ""
+    said, end_s = "", time.monotonic() + 20.0
     with progress.progress("reading"):
-        while not said:
+        while not said and time.monotonic() < end_s:
             time.sleep(0.01)
             said = capfd.readouterr().err
         time.sleep(0.05)
