@@ -508,7 +508,9 @@ def _move_loose(b, j, dt, bodies, cylinders):
         if most > 0.0:
             soft, bent = par[k, L.PY_SOFT, j], state[k, L.SY_BENT, j]
             damping = par[k, L.PY_SOFT_DAMPING, j]
-            new += give * hold(new, give, most, bent, dt, soft, damping)
+            impulse = hold(new, give, most, bent, dt, soft, damping)
+            new += give * impulse
+            heat -= impulse * 0.5 * (now + new)
             if soft > 0.0:
                 state[k, L.SY_BENT, j], _ = _bend(new, bent, most, dt, 1.0 / soft)
         at = state[k, L.SY_EXTENSION, j] + 0.5 * dt * (now + new)
