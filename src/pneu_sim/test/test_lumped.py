@@ -12,8 +12,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import quad
 from tests.references import iso6358
+from tests.uncompiled import plain
 
 from pneu_common.errors import InputError
+from pneu_sim.lumped import filling
 from pneu_sim.lumped.batch import predict
 from pneu_sim.lumped.kinds import Lumped
 from pneu_sim.lumped.model import LumpedModel
@@ -376,3 +378,82 @@ def test_rig_a_fills_to_the_supply_and_empties_to_the_room() -> None:
         assert taps["end"][0] == 101000.0
         assert taps["end"][999] == pytest.approx(635000.0, rel=1e-3)
         assert taps["end"][-1] == pytest.approx(101000.0, rel=1e-3)
+
+
+# ---- rates, as plain Python ----------------------------------------------------------------
+
+
+def volumes(side: list[int], volume: Any, delays: Any, tap: list[int]) -> filling.Volumes:
+    """Volumes of one rig with ports that are shut, in a room of 1e5 Pa and 290 K."""
+    ports = len(side) // 2
+    return filling.Volumes(
+        GAMMA, R, np.float64(1.3), np.array(side, dtype=np.int64), np.zeros(ports),
+        np.full(ports, 0.999), np.array([[6e5, 300.0]]), np.array(volume),
+        np.array(tap, dtype=np.int64), np.zeros(0, dtype=np.int64), np.array(delays),
+        np.zeros((2 * ports, 2 * ports)), np.zeros((2 * ports, 2)), np.array([1e5, 290.0]),
+        np.zeros((0, 2), dtype=np.int64), np.zeros((0, 9)),
+    )  # fmt: skip
+
+
+def shares_of(base: list[float], now: Any, past: Any, head: int, ports: int) -> filling.Shares:
+    return filling.Shares(
+        np.array(base), np.array(now), past, np.array([head]), np.zeros(ports), np.zeros((0, 3))
+    )
+
+
+@pytest.mark.parametrize("porous", [0.0, 3e-15])
+@pytest.mark.parametrize("pressure", [4e5, 0.8e5])
+@pytest.mark.parametrize("pull", [0.0, 12.0])
+def test_gas_that_is_drawn_enters_by_the_gas_law(
+    pull: float, pressure: float, porous: float
+) -> None:
+    """Of three volumes with yielding walls the second has two of four taps, one without a goal."""
+    size, yields, rest = 2e-5, 3e-11, 1.5e5
+    rows = [[9e-5, 0.0, 0.0, 0.0, 0.0], [size, yields, rest, 0.0, porous], [7e-5] + [0.0] * 4]
+    rig = volumes([], rows, np.zeros((5, 0)), [0, 1, 1, 2, 1])
+    mass = 8e-5
+    held = pressure * (size + yields * (pressure - rest))
+    temperature = held / (mass * R)
+    base = [2e5, pressure - 5e3, 3e5]
+    now = [0.0, 5e3, 0.0, 1e-4, mass, 2e-4]  # common shares, then masses
+    scratch = filling.Scratch(
+        np.zeros(6), np.zeros(6), np.full(6, np.nan), np.zeros(0), np.zeros(0),
+        np.array([2.5e5, pressure + 3e3, np.nan, 3e5, pressure - 1e4]),
+    )  # fmt: skip
+    shares = shares_of(base, now, np.zeros((3, 0)), 0, 0)
+    plain(filling._rates)(rig, shares, scratch, 340.0, pull, 0.0, 1e-3)
+    drawn = pull * (3e3 - 1e4) / 2.0
+
+    def mass_at(p: float) -> float:
+        return p * (size + yields * (p - rest)) / (R * temperature)
+
+    leak = porous * (pressure**2 - 1e5**2)
+    carried = temperature if leak > 0.0 else 290.0
+    room = size + yields * (pressure - rest)
+    # n p dV + V dp = n R T dm (the polytropic law with a yielding wall)
+    lost = 1.3 * R * carried * leak / (room + 1.3 * pressure * yields)
+    assert scratch.rate[1] == pytest.approx(drawn - lost, rel=1e-12)
+    entered = (mass_at(pressure + 1.0) - mass_at(pressure - 1.0)) / 2.0 * drawn
+    assert scratch.rate[4] == pytest.approx(entered - leak, rel=1e-9)
+    # the others: one draws for its own tap, one has nothing to be drawn to
+    assert scratch.rate[[0, 2]] == pytest.approx([pull * 5e4, 0.0])
+    kept = [9e-5 * 1e-4 / (2e5 * 9e-5) * pull * 5e4, 0.0]  # m V / (p V) dp
+    assert scratch.rate[[3, 5]] == pytest.approx(kept, rel=1e-12)
+
+
+@pytest.mark.parametrize("ahead", [0.0, 4e-4, 1e-3])
+@pytest.mark.parametrize("delay", [0.0, 2e-4, 4e-4, 7e-4, 1e-3, 1.2e-3, 2e-3, 2.9e-3])
+def test_a_share_is_felt_after_its_delay(delay: float, ahead: float) -> None:
+    """Shares grow evenly; the second of the five rows of the ring, 1 ms apart, is the newest."""
+    h, grow, at = 1e-3, np.array([3e6, -2e6, 5e6, 7e6]), np.array([4e3, 1e3, -2e3, 9e3])
+    rig = volumes([1, 0, 1, -1], [[1e-5] + [0.0] * 4] * 2, np.zeros((0, 4)), [])
+    ring = np.empty((5, 4))
+    for back in range(5):
+        ring[(1 - back) % 5] = at - back * h * grow
+    now = [*(at + ahead * grow), 50.0, 70.0, 1e-4, 2e-4]
+    shares = shares_of([1e5, 2e5], now, ring, 1, 2)
+    before = np.array([*at, 20.0, 30.0, 1e-4, 2e-4])
+    delays = np.array([delay, 9.0, 0.3 * delay, 9.0])
+    felt = plain(filling._felt)(1, delays, rig, shares, before, ahead, h)
+    came = [at[k] + (ahead - delays[k]) * grow[k] for k in (0, 2)]
+    assert felt == pytest.approx(2e5 + 70.0 + sum(came), rel=1e-12)
