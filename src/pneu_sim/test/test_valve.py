@@ -320,6 +320,39 @@ def test_a_run_in_pieces_is_one_run(spool: dict[str, Any], period_s: float) -> N
     assert np.array_equal(found[0], whole)
 
 
+@pytest.mark.parametrize("first", [0, 3])
+def test_spools_begin_where_the_command_has_them_unless_they_are_said_to_be_closed(
+    first: int,
+) -> None:
+    """From closed, one limited in speed goes evenly from the null voltage to what is commanded."""
+    model, begin_s = valve(max_speed_v_s=400.0), 2.0 + 0.01 * first
+    signals = {"volts": Signal(np.array([0.0, begin_s]), np.array([3.0, 8.0]))}
+
+    def along_two(memory: Floats, **more: bool) -> Floats:
+        found = openings_along(model, signals, 2.0, first, (2, 4), 0.01, memory, **more)
+        assert found.shape == (2, 5, 1)
+        return found[:, :, 0]
+
+    def rising(start_v: float) -> Floats:
+        """Means about the knots, each interval by itself, of a ramp that ends at 8 V."""
+        top_s = (8.0 - start_v) / 400.0
+        knots_s = np.array([0.0, 2.5e-3, 5e-3, 7.5e-3, 1e-2])
+        low, high = (np.clip(knots_s + way, 0.0, 1e-2) for way in (-1.25e-3, 1.25e-3))
+        area = 200.0 * (np.minimum(high, top_s) ** 2 - np.minimum(low, top_s) ** 2)
+        area += 400.0 * top_s * (np.maximum(high, top_s) - np.maximum(low, top_s))
+        return np.array([(start_v + area / (high - low)) / 10.0, np.full(5, 0.8)])
+
+    rest = np.full((1, 4), np.nan)
+    assert along_two(rest) == pytest.approx(np.full((2, 5), 0.8), rel=1e-12)
+    assert rest[0, 1] == pytest.approx(8.0)
+    found = along_two(np.full((1, 4), np.nan), at_null=True)
+    assert found == pytest.approx(rising(NULL_V), rel=1e-9)
+    # what has moved goes on from where it stands, whatever is said of spools at rest
+    for closed in (False, True):
+        found = along_two(np.array([[6.0, 6.0, 0.0, 0.0]]), at_null=closed)
+        assert found == pytest.approx(rising(6.0), rel=1e-9)
+
+
 @pytest.mark.parametrize("delay_s", [0.0, 0.0013, 0.0078])
 def test_both_ends_of_a_period_are_its_own(delay_s: float) -> None:
     """What is commanded next shows in no period before it acts, and at once where it does."""
