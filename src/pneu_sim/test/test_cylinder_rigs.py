@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
@@ -21,6 +22,7 @@ from pneu_common.cli import COMMANDS_GROUP, build_app
 from pneu_common.errors import InputError
 from pneu_graph.bag.reader import BagReader
 from pneu_sim.init import TEMPLATES
+from pneu_sim.rig.cylinder import Cylinder
 from pneu_sim.rig.load import load_rig
 from pneu_sim.rig.schema import HORIZON_MOVING_S, HORIZON_S, Calibration, Rig
 from pneu_sim.run import run_from_rest, run_rig
@@ -188,6 +190,54 @@ def test_what_cannot_be_is_refused_in_one_line_with_file_and_field(
 ) -> None:
     line = refusal(run("check", written(rig)))
     assert line.startswith("pneu: rig.yaml: ") and said in line
+
+
+TURNING = {"rotary": {"displacement_m3_rad": 5e-6, "stroke_rad": 1.5}, "head": SEALED}
+PLAIN = {"bore_m": 0.02, "stroke_m": 0.05, "head": SEALED}
+THROTTLED = {"node": "h", "dead_volume_m3": 1e-6, "port_conductance_m3_s_pa": 1e-9}
+UNPORTED = {"node": "h", "dead_volume_m3": 1e-6, "cushion": {"length_m": 0.02}}
+ALLOWED: list[dict[str, Any]] = [
+    TURNING,
+    {**TURNING, "rod_m": 0.0, "heat_w_m2_k": 0.0, "gas": "chamber", "start_m": 1.5},
+    {**TURNING, "head": {**THROTTLED, "cushion": {"length_m": 1.5}}},
+    PLAIN,
+    {**PLAIN, "rod": UNPORTED},
+    {**PLAIN, "rod_m": 0.0199, "start_m": 0.05, "heat_w_m2_k": 3.0, "gas": "cells"},
+    {"bore_m": 0.02, "stroke_m": 0.05, "rod": {**THROTTLED, "cushion": {"length_m": 0.05}}},
+    {**PLAIN, "gas": "cells", "rod": {**THROTTLED, "cushion": {"length_m": 0.02}}},
+]
+BOTH = "give either rotary or bore_m, rod_m and stroke_m, not both"
+UNSOUND: list[tuple[dict[str, Any], str]] = [
+    ({**TURNING, "bore_m": 0.02}, BOTH),
+    ({**TURNING, "rod_m": 0.01}, BOTH),
+    ({**TURNING, "stroke_m": 0.05}, BOTH),
+    ({**TURNING, "heat_w_m2_k": 0.5}, "heat_w_m2_k: the wall of a rotary one is not known"),
+    ({**TURNING, "gas": "cells"}, "gas: found cells, the gas of a rotary one is a chamber"),
+    ({**TURNING, "start_m": 1.6}, "start_m: found 1.6, beyond its stroke of 1.5"),
+    ({"bore_m": 0.02, "head": SEALED}, "bore_m and stroke_m are needed"),
+    ({"stroke_m": 0.05, "head": SEALED}, "bore_m and stroke_m are needed"),
+    ({**PLAIN, "rod_m": 0.02}, "rod_m: found 0.02, it must be smaller than bore_m 0.02"),
+    ({"bore_m": 0.02, "stroke_m": 0.05}, "head or rod is needed"),
+    ({**TURNING, "head": {**THROTTLED, "cushion": {"length_m": 1.6}}},
+     "head.cushion.length_m: found 1.6, beyond the stroke of 1.5"),
+    ({**PLAIN, "rod": {**THROTTLED, "cushion": {"length_m": 0.06}}},
+     "rod.cushion.length_m: found 0.06, beyond the stroke of 0.05"),
+    ({**PLAIN, "gas": "cells", "rod": UNPORTED},
+     "rod.cushion: needs rod.port_conductance_m3_s_pa where gas is cells"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("document", ALLOWED)
+def test_what_a_cylinder_may_be_up_to_its_limits(document: dict[str, Any]) -> None:
+    assert Cylinder.model_validate(document).stroke == (1.5 if "rotary" in document else 0.05)
+
+
+@pytest.mark.parametrize(("document", "said"), UNSOUND)
+def test_numbers_of_a_cylinder_that_exclude_each_other(document: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValidationError) as refused:
+        Cylinder.model_validate(document)
+    [error] = refused.value.errors()
+    assert error["msg"].startswith(f"Value error, {said}")
 
 
 def test_a_sealed_side_may_have_a_node_for_its_tap(run: Run) -> None:
