@@ -196,14 +196,19 @@ class Recorded:
         """Return the tests that reach a fault: those of its own package first, then by duration.
 
         Args:
-            fault: The fault. Where only imports reach its lines, all tests that run any line of
-                its file count.
+            fault: The fault. Where only imports reach its lines, all tests count that run any line
+                of its file, and those of files that name its module.
             longest_s: No more tests are chosen than took so long, when they were recorded, s.
         """
         reached = self._data.contexts_by_lineno(str(self._root / fault.path))
         names = self._known(reached, range(fault.first, fault.last + 1))
         if not names:
             names = self._known(reached, reached)
+            module = fault.path.split("/", 2)[2].removesuffix(".py").replace("/", ".")
+            for file, tests in self._of_file.items():
+                path = self._root / file
+                if path.is_file() and module in path.read_text(encoding="utf-8"):
+                    names.update(tests)
         package = fault.path.split("/")[1]
 
         def turn(name: str) -> tuple[bool, float]:
