@@ -5,6 +5,7 @@ The same on a graph, with processes for all: tests/test_live_experiments.py.
 """
 
 import itertools
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,11 @@ import pytest
 from tests.one_tap import one_tap
 
 from pneu_common.errors import InputError
+from pneu_sim.effects.registry import BUILT_IN
 from pneu_sim.rig import save_rig
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.run import add_noise, run_from_rest
+from pneu_sysid.design import design as designing
 from pneu_sysid.design import loop
 from pneu_sysid.design.limits import limits_of
 from pneu_sysid.design.live import LiveRig, play
@@ -23,6 +26,7 @@ from pneu_sysid.design.plan import Bounds, Expected, Plan
 from pneu_sysid.design.plan_file import load_plan
 from pneu_sysid.design.played import UntimelyError
 from pneu_sysid.design.waves import STEP_S
+from pneu_sysid.diagnose import diagnose_apart
 from pneu_sysid.records import Recording, even_recording
 from pneu_sysid.records.write import write_bag
 
@@ -64,6 +68,18 @@ class Plant:
             raise UntimelyError("late")
         write_bag(bag, self._rig, self.recording(plan.volts(STEP_S), plan_file.stem))
         self.played.append(plan.kind)
+
+
+FEW = {"leak", "spool_leakage", "null_offset", "valve_delay", "clock_offset"}
+"""Effects that are tried: those that are hidden, and what looks most like them."""
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch):
+    """Few effects to try, and one other rig to judge a plan by: the loop is the same."""
+    without = {effect.name for effect in BUILT_IN} - FEW
+    monkeypatch.setattr(loop, "diagnose_apart", partial(diagnose_apart, without=without))
+    monkeypatch.setattr(designing, "PROMISED", 1)
 
 
 def outcome(tmp_path: Path, hidden: AttachedEffect, **more):
