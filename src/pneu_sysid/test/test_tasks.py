@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.coarse import coarsened
+from tests.short_bags import shorten
 
 from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
@@ -22,6 +24,8 @@ from pneu_sysid.tasks.signals import SIGNALS, load_signals
 ROOT = Path(__file__).parents[3]
 BAG = str(ROOT / "data/bags/a_healthy_2")
 RIG = str(ROOT / "rigs/rig_a_fitted.yaml")
+SECONDS = 7.0
+"""How much of the recording is used where regimes do not matter, s."""
 
 
 class Follower:
@@ -40,11 +44,20 @@ class Follower:
         return TaskProcess(request, self.tell, self.outcomes.append)
 
 
+@pytest.fixture(scope="module")
+def cheap(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The beginning of the recording, and the rig on coarse cells."""
+    folder = tmp_path_factory.mktemp("cheap")
+    bag, rig = folder / "a_healthy_2.mcap", folder / "rig_a_fitted.yaml"
+    shorten(Path(BAG) / "a_healthy_2.mcap", bag, SECONDS)
+    return {"bag": str(bag), "rig": str(coarsened(Path(RIG), rig, dx_m=0.125, memory=False))}
+
+
 def request(tmp_path: Path, task: str, output: str) -> Request:
     return Request(task, BAG, RIG, str(tmp_path / output), str(tmp_path / ".aside.part"), 2)
 
 
-def test_what_was_measured_is_told_before_the_model_has_run(tmp_path):
+def test_what_was_measured_is_told_before_the_model_has_run(tmp_path, cheap):
     """And afterwards which readings belong to which regime: each to one of pressures."""
     early = []
 
@@ -52,7 +65,7 @@ def test_what_was_measured_is_told_before_the_model_has_run(tmp_path):
         for trace in load_signals(folder / SIGNALS).sensors.values():
             early.append((np.isfinite(trace.measured).all(), np.isnan(trace.model).all()))
 
-    asked = request(tmp_path, "look", "looked")
+    asked = replace(request(tmp_path, "look", "looked"), rig=cheap["rig"])
     outcome = perform.perform(asked, lambda stage, done: None, early=measured)
     assert outcome.success
     signals = load_signals(tmp_path / "looked" / SIGNALS)
@@ -70,26 +83,27 @@ def test_what_was_measured_is_told_before_the_model_has_run(tmp_path):
                 assert low - 600.0 <= np.median(trace.measured[mask]) <= high + 600.0
 
 
-def test_what_is_kept_aside_by_hand_is_judged_by(tmp_path):
-    asked = replace(request(tmp_path, "look", "looked"), kept_aside=((1.0, 2.0), (5.0, 6.0)))
+def test_what_is_kept_aside_by_hand_is_judged_by(tmp_path, cheap):
+    look = replace(request(tmp_path, "look", "looked"), **cheap)
+    asked = replace(look, kept_aside=((1.0, 2.0), (5.0, 6.0)))
     perform.perform(asked, lambda stage, done: None)
     segments = load_signals(tmp_path / "looked" / SIGNALS).about.segments
     assert {held for _, _, held in segments} == {True, False}
     for begin, end, held in segments:
         middle = 0.5 * (begin + end)
         assert held == (1.0 <= middle <= 2.0 or 5.0 <= middle <= 6.0)
-    none = replace(request(tmp_path, "look", "none"), kept_aside=((-5.0, -4.0),))
+    none = replace(look, output=str(tmp_path / "none"), kept_aside=((-5.0, -4.0),))
     with pytest.raises(InputError, match=r"kept aside: found -5 to -4 s, which is none of the"):
         perform.perform(none, lambda stage, done: None)
-    every = replace(request(tmp_path, "look", "every"), kept_aside=((-5.0, 1e6),))
+    every = replace(look, output=str(tmp_path / "every"), kept_aside=((-5.0, 1e6),))
     with pytest.raises(InputError, match=r"which is all of the"):
         perform.perform(every, lambda stage, done: None)
     assert not (tmp_path / ".aside.part").exists()
 
 
-def test_compare_writes_report_and_result_and_tells_how_far_it_is(tmp_path):
+def test_compare_writes_report_and_result_and_tells_how_far_it_is(tmp_path, cheap):
     follower = Follower()
-    process = follower.start(request(tmp_path, "compare", "report.html"))
+    process = follower.start(replace(request(tmp_path, "compare", "report.html"), **cheap))
     process.wait()
     (outcome,) = follower.outcomes
     assert outcome == Outcome(True, result_file=str(tmp_path / "report.json"))
