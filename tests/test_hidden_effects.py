@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parent.parent
 BAGS = ROOT / "data" / "bags"
 SECONDS = 3.0
 """Length of recordings made here."""
-PART_S = 5.0
+PART_S = 3.0
 """How much of a bag is used: the steps at its beginning and some tracking; docs/bags.md has all."""
 
 

@@ -362,10 +362,12 @@ def test_a_policy_that_sees_gas_runs_by_what_an_observer_tells(tmp_path):
     text = f"pneu_controller: 1\nkind: virtual\ncontroller: {policy}\ntaps: [end]\n"
     (tmp_path / "v.yaml").write_text(f"{text}rig: {rig_file}\n", encoding="utf-8")
     rig = load_rig(rig_file)
-    tasks = Tasks(seeds=(101,), duration_s=4.0)
+    tasks = Tasks(seeds=(101,), duration_s=2.0)
     target, conditions = tasks.target("jagged", 101), Conditions(dx_m=0.125)
     observed, true = (
-        tasks.judge(simulated_tracks(file, rig, [target], [1], 4.0, conditions)[0]).rmse_atm
+        tasks.judge(
+            simulated_tracks(file, rig, [target], [1], tasks.duration_s, conditions)[0]
+        ).rmse_atm
         for file in (tmp_path / "v.yaml", policy)
     )
     assert observed < 1.2 * true < 0.05

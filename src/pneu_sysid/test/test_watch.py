@@ -15,6 +15,7 @@ from pneu_sysid.watch import Verdict, Watch, Window
 RATE_HZ = 250.0
 NOISE_PA = 250.0
 RIG = load_rig(Path(__file__).parents[3] / "rigs/lab.yaml")
+RIG.grid.dx_m = 0.1  # cheap: plant and model have the same cells
 
 
 def run(
