@@ -192,12 +192,13 @@ def sensitivity(case: str, order: int, flux: str, steps: int) -> float:
 
 
 def main() -> None:
-    """Runs cases: ``device steps case/order/flux ...``."""
+    """Runs cases: ``device steps case/order/flux[/another device] ...``."""
     device, steps, *cases = sys.argv[1:]
     found = {}
     for words in cases:
-        case, order, flux = words.split("/")
-        found[words] = difference(case, int(order), flux, int(steps), Device(device))
+        case, order, flux, *other = words.split("/")
+        on = Device(other[0] if other else device)
+        found[words] = difference(case, int(order), flux, int(steps), on)
     if launch._kernel.cache_info().currsize == 0:
         sys.exit("nothing was computed on the device")
     print(json.dumps(found))
