@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Copies of the repository: record what each test reaches, put a fault in, run the tests for it."""
 
+import ast
 import dataclasses
 import json
 import os
@@ -196,14 +197,14 @@ class Recorded:
         """Return the tests that reach a fault: those of its own package first, then by duration.
 
         Args:
-            fault: The fault. Where only imports reach its lines, all tests count that run any line
-                of its file, and those of files that name its module.
+            fault: The fault. Lines that an import runs are recorded for whoever imports first; for
+                those all tests count that run any line of the file, and of files that name it.
             longest_s: No more tests are chosen than took so long, when they were recorded, s.
         """
         reached = self._data.contexts_by_lineno(str(self._root / fault.path))
         names = self._known(reached, range(fault.first, fault.last + 1))
-        if not names:
-            names = self._known(reached, reached)
+        if not _in_function((self._root / fault.path).read_text(encoding="utf-8"), fault.first):
+            names |= self._known(reached, reached)
             module = fault.path.split("/", 2)[2].removesuffix(".py").replace("/", ".")
             for file, tests in self._of_file.items():
                 path = self._root / file
@@ -246,6 +247,15 @@ class Recorded:
                 shared = name != context and self.durations[name][1]
                 found.update(self._of_file[name.partition("::")[0]] if shared else {name})
         return found
+
+
+def _in_function(source: str, line: int) -> bool:
+    """Return whether a line is in the body of a function, and not only run by an import."""
+    functions = (ast.FunctionDef, ast.AsyncFunctionDef)
+    return any(
+        isinstance(node, functions) and node.body[0].lineno <= line <= (node.end_lineno or 0)
+        for node in ast.walk(ast.parse(source))
+    )
 
 
 def attempt(copy: Copy, fault: Fault, tests: list[str], recorded: Recorded) -> Outcome:
