@@ -60,7 +60,7 @@ def build(venv):
             " install one (Debian and Ubuntu: apt install g++) or name it in the variable CXX"
         )
     pip, log = prepare(venv, *(["--system-site-packages"] if sourced else []))
-    tools = [one for one in extra_requirements("dev") if one.startswith("pytest")]
+    tools = [one for one in extra_requirements("dev") if one.startswith(("pytest", "hypothesis"))]
     tools += extra_requirements("robots")
     install_all(pip, f"pneu into {venv}", ["--editable", str(REPOSITORY), *tools], log)
     if sourced:
