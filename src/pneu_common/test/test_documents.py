@@ -78,7 +78,7 @@ def test_yaml_and_json_as_plain_values(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "expected"),
     [
         ("a: 1\nb: [1", "is not YAML, line 2: "),
         ("a: 1\na: 2", "is not YAML, line 2: found duplicate key"),
@@ -93,11 +93,11 @@ def test_yaml_and_json_as_plain_values(tmp_path: Path) -> None:
     ],
     ids=range(10),
 )
-def test_text_that_is_not_yaml(tmp_path: Path, text: str, told: str) -> None:
+def test_text_that_is_not_yaml(tmp_path: Path, text: str, expected: str) -> None:
     (tmp_path / "a.yaml").write_text(text)
     said = refusal(read_yaml, tmp_path / "a.yaml", "rig file")
-    assert said.startswith(f"{tmp_path / 'a.yaml'}: {told}")
-    assert refusal(parse_yaml, text, "the page", "rig file").startswith(f"the page: {told}")
+    assert said.startswith(f"{tmp_path / 'a.yaml'}: {expected}")
+    assert refusal(parse_yaml, text, "the page", "rig file").startswith(f"the page: {expected}")
 
 
 def test_a_tag_of_a_mapping_at_a_number() -> None:
@@ -107,7 +107,7 @@ def test_a_tag_of_a_mapping_at_a_number() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "expected"),
     [
         ('{"a": 1,\n"b": }', "is not JSON, line 2: Expecting value"),
         ("[" * 100_000, "is nested too deeply for a result"),
@@ -117,9 +117,9 @@ def test_a_tag_of_a_mapping_at_a_number() -> None:
     ],
     ids=range(4),
 )  # fmt: skip
-def test_text_that_is_not_json(tmp_path: Path, text: str, told: str) -> None:
+def test_text_that_is_not_json(tmp_path: Path, text: str, expected: str) -> None:
     (tmp_path / "a.json").write_text(text)
-    assert refusal(read_json, tmp_path / "a.json", "result") == f"{tmp_path / 'a.json'}: {told}"
+    assert refusal(read_json, tmp_path / "a.json", "result") == f"{tmp_path / 'a.json'}: {expected}"
 
 
 def test_an_anchor_that_is_set_anew_is_allowed():
@@ -133,7 +133,7 @@ LARGEST = 10**308
 
 
 @pytest.mark.parametrize(
-    ("data", "told"),
+    ("data", "expected"),
     [
         ([0, LARGEST + 1], "1: found a whole number of 309 digits, allowed are numbers up to"
                            " 1e308"),
@@ -148,8 +148,8 @@ LARGEST = 10**308
     ],
     ids=range(8),
 )  # fmt: skip
-def test_values_that_nobody_can_compute_with(data: Any, told: str) -> None:
-    assert refusal(check_values, data, "a.yaml") == f"a.yaml: {told}"
+def test_values_that_nobody_can_compute_with(data: Any, expected: str) -> None:
+    assert refusal(check_values, data, "a.yaml") == f"a.yaml: {expected}"
 
 
 @pytest.mark.parametrize(
@@ -195,19 +195,21 @@ def test_as_many_values_as_are_read(text: str, where: str, monkeypatch: pytest.M
     monkeypatch.setattr(documents, "MOST_VALUES", 12)
     parse_yaml(text.format(""), "a.yaml", "file")
     more = ", 0" if "[{}" not in text else "0"
-    told = "stands for more than 12 values, which is the most that are read"
-    assert refusal(parse_yaml, text.format(more), "a.yaml", "file") == f"a.yaml: {where}: {told}"
+    expected = "stands for more than 12 values, which is the most that are read"
+    assert (
+        refusal(parse_yaml, text.format(more), "a.yaml", "file") == f"a.yaml: {where}: {expected}"
+    )
 
 
 def test_aliases_that_stand_for_too_much_or_for_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(documents, "MOST_VALUES", 12)
-    told = "stands for more than 12 values, which is the most that are read"
+    expected = "stands for more than 12 values, which is the most that are read"
     text = "a: &x [1, 2, 3]\nb: [0, {c: [*x, *x, *x]}]"
-    assert refusal(parse_yaml, text, "a.yaml", "file") == f"a.yaml: b.1.c: {told}"
-    told = "an alias stands for a part that contains it"
+    assert refusal(parse_yaml, text, "a.yaml", "file") == f"a.yaml: b.1.c: {expected}"
+    expected = "an alias stands for a part that contains it"
     for text, where in (
         ("&m [1, *m]", "1"),
         ("a: 1\nb: &m {c: [0, 0, *m]}", "b.c.2"),
         ("- 0\n- &m [[*m]]", "1.0.0"),
     ):
-        assert refusal(parse_yaml, text, "a.yaml", "file") == f"a.yaml: {where}: {told}"
+        assert refusal(parse_yaml, text, "a.yaml", "file") == f"a.yaml: {where}: {expected}"

@@ -172,9 +172,9 @@ def test_whoever_does_not_read_does_not_hold_it_up(amplifier: Amplifier, loop: L
     for number in range(20_000):
         amplifier.tell(COUNTS, number)
     assert amplifier.take(1.001) == TORQUE, "it has not hung up"
-    told = loop.frames()
-    assert 10 < len(told) < 20_000
-    assert [frame[0] for frame in told] == list(range(len(told)))
+    frames = loop.frames()
+    assert 10 < len(frames) < 20_000
+    assert [frame[0] for frame in frames] == list(range(len(frames)))
 
 
 def test_whoever_is_gone_is_hung_up_on(amplifier: Amplifier, loop: Loop) -> None:
@@ -242,8 +242,8 @@ def test_a_plant_that_has_not_moved_has_not_stood_still(hand: Hand, tmp_path: Pa
         assert plant.amplifiers["phantom"].path == tmp_path / "phantom.sock"
         box = plant.boxes["phantom"]
         assert box.port > 1023 and box.web_port > 1023
-        told = read_calibration("127.0.0.1", box.web_port)
-        assert told.counts_per_n == hand.settings.arms["phantom"].wrench.counts_per_n  # type: ignore[union-attr]
+        found = read_calibration("127.0.0.1", box.web_port)
+        assert found.counts_per_n == hand.settings.arms["phantom"].wrench.counts_per_n  # type: ignore[union-attr]
         ports = {"phantom": (box.port, box.web_port)}
         with pytest.raises(InputError, match=f"{box.port} or {box.web_port}: an emulated force"):
             HandPlant(World(hand, Truth(), 0), tmp_path / "other", ports)

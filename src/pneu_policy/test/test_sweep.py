@@ -39,12 +39,12 @@ def trained(run, **changes):
 
 
 def test_a_policy_that_was_trained_so_is_made(run):
-    told = trained(run)
-    assert run.made(told)
-    assert run.made({"settings": told["settings"], "hand": told["rig"]})
-    assert run.made({**told, "hand": {"sha256": "0"}}), "of a rig it is the rig's"
-    told["settings"].pop("keep_every")  # came to the settings since
-    assert run.made(told)
+    record = trained(run)
+    assert run.made(record)
+    assert run.made({"settings": record["settings"], "hand": record["rig"]})
+    assert run.made({**record, "hand": {"sha256": "0"}}), "of a rig it is the rig's"
+    record["settings"].pop("keep_every")  # came to the settings since
+    assert run.made(record)
 
 
 @pytest.mark.parametrize(
@@ -66,9 +66,9 @@ def test_any_other_policy_is_not(run, change):
 
 
 def test_a_policy_that_says_nothing_of_its_settings_is_not(run):
-    told = trained(run)
-    del told["settings"]
-    assert not run.made(told) and not run.made({})
+    record = trained(run)
+    del record["settings"]
+    assert not run.made(record) and not run.made({})
 
 
 def finished(run, rows=(), policy=True, done=True, **changes):

@@ -182,14 +182,14 @@ def test_a_noisy_pressure_that_stands_still_is_stuck(
 
 
 @pytest.mark.parametrize(
-    ("level", "told"),
+    ("level", "expected"),
     [(1e3, True), (1001.0, False), (9.99e7, False), (1e8, True), (3.0, True), (-2e5, True)],
 )
-def test_levels_that_no_absolute_pressure_has(level: float, told: bool) -> None:
+def test_levels_that_no_absolute_pressure_has(level: float, expected: bool) -> None:
     values = level * np.array([0.5, 1.0, 1.0, 1.5, 1.0])
     found = found_in(stream_of(PERIOD_NS * np.arange(5), values))
-    assert ("suspicious_unit" in found) is told
-    if told:
+    assert ("suspicious_unit" in found) is expected
+    if expected:
         assert found["suspicious_unit"].count == 5
         assert f"the median is {level:.6g} Pa" in found["suspicious_unit"].action
     for role in ("command", "encoder", "position"):
