@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Init, shutdown, contexts and what they do to those who wait."""
 
+import signal
 import threading
 import time
 
@@ -20,6 +21,14 @@ def test_the_default_context_can_be_used_again_after_a_shutdown():
         assert rclpy.ok()
         rclpy.shutdown()
     assert not rclpy.ok()
+
+
+def test_a_shutdown_puts_back_what_signals_did():
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.getsignal(number) for number in numbers]
+    rclpy.init(args=[])
+    rclpy.shutdown()
+    assert [signal.getsignal(number) for number in numbers] == before
 
 
 def test_init_twice_and_shutdown_twice_are_refused():

@@ -52,6 +52,15 @@ def test_spin_once_keeps_its_timeout(executor, node):
     assert time.monotonic() - started_s < 0.5
 
 
+def test_spin_once_takes_an_executor_by_name_alone(executor, node):
+    done = []
+    node.create_timer(0.01, lambda: done.append("ticked"))
+    rclpy.spin_once(node=node, executor=executor, timeout_sec=10.0)
+    assert done == ["ticked"]
+    with pytest.raises(TypeError):
+        rclpy.spin_once(node, executor)
+
+
 def test_waiting_for_a_future_keeps_its_timeout(executor, node):
     executor.add_node(node)
     started_s = time.monotonic()

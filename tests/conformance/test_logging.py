@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Logging: levels, children, filters, the console and /rosout."""
 
+import gc
 import inspect
 import os
 import re
@@ -201,6 +202,23 @@ def test_messages_go_to_rosout(ros):
     assert logs["and here"].name == "rig.logging.part"
     assert logs["and here"].level == int(LoggingSeverity.ERROR)
     assert "not here" not in logs
+
+
+def test_a_child_that_is_gone_leaves_nothing_on_rosout(ros):
+    logger = ros.node("forgetting", namespace="/rig").get_logger()
+    received = []
+    ros.node("listening").create_subscription(Log, "/rosout", received.append, LATCHED)
+    kept, gone = logger.get_child("kept"), logger.get_child("gone")
+    kept.info("first of one")
+    gone.info("first of the other")
+    del gone
+    gc.collect()
+    rclpy.logging.get_logger("rig.forgetting.gone").info("of no child")
+    rclpy.logging.get_logger("rig.forgetting.kept").info("of a child")  # the same name counts
+    logger.info("last")
+    assert ros.spin_until(lambda: any(log.msg == "last" for log in received))
+    of_this = [log.msg for log in received if log.name.startswith("rig.forgetting")]
+    assert of_this == ["first of one", "first of the other", "of a child", "last"]
 
 
 def test_rosout_can_be_left_out(ros):
