@@ -414,6 +414,23 @@ def test_fanno_flow(choked: bool) -> None:
     assert state["velocity"][-1] / SOUND > (0.8 if choked else 0.3)
 
 
+@pytest.mark.parametrize("conductance", [1.5e-8, 2.5e-8, 4e-8, 1e-7])
+def test_a_line_at_rest_gives_a_wide_port_no_more_than_its_end_passes(conductance: float) -> None:
+    """Sonic behind the rarefaction that runs into the line: (2 / (g + 1))^6 of rho c A."""
+    area, p_in = 6e-6, 7e5
+    tube = rig(
+        {"tube": pipe("closed", "port", 1.0, area, wall=SMOOTH)},
+        {"dx_m": 0.01, "wave_speed_m_s": 640.0, "memory": False},
+        reservoirs={"vacuum": {"pressure_pa": 1e3}},
+        orifices={"port": {"from": "port", "to": "vacuum", "conductance_m3_s_pa": conductance}},
+    )
+    simulator = Simulator(tube)
+    simulator.reset({"tube": p_in})
+    flow = simulator.run(2e-3, sample_s=1e-4).flows["port"][1:]
+    most = p_in / (287.05 * T0) * SOUND * area * (2.0 / 2.4) ** 6
+    assert flow[-5:] == pytest.approx(most, rel=2e-3)
+
+
 @pytest.mark.parametrize("choked", [False, True])
 def test_nozzle(choked: bool) -> None:
     throat, mouth, length = 4e-6, 12e-6, 0.2
