@@ -8,6 +8,7 @@ test from the environment; one that several tests share has the test that starte
 import json
 import os
 import signal
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -50,9 +51,8 @@ def _end(number: int, frame: Any) -> None:
     raise _Ended
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_call() -> Any:
-    """End a test that runs for too long: what it reaches, it has reached by then."""
+def _within_limit() -> Generator[None, Any, Any]:
+    """End a test or a fixture that runs for too long: what it reaches, it has reached by then."""
     if limit_s := os.environ.get(LIMIT):
         signal.signal(signal.SIGALRM, _end)
         signal.setitimer(signal.ITIMER_REAL, float(limit_s))
@@ -63,6 +63,18 @@ def pytest_runtest_call() -> Any:
         measured = coverage.Coverage.current()
         if limit_s and measured is not None:
             measured.save()  # a test that ends its process takes only itself along
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup() -> Any:
+    """Prepare a test within the limit."""
+    return (yield from _within_limit())
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Any:
+    """Run a test within the limit."""
+    return (yield from _within_limit())
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
