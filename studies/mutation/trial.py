@@ -25,6 +25,8 @@ LONGEST_S = 300.0
 """No test takes longer, s."""
 PATIENCE_S = 120.0
 """A trial that takes so much longer than its tests took has a fault that hangs, s."""
+OF_KERNELS = ("src/pneu_sim/test", "tests/test_gas_solver.py")
+"""Where tests of kernels are, which are recorded with these uncompiled."""
 CONFIG = """
 [run]
 source_dirs =
@@ -132,8 +134,8 @@ def _git(folder: Path, *words: str) -> None:
 def record(copy: Copy, files: list[str]) -> None:
     """Run the tests and record what they reach.
 
-    Those of the simulator are run a second time with kernels that are not compiled, as coverage
-    does not see into machine code; each is ended after a while.
+    Those of kernels are run a second time, these not compiled, as coverage does not see into
+    machine code; each is ended after a while.
 
     Args:
         copy: Where.
@@ -162,8 +164,7 @@ def record(copy: Copy, files: list[str]) -> None:
     # (a test that is ended may be at an instruction without a line, which tracebacks cannot show)
     two[-1] += " and not realtime"
     uncompiled = {"NUMBA_DISABLE_JIT": "1", recorder.LIMIT: "1"}
-    simulator = "src/pneu_sim/test"
-    if of_kernels := [file for file in files or [simulator] if file.startswith(simulator)]:
+    if of_kernels := [file for file in files or OF_KERNELS if file.startswith(OF_KERNELS)]:
         words += [*two, "--tb=no", *of_kernels]
         copy.pytest(words, 7200.0, **variables, **uncompiled)
     combined = coverage.Coverage(config_file=str(folder / "config"))
