@@ -60,18 +60,15 @@ def info(
     show_types: Annotated[bool, typer.Option("--show-types", "-t", help="Types too.")] = False,
 ) -> None:
     """Shows clients and servers of an action."""
-    from pneu_runtime import hook
-
-    hook.install()
-    from rclpy.action import (
-        get_action_client_names_and_types_by_node,
-        get_action_server_names_and_types_by_node,
-    )
-
     wanted = absolute(name)
     clients: list[str] = []
     servers: list[str] = []
     with tool_node() as node:
+        from rclpy.action import (
+            get_action_client_names_and_types_by_node,
+            get_action_server_names_and_types_by_node,
+        )
+
         for full in nodes_of(node, with_hidden=True):
             space, _, short = full.rpartition("/")
             for found, ask in (
