@@ -5,6 +5,7 @@ import ast
 import dataclasses
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -207,9 +208,13 @@ class Recorded:
         if not _in_function((self._root / fault.path).read_text(encoding="utf-8"), fault.first):
             names |= self._known(reached, reached)
             module = fault.path.split("/", 2)[2].removesuffix(".py").replace("/", ".")
+            above, _, name = module.rpartition(".")
+            named = re.compile(
+                rf"\b{re.escape(module)}\b|from {re.escape(above)} import .*\b{name}\b"
+            )
             for file, tests in self._of_file.items():
                 path = self._root / file
-                if path.is_file() and module in path.read_text(encoding="utf-8"):
+                if path.is_file() and named.search(path.read_text(encoding="utf-8")):
                     names.update(tests)
         package = fault.path.split("/")[1]
 
