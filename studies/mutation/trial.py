@@ -293,7 +293,12 @@ def attempt(copy: Copy, fault: Fault, tests: list[str], recorded: Recorded) -> O
             if code is None:
                 status, by = "noticed", "the tests hang"
             elif code == 4 and "not found: " in text:
-                raise RuntimeError(f"record the tests again: {text[-300:]}")
+                # Either a test is no longer there, or its file cannot be imported with the fault.
+                target.write_text(before, encoding="utf-8")
+                code, text = copy.pytest(["--collect-only", f"@{listed}"], LONGEST_S)
+                if code != 0:
+                    raise RuntimeError(f"record the tests again: {text[-300:]}")
+                status, by = "noticed", "the tests cannot be imported"
             elif code not in (0, 5):
                 failed = [one for one in text.splitlines() if one.startswith(("FAILED", "ERROR"))]
                 by = (failed or ["the tests cannot be run"])[0].partition(" - ")[0]
