@@ -73,8 +73,8 @@ def test_what_is_out_of_range(context: rclpy.Context, given: dict[str, Any]) -> 
     ("given", "says"),
     [
         ({}, "hand: found nothing, a hand file is needed"),
-        ({"hand": THREE}, f"arm: found '', {THREE} has one, two, three"),
-        ({"hand": THREE, "arm": "four"}, f"arm: found 'four', {THREE} has one, two, three"),
+        ({"hand": THREE}, "arm: found '', FILE has one, two, three"),
+        ({"hand": THREE, "arm": "four"}, "arm: found 'four', FILE has one, two, three"),
         ({"hand": HAND, "tip": "nose"}, "no geom or site 'nose'"),
         ({"hand": HAND, "thing": "cup"}, "no geom 'cup'"),
     ],
@@ -82,7 +82,7 @@ def test_what_is_out_of_range(context: rclpy.Context, given: dict[str, Any]) -> 
 def test_what_cannot_be_exercised(context: rclpy.Context, given: dict[str, str], says: str) -> None:
     with pytest.raises(InputError) as caught:
         node_of(context, **given)
-    assert str(caught.value).endswith(says)
+    assert str(caught.value).endswith(says.replace("FILE", THREE))
 
 
 class Told:
