@@ -20,6 +20,7 @@ from pneu_hw_bridge.nodes.hand_lab import HandLab, HandLabParameters, devices_fo
 from pneu_hw_bridge.nodes.phantom_bridge import PhantomBridge, joint_state
 from pneu_hw_bridge.nodes.phantom_settings import PhantomParameters
 from pneu_hw_bridge.phantom.wire import JointSample
+from pneu_hw_bridge.safety.supervisor import Latches
 from pneu_sim.hand.drive import JointCommand
 
 ROOT = Path(__file__).parents[3]
@@ -183,6 +184,23 @@ def test_a_stop_and_a_reset_of_a_bridge_that_is_not_open(context: rclpy.Context)
         assert one._emergency.latches.e_stop == "first"
         one._emergency.latches.trip = ""
         assert one._reset() == "" and one._emergency.latches.e_stop == ""
+
+
+def test_what_was_latched_is_latched_at_the_next_start(context: rclpy.Context) -> None:
+    with bridge(context) as one:
+        one._emergency.recall("emulated:x")
+        assert one._emergency.latches == Latches()
+        one._emergency.latches.trip = "too fast"
+        one._stop("first")
+    with bridge(context) as one:
+        one._emergency.recall("emulated:y")  # another device
+        assert one._emergency.latches == Latches()
+        one._emergency.recall("emulated:x")
+        assert one._emergency.latches == Latches(e_stop="first", trip="too fast")
+    with bridge(context) as one:
+        one._stop("second")
+        one._emergency.recall("emulated:x")
+        assert one._emergency.latches == Latches(e_stop="second", trip="too fast")
 
 
 def test_an_emulated_hand_needs_a_hand_file(context: rclpy.Context) -> None:

@@ -19,16 +19,25 @@ RIG.grid.dx_m = 0.1  # cheap: plant and model have the same cells
 
 
 def run(
-    watch: Watch, plant: Rig, seconds: float, begin_s: float = 0.0, rate_hz: float = RATE_HZ
+    watch: Watch,
+    plant: Rig,
+    seconds: float,
+    begin_s: float = 0.0,
+    rate_hz: float = RATE_HZ,
+    swing_v: float = 1.2,
 ) -> list[Window]:
-    """Runs a plant along a swinging command and shows it to the watch, sample by sample."""
+    """Runs a plant along a swinging command and shows it to the watch, sample by sample.
+
+    One that does not swing is told once.
+    """
     simulator = Simulator(plant)
     rng = np.random.default_rng(1)
     windows = []
     for k in range(round(seconds * rate_hz)):
         at = begin_s + k / rate_hz
-        volts = 5.0 + 1.2 * np.sin(6.0 * at) + 0.3 * np.sin(17.0 * at)
-        watch.command("voltage", at, volts)
+        volts = 5.4 if swing_v == 0.0 else 5.0 + swing_v * np.sin(6.0 * at) + 0.3 * np.sin(17 * at)
+        if k == 0 or swing_v > 0.0:
+            watch.command("voltage", at, volts)
         readings = simulator.run(1 / rate_hz, {"voltage": volts}, 1 / rate_hz)
         for name, series in readings.taps.items():
             watch.reading(name, at + 1 / rate_hz, series[-1] + NOISE_PA * rng.normal())
@@ -108,6 +117,12 @@ def test_a_silent_tap_has_no_residual_and_hides_no_other():
     assert np.isnan(window.rms[silent]).all()
     assert np.isfinite(window.rms[~silent]).all()
     assert window.times_expected < 2.0
+
+
+def test_a_command_that_was_told_once_holds():
+    windows = run(Watch(RIG, RATE_HZ), RIG, 1.5, swing_v=0.0)
+    assert len(windows) > 1
+    assert np.all(np.mean([w.rms for w in windows], axis=0) < 1.5 * NOISE_PA)
 
 
 def test_without_commands_there_is_no_verdict():

@@ -107,6 +107,16 @@ def test_gaps_and_empty_signals() -> None:
     assert nothing.shown(0.0, 1.0, 100)[0].size == 0
 
 
+def test_a_column_rises_where_its_readings_do() -> None:
+    """From least to most; the other way where they fall, and upwards where they do neither."""
+    values = np.concatenate([np.repeat([0.0, 5.0], 8), np.repeat([5.0, 0.0], 8)])
+    values = np.concatenate([np.tile(values, 16), np.tile([1.0, 3.0, 2.0, 1.0], 128)])
+    _, shown = Pyramid(np.arange(1024.0), values).shown(0.0, 1023.0, 64)
+    pairs = shown.reshape(-1, 2).tolist()
+    assert pairs[:32] == [[0.0, 5.0], [5.0, 0.0]] * 16
+    assert pairs[32:] == [[1.0, 3.0]] * 32
+
+
 def test_bytes_tell_readings_an_hour_on_apart() -> None:
     time, values = 3600.0 + np.array([0.0, 1e-3, 2e-3]), np.array([1.0, 2.0, np.nan])
     raw = packed([(time, values.astype(np.float32))], 3600.0)

@@ -113,6 +113,7 @@ def test_a_recording_is_opened_kept_and_come_back_to(
 ) -> None:
     work = opened
     now = work.versions.now
+    assert now is not None and now.added == 0 and now.parent is None
     assert now is not None and now.title == "rig_a_fitted"
     assert [name for name, *_ in work.view.sensors()] == list(now.times_noise)
     begin, end = work.view.span_s()

@@ -249,14 +249,14 @@ def publish(
         import rclpy
 
         while rclpy.ok() and (not count or sent < count):
+            if sent:
+                due += 1.0 / rate_hz
+                spin_while(node, lambda: True, max(0.0, due - time.monotonic()))
             fill(message, given, now=node.get_clock().now().to_msg())
             sent += 1
             if print_every and sent % print_every == 0:
                 print(f"publishing #{sent}: {message!r}\n", flush=True)
             publisher.publish(message)
-            due += 1.0 / rate_hz
-            if not count or sent < count:
-                spin_while(node, lambda: True, max(0.0, due - time.monotonic()))
         spin_while(node, lambda: True, keep_alive_s)
 
 

@@ -41,8 +41,7 @@ def choose(of_pieces: Floats, count: int, allowed: Sequence[int], worth: Worth) 
             rest = total - of_pieces[old]
             values = {k: worth(rest + of_pieces[k]) for k in allowed}
             best = max(values, key=lambda k: values[k])
-            if values[best] > now + 1e-9 * abs(now):
-                chosen[place], total, now = best, rest + of_pieces[best], values[best]
+            chosen[place], total, now = best, rest + of_pieces[best], values[best]
         if now <= before + 1e-6 * abs(before):
             break
     return chosen
