@@ -4,10 +4,10 @@
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from tests.references.nozzle import area_ratio, pressure_ratio, temperature_ratio
 
 from pneu_sim.kernel.ends import NEAR, power, vessel_state
 from pneu_sim.kernel.faces import at_face
-from tests.references.nozzle import area_ratio, pressure_ratio, temperature_ratio
 
 GAMMA, R = 1.4, 287.0
 
