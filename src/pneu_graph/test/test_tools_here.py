@@ -29,6 +29,10 @@ __all__ = ["domain"]  # a fixture
 HEARD = []
 
 
+def hear(message):
+    HEARD.append((time.monotonic(), message.data))
+
+
 def answer(request, response):
     response.success, response.message = request.data, "done"
     return response
