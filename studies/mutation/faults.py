@@ -79,9 +79,13 @@ class Fault:
     def possible(self) -> bool:
         """Return whether it is Python, and changes what is done.
 
-        An assertion tells mypy the type, and `frozen=True` says what no code does.
+        An assertion tells mypy the type, and `frozen=True` says what no code does. Cosmic Ray's
+        operators fail where an exception is named with its module.
         """
-        before, after = self.texts()
+        try:
+            before, after = self.texts()
+        except AttributeError:
+            return False
         if before.splitlines()[self.first - 1].lstrip().startswith(("assert", "@dataclass")):
             return False
         try:
