@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from pneu_hw_bridge import stop_command
 from pneu_hw_bridge.stop_command import at_once
 
 pytestmark = pytest.mark.realtime
@@ -30,6 +31,16 @@ def test_it_begins_before_the_command_line_is_loaded(words, tmp_path):
     assert "loaded: set()" in done.stdout, done.stderr
 
 
-def test_other_words_are_left_to_the_command_line():
-    for words in (["--help"], ["--reason"], ["--reason", "a", "b"], ["now"]):
+def test_other_words_are_left_to_the_command_line(monkeypatch):
+    monkeypatch.setattr(stop_command, "stop", lambda reason, local: pytest.fail("stopped"))
+    others = (["--help"], ["--reason"], ["--reason", "a", "b"], ["now"], ["now", "please"])
+    for words in (*others, ["a", "--reason"], ["--local", "a", "b"]):
         assert at_once(words) is None
+
+
+def test_who_calls_for_it_is_passed_on(monkeypatch):
+    monkeypatch.setattr(stop_command, "stop", lambda reason, local: (reason, local))
+    assert at_once([]) == ("pneu stop", False)
+    assert at_once(["--local"]) == ("pneu stop", True)
+    assert at_once(["--reason", "smoke"]) == ("smoke", False)
+    assert at_once(["--reason", "smoke", "--local"]) == ("smoke", True)

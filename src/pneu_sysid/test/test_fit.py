@@ -38,7 +38,7 @@ from pneu_sysid.parameters import (
 )
 from pneu_sysid.problem import make_problem, pull_of, record_for
 from pneu_sysid.records import Recording
-from pneu_sysid.stages import Step, brought_back, gained_little, is_slow, steps_of
+from pneu_sysid.stages import Step, brought_back, cells_of, gained_little, is_slow, steps_of
 
 ROOT = Path(__file__).parents[3]
 
@@ -677,3 +677,19 @@ def test_what_flows_is_fitted_first_of_whatever_moves(horizon_s: float, moves: b
     steps = steps_of(rig, approach=True, iterations=8)
     assert steps[0].slow and steps[0].part
     assert (steps[0].pull_s or 0.0) <= (pull_of(rig) or 0.0)
+
+
+@pytest.mark.parametrize(("dx_m", "longer"), [(0.2, 1.0), (0.05, None), (0.01, 4.0)])
+def test_first_steps_are_on_longer_cells_as_long_as_twenty_are_left(
+    dx_m: float, longer: float | None
+) -> None:
+    rig = load_rig(ROOT / "rigs" / "rig_a.yaml")
+    rig.grid.dx_m = dx_m
+    for pipe in rig.pipes.values():
+        pipe.dx_m = None
+    first, *_ = steps_of(rig, approach=True, iterations=8)
+    ratio = first.dx_m / dx_m
+    if longer is None:
+        assert 1.0 < ratio < 4.0 and cells_of(rig, first.dx_m) == pytest.approx(20, abs=3)
+    else:
+        assert ratio == pytest.approx(longer)
