@@ -7,6 +7,7 @@ from rclpy.exceptions import (
     InvalidNodeNameException,
     InvalidServiceNameException,
     InvalidTopicNameException,
+    NameValidationException,
 )
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
@@ -22,7 +23,7 @@ pytestmark = pytest.mark.kernel_free
 
 
 @pytest.mark.parametrize(
-    "name", ["chatter", "/chatter", "{node}/chatter", "~/chatter", "~", "~a", "a/b_1/c"]
+    "name", ["chatter", "/chatter", "{node}/chatter", "~/chatter", "~", "~a", "a/b_1/c", "a//b"]
 )
 def test_topic_names_that_are_right(name):
     assert validate_topic_name(name)
@@ -40,6 +41,10 @@ def test_topic_names_that_are_right(name):
         ("a/~b", 2),
         ("~ab", 1),
         ("{open", 0),
+        ("a/{b}}", 5),
+        ("a{1}", 2),
+        ("a{b-c}", 3),
+        ("a~b", 1),
     ],
 )
 def test_topic_names_that_are_wrong(name, index):
@@ -53,22 +58,54 @@ def test_topic_names_that_are_wrong(name, index):
         validate_topic_name(name, is_service=True)
 
 
-@pytest.mark.parametrize("name", ["chatter", "/a/", "/a//b", "/{node}", "/~", "/a b"])
-def test_full_topic_names_that_are_wrong(name):
-    with pytest.raises(InvalidTopicNameException):
-        validate_full_topic_name(name)
+@pytest.mark.parametrize(
+    ("validate", "name", "index"),
+    [
+        (validate_full_topic_name, "", 0),
+        (validate_full_topic_name, "chatter", 0),
+        (validate_full_topic_name, "/a/", 2),
+        (validate_full_topic_name, "/ab//c", 4),
+        (validate_full_topic_name, "/a/2b", 3),
+        (validate_full_topic_name, "/{node}", 1),
+        (validate_full_topic_name, "/~", 1),
+        (validate_full_topic_name, "/a b", 2),
+        (validate_namespace, "", 0),
+        (validate_namespace, "space", 0),
+        (validate_namespace, "/a/", 2),
+        (validate_namespace, "/ab//c", 4),
+        (validate_namespace, "/1", 1),
+        (validate_namespace, "/a b", 2),
+        (validate_node_name, "", 0),
+        (validate_node_name, "a/b", 1),
+        (validate_node_name, "1a", 0),
+        (validate_node_name, "ab-c", 2),
+    ],
+)
+def test_where_names_are_wrong(validate, name, index):
+    with pytest.raises(NameValidationException) as caught:
+        validate(name)
+    shown, mark = str(caught.value).split("\n")[1:3]
+    assert shown.strip() == f"'{name}'"
+    assert mark.index("^") - shown.index("'") - 1 == index
 
 
-@pytest.mark.parametrize("namespace", ["space", "/a/", "/a//b", "/1", "/a b", ""])
-def test_namespaces_that_are_wrong(namespace):
-    with pytest.raises(InvalidNamespaceException):
-        validate_namespace(namespace)
+@pytest.mark.parametrize(
+    ("validate", "begin", "longest"),
+    [
+        (validate_full_topic_name, "/", 247),
+        (validate_namespace, "/", 245),
+        (validate_node_name, "", 255),
+    ],
+)
+def test_names_have_a_longest(validate, begin, longest):
+    name = begin + "a" * (longest - len(begin))
+    assert validate(name)
+    with pytest.raises(NameValidationException):
+        validate(name + "a")
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "1a", "a-b", "a b"])
 def test_node_names_that_are_wrong(name, make_node):
-    with pytest.raises(InvalidNodeNameException):
-        validate_node_name(name)
     with pytest.raises(InvalidNodeNameException):
         make_node(name)
 

@@ -47,8 +47,6 @@ def _fault(name: str) -> tuple[str, int] | None:
     # rcl looks at the second character of longer names only
     if name[0] == "~" and len(name) > 2 and name[1] != "/":
         return "topic name has a tilde '~' that is not followed by a forward slash", 1
-    if (double := name.find("//")) >= 0:
-        return "topic name must not contain repeated '/'", double + 1
     digit = re.search(r"/[0-9]", name)
     if digit:
         return "topic name token must not start with a number", digit.start() + 1
