@@ -3,7 +3,6 @@
 
 import pytest
 from rclpy.exceptions import (
-    InvalidNamespaceException,
     InvalidNodeNameException,
     InvalidServiceNameException,
     InvalidTopicNameException,
@@ -126,6 +125,11 @@ def test_names_that_are_right():
         ("~/chatter", "/space/me/chatter"),
         ("{node}/chatter", "/space/me/chatter"),
         ("/{node}", "/me"),
+        ("{ns}/chatter", "/space/chatter"),
+        ("{namespace}s", "/spaces"),
+        ("/x{ns}", "/x/space"),
+        ("x/{ns}/a", "/space/x//space/a"),
+        ("a//b", "/space/a//b"),
     ],
 )
 def test_expansion(name, full):

@@ -32,6 +32,4 @@ def expand_topic_name(
         raise ValueError(f"unknown substitution in the name '{topic_name}'")
     if name.startswith("~"):
         return f"{namespace}/{node_name}{name[1:]}"
-    # {ns} brings its own slash, also in the middle of a name
-    name = name.replace("//", "/")
     return name if name.startswith("/") else f"{namespace}/{name}"
