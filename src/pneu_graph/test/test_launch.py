@@ -428,6 +428,23 @@ def test_on_exit_shutdown_ends_the_others(start):
     assert process.returncode == 0
 
 
+def test_what_a_process_started_ends_with_it(start):
+    process = start(
+        """
+launch:
+- executable:
+    cmd: sh -c 'sleep 77 & echo up $!; sleep 0.2'
+    output: screen
+- executable: {cmd: sleep 60}
+"""
+    )
+    (pid,) = [int(line.split()[-1]) for line in read_until(process, "[sh-1] up") if "up" in line]
+    wait_until(lambda: not lives(pid))
+    assert process.poll() is None  # the other goes on
+    process.terminate()
+    process.communicate(timeout=20)
+
+
 @pytest.mark.long
 def test_nothing_outlives_a_launch_that_is_killed(start, tmp_path):
     """Neither a polite process, nor one that ignores SIGTERM, nor a grandchild."""

@@ -216,3 +216,18 @@ def test_samples_are_told_whichever_ticks_frames_come_at(late: int) -> None:
                     if message[:1] == SAMPLES:
                         stamps += [joint.device_ns for joint in samples_of(message, 2)[0]]
         assert stamps == [1_000_000 * tick for tick in range(late, 80, 4)]
+
+
+def test_the_longest_wait_between_ticks_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        theirs.setblocking(False)
+        limits = Limits(("a", "b"), (JOINT, JOINT), 0.05, 0.1, 0.1, False, 0.0)
+        servo = Servo(theirs, object(), limits, every=1000)  # type: ignore[arg-type]
+        servo._report_s = 1e9  # it reports by itself only what changes
+        servo._told = (servo.governor.state()[0].value, servo.governor.state()[1].split(" for ")[0])
+        for at_s in (100.0, 100.001, 100.009, 100.010):
+            monkeypatch.setattr("time.monotonic", lambda at_s=at_s: at_s)
+            servo.tick(None)
+        assert servo.report(100.010)["longest_s"] == pytest.approx(0.008)
+        assert servo.report(100.010)["longest_s"] == 0.0

@@ -3,6 +3,7 @@
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -18,6 +19,7 @@ from pneu_sim.hand.paths import Kinematics, through, way
 from pneu_sim.hand.reach import Reach
 from pneu_sim.hand.settings import JointSettings
 from pneu_sim.hand.truth import Change, Lie, Truth
+from pneu_sim.hand.truth import _set as set_truth
 from pneu_sim.hand.world import World
 from pneu_sim.hand.wrist import Wrist
 
@@ -128,6 +130,16 @@ def test_what_is_hidden_is_in_the_plant_and_in_its_sensors(hand: Hand) -> None:
     assert world.counts("phantom")[0] == pytest.approx(1.02 * plain.counts("phantom")[0], abs=1)
     late = [told[id(plain)][t] - told[id(world)][t] for t in told[id(world)] if t > 0.008]
     assert np.mean(late) == pytest.approx(0.5 * 0.004, abs=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("what", "to"), [("stiffness", (-8000.0, -160.0)), ("damping", (-4000.0, -320.0))]
+)
+def test_a_contact_by_time_constant_is_one_by_stiffness(what: str, to: tuple[float, float]) -> None:
+    """k = 1 / (t z)^2 and b = 2 / t, per mass (MuJoCo, solver parameters)."""
+    geom = SimpleNamespace(solref=np.array([0.0125, 1.26491106]))
+    set_truth(geom, Change(of="geom", name="object", set=what, times=2.0))
+    assert geom.solref == pytest.approx(to, rel=1e-6)
 
 
 @pytest.mark.parametrize(

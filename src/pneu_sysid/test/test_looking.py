@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The search for what is missing: who is fitted again, from where, on which cells, and when it ends.
+"""The search for what is missing: who is fitted again, from where, and when the search ends.
 
 What a fit of a candidate finds is chosen; what decides on it is what always does.
 """

@@ -64,7 +64,7 @@ class Session:
 
     def map(self, part: Part) -> list[MapRow]:
         more = 0.0 if part.begin_s is None else 100.0
-        rows = [{"supply": 1.0 + more, "end": 40.0}, {"valve_out": 2.0 + more}]
+        rows = [{"supply": more or 1.0, "end": 40.0}, {"valve_out": 2.0 + more}]
         words = ("at 1-2 bar", "as it fills")
         every = zip(KEYS, words, rows, (True, False), strict=True)
         return [MapRow(key, told, times, chosen) for key, told, times, chosen in every]
@@ -251,7 +251,7 @@ def test_errors_by_regime(session: Session, cards: Cards, client: Client) -> Non
     press(buttons(client)["at 1-2 bar"])
     assert session.asked == [("only", KEYS[0])]
     cards.narrow(Part(1.0, 2.0, KEYS[0]))
-    assert words(client)[6:] == ["101", "40.0", "as it fills", "102"]
+    assert words(client)[6:] == ["100", "40.0", "as it fills", "102"]
     link = buttons(client)["at 1-2 bar"]
     assert link.props["aria-pressed"] == "true" and "pneu-chosen" in link.classes
     cards.narrow(Part())

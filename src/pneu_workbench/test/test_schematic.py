@@ -25,6 +25,12 @@ def test_everything_of_a_rig_is_drawn_once(path: Path) -> None:
     assert {link.name for link, *_ in layout(rig).links} == {link.name for link in links_of(rig)}
     for name in rig.cylinders:
         assert name in words
+    # with as much room on the right as on the left of what lies outermost
+    _, _, wide, high = map(float, ElementTree.fromstring(drawn).attrib["viewBox"].split())
+    across = [x for x, _ in layout(rig).nodes.values()]
+    assert wide - max(across) >= min(across) and high > max(
+        row for _, row in layout(rig).nodes.values()
+    )
 
 
 @pytest.mark.parametrize("path", RIGS, ids=lambda path: path.stem)
