@@ -79,6 +79,12 @@ def run(
             thread.join()
 
 
+def _drawing(text: str) -> tuple[int, int]:
+    """Return seed and number of a drawing."""
+    seed, _, each = text.partition(":")
+    return int(seed), int(each)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the stages and return the exit status.
 
@@ -88,8 +94,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("stages", nargs="*", help=f"some of {', '.join(STAGES)}; all if none")
     parser.add_argument("--files", nargs="+", default=[], help="files of new tests to record")
-    parser.add_argument("--seeds", nargs="+", type=int, default=[1], help="one per drawing")
-    parser.add_argument("--each", type=int, default=18, help="faults per group")
+    parser.add_argument(
+        "--draw",
+        nargs="+",
+        type=_drawing,
+        default=[(1, 15), (2, 6)],
+        metavar="SEED:EACH",
+        help="how many faults of each group are drawn with a seed",
+    )
     parser.add_argument(
         "--groups", nargs="+", default=list(GROUPS), choices=GROUPS, metavar="group"
     )
@@ -103,7 +115,7 @@ def main(arguments: list[str] | None = None) -> int:
     if "record" in stages:
         record(Copy("copy0"), options.files)
     kept = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.is_file() else {}
-    faults = {s: sample(s, options.each, options.groups) for s in options.seeds}
+    faults = {seed: sample(seed, each, options.groups) for seed, each in options.draw}
     if "run" in stages:
         run(
             [f for of in faults.values() for f in of],
@@ -121,7 +133,7 @@ def main(arguments: list[str] | None = None) -> int:
                 fields = {**dataclasses.asdict(fault), "before": before, "after": after}
                 rows.append({**fields, "seed": seed, **kept[key]})
         PAGE.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(PAGE, page(rows, Recorded(Copy("copy0")).totals(), options.each))
+        write_whole(PAGE, page(rows, Recorded(Copy("copy0")).totals(), dict(options.draw)))
     return 0
 
 

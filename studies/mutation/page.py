@@ -67,14 +67,18 @@ def _code(text: str) -> str:
     return f"`{text.replace('|', chr(92) + '|').replace('`', '')}`" if text else "(nothing)"
 
 
-def page(rows: Sequence[dict[str, Any]], totals: Mapping[str, Mapping[str, int]], each: int) -> str:
+def page(
+    rows: Sequence[dict[str, Any]],
+    totals: Mapping[str, Mapping[str, int]],
+    drawn: Mapping[int, int],
+) -> str:
     """Return the page.
 
     Args:
         rows: Fields of each fault and of its outcome; a survivor that is argued to be equivalent
             counts as such.
         totals: Of the coverage of each file.
-        each: How many faults were drawn per group with each seed.
+        drawn: How many faults of each group, by the seed that they were drawn with.
     """
     known = equivalents()
     rows = [dict(row) for row in rows]
@@ -83,14 +87,15 @@ def page(rows: Sequence[dict[str, Any]], totals: Mapping[str, Mapping[str, int]]
         if row["status"] != "noticed" and reason is not None:
             row.update(status="equivalent", reason=reason)
     took_s = sum(row["took_s"] for row in rows)
+    draws = " and ".join(f"{each} with seed {seed}" for seed, each in drawn.items())
     lines = [
         "# Faults that the tests notice",
         "",
         "Written by `make mutate`. Cosmic Ray and operators of our own"
         " (`studies/mutation/operators.py`) put faults into the source, one at a time; the tests of"
         " `make test` that reach the changed lines are run until one fails. A fault that no test"
-        f" reaches has survived. {each} faults were drawn per group and seed, classes in turn;"
-        f" {len(rows)} in all took {took_s / 60:.0f} minutes of trials,"
+        f" reaches has survived. Of each group {draws} were drawn, classes in turn; {len(rows)} in"
+        f" all took {took_s / 60:.0f} minutes of trials,"
         f" {took_s / max(len(rows), 1):.0f} s each. For survivors tests were written, and they were"
         " tried again: the last column is the share that was noticed when a fault was first tried,"
         " and those of a later seed were drawn when the tests for an earlier one stood. Sources"
