@@ -208,6 +208,7 @@ class Recorded:
         if not _in_function((self._root / fault.path).read_text(encoding="utf-8"), fault.first):
             names |= self._known(reached, reached)
             module = fault.path.split("/", 2)[2].removesuffix(".py").replace("/", ".")
+            module = module.removeprefix("pneu_runtime.embedded.").removesuffix(".__init__")
             above, _, name = module.rpartition(".")
             named = re.compile(
                 rf"\b{re.escape(module)}\b|from {re.escape(above)} import .*\b{name}\b"

@@ -14,13 +14,42 @@ import pytest
 
 RECORDED = Path(__file__).with_name("signatures.json")
 MODULES = (
-    "action.client", "action.server", "callback_groups", "client", "clock", "context", "duration",
-    "event_handler", "executors", "expand_topic_name", "guard_condition", "impl.rcutils_logger",
-    "lifecycle", "logging", "node", "parameter", "parameter_client", "publisher", "qos",
-    "serialization", "service", "signals", "subscription", "task", "time", "time_source", "timer",
-    "topic_or_service_is_hidden", "utilities", "validate_full_topic_name", "validate_namespace",
-    "validate_node_name", "validate_topic_name", "wait_for_message",
-)  # fmt: skip
+    "rclpy",
+    "rclpy.action.client",
+    "rclpy.action.server",
+    "rclpy.callback_groups",
+    "rclpy.client",
+    "rclpy.clock",
+    "rclpy.context",
+    "rclpy.duration",
+    "rclpy.event_handler",
+    "rclpy.executors",
+    "rclpy.expand_topic_name",
+    "rclpy.guard_condition",
+    "rclpy.impl.rcutils_logger",
+    "rclpy.lifecycle",
+    "rclpy.logging",
+    "rclpy.node",
+    "rclpy.parameter",
+    "rclpy.parameter_client",
+    "rclpy.publisher",
+    "rclpy.qos",
+    "rclpy.serialization",
+    "rclpy.service",
+    "rclpy.signals",
+    "rclpy.subscription",
+    "rclpy.task",
+    "rclpy.time",
+    "rclpy.time_source",
+    "rclpy.timer",
+    "rclpy.topic_or_service_is_hidden",
+    "rclpy.utilities",
+    "rclpy.validate_full_topic_name",
+    "rclpy.validate_namespace",
+    "rclpy.validate_node_name",
+    "rclpy.validate_topic_name",
+    "rclpy.wait_for_message",
+)
 MORE = {
     "rclpy.expand_topic_name.expand_topic_name": ", *, is_service=",
     "rclpy.node.Node.create_subscription": ", content_filter_options=",  # of later releases
@@ -44,7 +73,7 @@ def parameters(function):
 def signatures():
     """Those of all public functions and methods, by their full names."""
     found = {}
-    for name in ("rclpy", *(f"rclpy.{module}" for module in MODULES)):
+    for name in MODULES:
         for part, one in vars(importlib.import_module(name)).items():
             if part.startswith("_") or getattr(one, "__module__", "") != name:
                 continue

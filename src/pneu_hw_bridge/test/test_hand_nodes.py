@@ -171,6 +171,7 @@ def test_what_a_command_asks_of_each_joint(context: rclpy.Context) -> None:
 
 def test_a_stop_and_a_reset_of_a_bridge_that_is_not_open(context: rclpy.Context) -> None:
     with bridge(context) as one:
+        one._look_at_servo()  # there is none
         (line,) = one._report()
         assert (line.name, line.message) == ("phantom_bridge: safety", "not open")
         assert line.level == b"\x00" and line.hardware_id == "phantom"

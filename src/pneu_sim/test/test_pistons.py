@@ -6,6 +6,7 @@ polytropic exponent of a chamber with a wall (Pfriem 1940).
 """
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 from pneu_sim import layout as L
 from pneu_sim.plant import Plant
+from pneu_sim.rig import load_rig
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Readings, Simulator
 
@@ -416,3 +418,20 @@ def test_any_cutting_of_a_run_and_any_lane_give_the_same_bits(gas: str) -> None:
     again = plant.advance(np.zeros((1, 0, 35)), 1e-3)[0]
     np.testing.assert_array_equal(first.cylinders, again.cylinders)
     np.testing.assert_array_equal(first.joints[-1].ravel(), whole[:2])
+
+
+def test_a_piston_that_moves_a_body_starts_where_the_body_does() -> None:
+    """The others start where they are told, and go as they are told."""
+    rig = load_rig(Path(__file__).parents[3] / "rigs" / "rail.yaml")
+    rig.cylinders["free"] = Rig.model_validate(
+        {"pneu_rig": 1, "name": "r", "cylinders": {"c": closed(0.02, 0.1)}}
+    ).cylinders["c"]
+    plant = Plant([rig])
+    assert (plant.plan.moves >= 0).tolist() == [True, False]
+    plant.reset()
+    before = plant.solver.tiles[0][0].cylinder[:, L.PY_START, 0].copy()
+    plant.solver.start_pistons(np.array([[0.03], [0.04]]))
+    plant.solver.drive(np.array([[0.5], [0.6]]))
+    tile, _ = plant.solver.tiles[0]
+    assert tile.cylinder[:, L.PY_START, 0].tolist() == [before[0], 0.04]
+    assert tile.cylinder_state[:, L.SY_SPEED, 0].tolist() == [0.0, 0.6]

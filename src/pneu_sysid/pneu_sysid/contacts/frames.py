@@ -69,7 +69,7 @@ def words(found: dict[str, tuple[float, Floats]]) -> str:
     """
     parts = []
     for name, (angle, axis) in found.items():
-        along = ", ".join(f"{x:.2f}" for x in axis)
+        along = ", ".join(f"{x:z.2f}" for x in axis)
         parts.append(
             f"sensor {name!r} tells its vectors turned by {np.degrees(angle):.0f}° about"
             f" ({along}) against the frame that it has in the MJCF"
