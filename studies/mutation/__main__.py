@@ -131,6 +131,7 @@ def main(arguments: list[str] | None = None) -> int:
             key = _key(fault, (before, after))
             if key in kept:
                 fields = {**dataclasses.asdict(fault), "before": before, "after": after}
+                fields["line"] = fault.first  # `first` is what became of it when it was drawn
                 rows.append({**fields, "seed": seed, **kept[key]})
         PAGE.parent.mkdir(parents=True, exist_ok=True)
         write_whole(PAGE, page(rows, Recorded(Copy("copy0")).totals(), dict(options.draw)))

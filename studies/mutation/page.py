@@ -120,13 +120,13 @@ def page(
     ]
     for row in rows:
         if row["status"] in ("survived", "not run"):
-            where = f"{row['path'].removeprefix('src/')}:{row['first']}"
+            where = f"{row['path'].removeprefix('src/')}:{row['line']}"
             shown = _code(row["before"]), _code(row["after"])
             lines.append(f"| {row['group']} | {row['kind']} | {where} | {shown[0]} | {shown[1]} |")
     lines += ["", "## Equivalents", "", "| place | before | after | reason |", "|---|---|---|---|"]
     for row in rows:
         if row["status"] == "equivalent":
-            where = f"{row['path'].removeprefix('src/')}:{row['first']}"
+            where = f"{row['path'].removeprefix('src/')}:{row['line']}"
             shown = _code(row["before"]), _code(row["after"])
             lines.append(f"| {where} | {shown[0]} | {shown[1]} | {row['reason']} |")
     return "\n".join([*lines, ""])
