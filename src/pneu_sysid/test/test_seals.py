@@ -4,6 +4,8 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from typer.testing import CliRunner
 from pneu_common.cli import build_app
 from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
-from pneu_sysid.seals.cells import pieces_of
+from pneu_sysid.seals.cells import _cut, pieces_of
 from pneu_sysid.seals.identify import Identified, identify, with_friction
 from pneu_sysid.seals.reading import read_drag
 from pneu_sysid.seals.strokes import strokes_of, turning_points
@@ -272,3 +274,25 @@ def test_the_command_writes_rig_result_and_figure(tmp_path: Path) -> None:
     friction = load_rig(out["out.yaml"]).cylinders["c"].friction
     assert 0.5e5 * friction.coulomb_n_per_pa == pytest.approx(data["per_bar_n"])
     assert out["out.png"].read_bytes().startswith(b"\x89PNG")
+
+
+def test_pieces_share_the_readings_from_end_to_end() -> None:
+    """Nine readings of each stroke, three in each piece: the one at the very end is in the last."""
+    out = np.linspace(0.01, 0.05, 9)
+    x = np.concatenate([out, out[::-1]] * 2)
+    stroke = np.repeat(np.arange(4), 9)
+    ones = np.ones(x.size)
+    test: Any = SimpleNamespace(
+        name="drag", extension_m=x, rest_n=5.0 * ones, load_n=0.1 * x, gauge_pa=1e5 * ones,
+        mean_gauge_pa=0.8e5 * ones, noise_n=0.1,
+    )  # fmt: skip
+    strokes: Any = SimpleNamespace(
+        index=np.arange(x.size), stroke=stroke, extending=np.array([True, False] * 2),
+        speed_m_s=0.02 * ones,
+    )  # fmt: skip
+    pieces, findings = _cut(test, strokes, [0, 1, 2, 3], 1e5, 3)
+    assert findings == []
+    assert pieces.stroke.tolist() == np.repeat(np.arange(4), 3).tolist()
+    assert np.bincount(pieces.readings.piece).tolist() == [3] * 12
+    middles = [(k - 4.0) / 8.0 for k in (1.0, 4.0, 7.0)]
+    assert pieces.place.reshape(4, 3) == pytest.approx(np.tile(middles, (4, 1)))
