@@ -59,6 +59,8 @@ class Emergency:
         self.latches = Latches()
         self.driving = False
         self._device = ""
+        # asked for by calls in another thread, while the node may already be going
+        self._name, self._namespace = node.get_fully_qualified_name(), node.get_namespace()
         self._memory: Memory | None = None
         self._calls: deque[Mapping[str, Any]] = deque(maxlen=MOST_CALLS)
         self._publisher = node.create_publisher(Bool, "e_stop", E_STOP_QOS)
@@ -67,7 +69,7 @@ class Emergency:
         self._called = ExecutorCallback(node, self._on_called)
         self._ear: StopListener | None = None
         try:
-            self._ear = StopListener(node.get_fully_qualified_name(), self._on_call)
+            self._ear = StopListener(self._name, self._on_call)
         except OSError as error:
             node.get_logger().error(f"'pneu stop' cannot reach this bridge: {error}")
         node.create_subscription(Bool, "e_stop", self._on_stop_of_others, E_STOP_QOS)
@@ -80,7 +82,7 @@ class Emergency:
             device: Where the device is reached.
         """
         self._device = device
-        self._memory = Memory(self._node.get_fully_qualified_name(), device)
+        self._memory = Memory(self._name, device)
         before = self._memory.recall()
         if before.e_stop or before.trip:
             self._node.get_logger().error(
@@ -121,14 +123,14 @@ class Emergency:
         """Stops on a word to the socket, in its thread; the node learns of it afterwards."""
         device, space = asked.get("device"), asked.get("namespace")
         shared = device is None and space is None  # all are meant
-        if not (shared or device == self._device or space == self._node.get_namespace()):
+        if not (shared or device == self._device or space == self._namespace):
             return {}
         before = self.latches.e_stop
         safe, message = self._stop(str(asked.get("reason") or "called for"))
         self._calls.append({"passed": "by" in asked, "before": before})
         self._called.trigger()
         return {
-            "bridge": self._node.get_fully_qualified_name(),
+            "bridge": self._name,
             "safe": safe,
             "message": message,
         }
@@ -150,13 +152,12 @@ class Emergency:
         self.say()
         self.keep()
         if pass_on:
-            name = self._node.get_fully_qualified_name()
             call_all(
                 {
-                    "reason": f"{name}: {self.latches.e_stop}",
-                    "by": name,
+                    "reason": f"{self._name}: {self.latches.e_stop}",
+                    "by": self._name,
                     "device": self._device,
-                    "namespace": self._node.get_namespace(),
+                    "namespace": self._namespace,
                 },
                 but=self._ear.path if self._ear is not None else None,
             )
