@@ -9,6 +9,7 @@ said in full is kept in `pip.log` inside the environment.
 
 import argparse
 import importlib.util
+import os
 import re
 import shutil
 import subprocess
@@ -19,6 +20,20 @@ from pathlib import Path
 OLDEST_PYTHON = (3, 11)
 BUILT_WITH = {"clawpack": "gfortran"}
 """System packages without which pip cannot build one of Python's."""
+UV = "uv>=0.9,<1"
+WORDS = {
+    "index-url": "--default-index",
+    "extra-index-url": "--extra-index-url",
+    "find-links": "--find-links",
+    "constraint": "--constraint",
+    "trusted-host": "--allow-insecure-host",
+}
+"""Keys of pip's configuration, and what uv calls them."""
+VARIABLES = {
+    "cert": "SSL_CERT_FILE",
+    "timeout": "UV_HTTP_TIMEOUT",
+    "default-timeout": "UV_HTTP_TIMEOUT",
+}
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
@@ -154,18 +169,65 @@ def install_all(pip, what, requirements, log):
 
 
 def install(pip, requirements, log):
-    """Run `pip install`, name the packages as they come, log the rest; return success."""
+    """Install, name the packages as they come, log the rest; return success.
+
+    By uv, which takes a fifth of pip's time, with the indexes that pip is configured for; where
+    that cannot be had or fails, by pip.
+    """
     # Python compiles what it imports and keeps it; all the rest is never needed.
-    command = [*pip, "install", "--no-compile", "--disable-pip-version-check", "--no-input"]
-    command += requirements
+    options = ["--no-compile", "--disable-pip-version-check", "--no-input"]
+    commands = [([*pip, "install", *options, *requirements], {})]
+    python = Path(pip[-1] if "--python" in pip else pip[0])
+    uv = python.parent / "uv"
+    got = uv.exists() or works([*pip, "install", *options, "--quiet", UV])
+    if got and works([str(uv), "--version"]):
+        words, variables = configured(pip)
+        command = [str(uv), "pip", "install", "--python", str(python), *words, *requirements]
+        commands.insert(0, (command, variables))
+    return any(run(command, variables, log) for command, variables in commands)
+
+
+def configured(pip):
+    """Return what pip is configured for as words and environment variables of uv.
+
+    Args:
+        pip: Command that runs pip.
+    """
+    told = subprocess.run([*pip, "config", "list"], capture_output=True, text=True, check=False)
+    words, variables = ["--index-strategy", "unsafe-best-match"], {}  # as pip: the newest of all
+    for line in told.stdout.splitlines():
+        key, _, value = line.partition("=")
+        key, values = key.rpartition(".")[2], value.strip().strip("'").replace("\\n", " ").split()
+        if key in WORDS:
+            words += [word for one in values for word in (WORDS[key], one)]
+        elif key in VARIABLES and values:
+            variables[VARIABLES[key]] = values[0]
+        elif key == "no-index" and values and values[0].lower() in ("1", "true", "yes", "on"):
+            words.append("--no-index")
+    return words, variables
+
+
+def run(command, variables, log):
+    """Run what installs; return success.
+
+    Args:
+        command: The command.
+        variables: Environment variables that it has besides, unless they are set.
+        log: File that takes what it prints.
+    """
     with log.open("a", encoding="utf-8") as record:
         process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+            command,
+            env={**variables, **os.environ},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
         )
         try:
             for line in process.stdout:
                 record.write(line)
-                found = re.match(r"Collecting ([\w.-]+)", line)
+                found = re.match(r"(?:Collecting| \+) ([\w.-]+)", line)
                 if found:
                     print(f" {found[1]}", end="", flush=True)
                 elif line.startswith("Installing collected packages"):
