@@ -21,14 +21,8 @@ OLDEST_PYTHON = (3, 11)
 BUILT_WITH = {"clawpack": "gfortran"}
 """System packages without which pip cannot build one of Python's."""
 UV = "uv>=0.9,<1"
-WORDS = {
-    "index-url": "--default-index",
-    "extra-index-url": "--extra-index-url",
-    "find-links": "--find-links",
-    "constraint": "--constraint",
-    "trusted-host": "--allow-insecure-host",
-}
-"""Keys of pip's configuration, and what uv calls them."""
+ALIKE = re.compile(r"[a-z-]*(url|links|constraint|host)")
+"""Keys of pip's configuration that are options of uv as well: what comes from where."""
 VARIABLES = {
     "cert": "SSL_CERT_FILE",
     "timeout": "UV_HTTP_TIMEOUT",
@@ -198,8 +192,8 @@ def configured(pip):
     for line in told.stdout.splitlines():
         key, _, value = line.partition("=")
         key, values = key.rpartition(".")[2], value.strip().strip("'").replace("\\n", " ").split()
-        if key in WORDS:
-            words += [word for one in values for word in (WORDS[key], one)]
+        if ALIKE.fullmatch(key):
+            words += [word for one in values for word in (f"--{key}", one)]
         elif key in VARIABLES and values:
             variables[VARIABLES[key]] = values[0]
         elif key == "no-index" and values and values[0].lower() in ("1", "true", "yes", "on"):
