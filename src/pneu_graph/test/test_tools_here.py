@@ -172,6 +172,48 @@ def test_messages_are_published(pneu, options, count):
     assert "--rate: is more than 0, found -1" in pneu("topic", "pub", *words, status=2)
 
 
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("a//b", "/a//b"),
+        ("/1", "/1"),
+        ("{ns}/x", "///x"),
+        ("a b", "/a b"),
+        ("a/", "/a/"),
+        ("", "/"),
+    ],
+)
+def test_names_that_cannot_be_are_refused(pneu, name, found):
+    kind = "std_msgs/msg/String"
+    said = pneu("topic", "pub", "--once", name, kind, status=2)
+    assert said.startswith("pneu: Invalid topic name: ") and said.count("\n") == 1
+    assert f"found '{found}'" in said
+    assert "Invalid" in pneu("service", "call", name, "std_srvs/srv/SetBool", status=2)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("hz", "-w", "0", "/rig/often"),
+        ("hz", "--seconds", "-1", "/rig/often"),
+        ("hz", "--seconds", "nan", "/rig/often"),
+        ("bw", "--seconds", "inf", "/rig/often"),
+        ("echo", "--timeout", "-1", "/rig/often"),
+        ("echo", "--timeout", "nan", "/rig/often"),
+        ("echo", "-l", "-3", "/rig/often"),
+        ("echo", "--qos-depth", "-1", "/rig/often"),
+        ("pub", "-r", "nan", "/rig/heard", "std_msgs/msg/String"),
+        ("pub", "-r", "inf", "/rig/heard", "std_msgs/msg/String"),
+        ("pub", "-t", "-3", "/rig/heard", "std_msgs/msg/String"),
+        ("pub", "-w", "-5", "/rig/heard", "std_msgs/msg/String"),
+        ("pub", "-p", "-1", "/rig/heard", "std_msgs/msg/String"),
+        ("pub", "--keep-alive", "-1", "/rig/heard", "std_msgs/msg/String"),
+    ],
+)
+def test_numbers_that_cannot_be_are_refused(pneu, words):
+    assert "Invalid value" in pneu("topic", *words, status=2)
+
+
 def test_rates_are_measured(pneu):
     shown = pneu("topic", "hz", "--seconds", "1.2", "/rig/often")
     assert float(shown.split("average rate: ")[1].split()[0]) == pytest.approx(50.0, rel=0.5)

@@ -31,6 +31,7 @@ def tool_node(
     """
     hook.install()
     import rclpy
+    from rclpy.exceptions import NameValidationException
     from rclpy.executors import ExternalShutdownException
 
     from pneu_graph.nodes.lifetime import initialised
@@ -46,6 +47,9 @@ def tool_node(
             if look_around:
                 settle(node, found)
             yield node
+        except NameValidationException as error:  # its text has lines for the rule and the name
+            rule, name = str(error).split("\n")[:2]
+            raise InputError(f"{rule.rstrip(':')}, found {name.strip()}") from None
         finally:
             node.destroy_node()
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`pneu topic`: which topics there are, what is on them, and publishing by hand."""
 
+import math
 import os
 import sys
 import time
@@ -25,11 +26,21 @@ from pneu_graph.tools.session import absolute, hidden, nobody_found, spin_while,
 
 app = typer.Typer(help="Show topics, and publish by hand.", no_args_is_help=True)
 
+
+def _finite(value: float) -> float:
+    if not math.isfinite(value):
+        raise typer.BadParameter(f"found {value:g}, a finite number is needed")
+    return value
+
+
 Name = Annotated[str, typer.Argument(help="The topic.")]
 Reliability = Annotated[str, typer.Option("--qos-reliability", help="reliable or best_effort.")]
 Durability = Annotated[str, typer.Option("--qos-durability", help="volatile or transient_local.")]
-Depth = Annotated[int, typer.Option("--qos-depth", help="Length of the queue; 0: default.")]
-Window = Annotated[int, typer.Option("--window", "-w", help="Messages to average over.")]
+Depth = Annotated[int, typer.Option("--qos-depth", min=0, help="Length of the queue; 0: default.")]
+Window = Annotated[int, typer.Option("--window", "-w", min=1, help="Messages to average over.")]
+Seconds = Annotated[
+    float, typer.Option("--seconds", min=0.0, callback=_finite, help="Stop after, s; 0: never.")
+]
 
 
 def topics_of(node: Any, with_hidden: bool = False) -> list[tuple[str, list[str]]]:
@@ -148,7 +159,10 @@ def echo(
     message_type: Annotated[str, typer.Argument(help="Its type, where not yet known.")] = "",
     once: Annotated[bool, typer.Option("--once", help="Only the first message.")] = False,
     timeout_s: Annotated[
-        float, typer.Option("--timeout", help="Give up after so long, s; 0: never.")
+        float,
+        typer.Option(
+            "--timeout", min=0.0, callback=_finite, help="Give up after so long, s; 0: never."
+        ),
     ] = 0.0,
     field: Annotated[str, typer.Option("--field", help="Only this field, such as a.b.")] = "",
     csv: Annotated[bool, typer.Option("--csv", help="Values on one line, with commas.")] = False,
@@ -158,7 +172,7 @@ def echo(
         bool, typer.Option("--full-length", "-f", help="Long arrays and texts whole.")
     ] = False,
     truncate_length: Annotated[
-        int, typer.Option("--truncate-length", "-l", help="Longest array and text.")
+        int, typer.Option("--truncate-length", "-l", min=0, help="Longest array and text.")
     ] = TRUNCATE_LENGTH,
     no_arr: Annotated[bool, typer.Option("--no-arr", help="Leave arrays out.")] = False,
     no_str: Annotated[bool, typer.Option("--no-str", help="Leave texts out.")] = False,
@@ -213,16 +227,25 @@ def publish(
     topic: Name,
     message_type: Annotated[str, typer.Argument(help="Its type.")],
     values: Annotated[str, typer.Argument(help='Values in YAML, such as "{data: 1.0}".')] = "{}",
-    rate_hz: Annotated[float, typer.Option("--rate", "-r", help="Messages per second.")] = 1.0,
+    rate_hz: Annotated[
+        float, typer.Option("--rate", "-r", callback=_finite, help="Messages per second.")
+    ] = 1.0,
     once: Annotated[bool, typer.Option("--once", "-1", help="One message.")] = False,
-    times: Annotated[int, typer.Option("--times", "-t", help="So many; 0: no end.")] = 0,
+    times: Annotated[int, typer.Option("--times", "-t", min=0, help="So many; 0: no end.")] = 0,
     wait: Annotated[
         int,
-        typer.Option("--wait-matching-subscriptions", "-w", help="Wait for so many; -1: default."),
+        typer.Option(
+            "--wait-matching-subscriptions", "-w", min=-1, help="Wait for so many; -1: default."
+        ),
     ] = -1,
-    print_every: Annotated[int, typer.Option("--print", "-p", help="Show every nth.")] = 1,
+    print_every: Annotated[
+        int, typer.Option("--print", "-p", min=0, help="Show every nth; 0: none.")
+    ] = 1,
     keep_alive_s: Annotated[
-        float, typer.Option("--keep-alive", help="Stay after the last message, s.")
+        float,
+        typer.Option(
+            "--keep-alive", min=0.0, callback=_finite, help="Stay after the last message, s."
+        ),
     ] = 0.1,
     reliability: Reliability = "",
     durability: Durability = "",
@@ -264,7 +287,7 @@ def publish(
 def hz(
     topic: Name,
     window: Window = 10000,
-    seconds: Annotated[float, typer.Option("--seconds", help="Stop after, s; 0: never.")] = 0.0,
+    seconds: Seconds = 0.0,
 ) -> None:
     """Measures how often messages come."""
     _measure(topic, rates.Rate(window), seconds)
@@ -274,7 +297,7 @@ def hz(
 def bandwidth(
     topic: Name,
     window: Window = 100,
-    seconds: Annotated[float, typer.Option("--seconds", help="Stop after, s; 0: never.")] = 0.0,
+    seconds: Seconds = 0.0,
 ) -> None:
     """Measures how many bytes come."""
     print(f"Subscribed to [{absolute(topic)}]", flush=True)
