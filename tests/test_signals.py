@@ -91,8 +91,14 @@ def interrupt(words: list[str], number: int, after_s: float, folder: Path) -> tu
                 time.sleep(0.002)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 command.wait(after_s)
+            # Stopped first: it must not end by itself between this check and the signal.
+            command.send_signal(signal.SIGSTOP)
             done = command.poll() is not None
+            if not done:
+                state = os.waitid(os.P_PID, command.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
+                done = state is not None and state.si_code != os.CLD_STOPPED
             command.send_signal(number)
+            command.send_signal(signal.SIGCONT)
             _, errors = command.communicate(timeout=60.0)
             end = time.monotonic() + 5.0
             while (left := of_session(command.pid)) and time.monotonic() < end:
