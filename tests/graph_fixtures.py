@@ -4,6 +4,7 @@
 They count for the file that imports them, and names them in ``__all__``.
 """
 
+import contextlib
 import threading
 
 import pytest
@@ -26,18 +27,26 @@ def graph():
         yield graph
 
 
+@contextlib.contextmanager
+def spinning(executor_class=SingleThreadedExecutor):
+    """A context beside the default one, and an executor of it that spins in a thread."""
+    context = rclpy.context.Context()
+    rclpy.init(args=[], context=context)
+    executor = executor_class(context=context)
+    thread = threading.Thread(target=executor.spin, daemon=True)
+    thread.start()
+    yield context, executor
+    executor.shutdown()
+    thread.join(10.0)
+    context.try_shutdown()
+
+
 @pytest.fixture
 def outside():
     """A node in a context beside the default one, which a command has for itself."""
-    context = rclpy.context.Context()
-    rclpy.init(args=[], context=context)
-    node = rclpy.create_node("outside", context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    thread = threading.Thread(target=executor.spin, daemon=True)
-    thread.start()
-    yield node
-    executor.shutdown()
-    thread.join(10.0)
-    node.destroy_node()
-    context.try_shutdown()
+    with spinning() as (context, executor):
+        node = rclpy.create_node("outside", context=context)
+        executor.add_node(node)
+        yield node
+        executor.remove_node(node)
+        node.destroy_node()

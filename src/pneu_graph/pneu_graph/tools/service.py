@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from pneu_common.errors import InputError
+from pneu_common.options import finite
 from pneu_graph.nodes.type_support import interface_class
 from pneu_graph.tools.message_text import fill, parse_values
 from pneu_graph.tools.session import absolute, hidden, spin_while, tool_node
@@ -49,9 +50,17 @@ def call_service(
     name: Annotated[str, typer.Argument(help="The service.")],
     service_type: Annotated[str, typer.Argument(help="Its type.")],
     values: Annotated[str, typer.Argument(help='Request in YAML, such as "{data: true}".')] = "{}",
-    rate_hz: Annotated[float, typer.Option("--rate", "-r", help="Repeat; 0: once.")] = 0.0,
+    rate_hz: Annotated[
+        float, typer.Option("--rate", "-r", min=0.0, callback=finite, help="Repeat; 0: once.")
+    ] = 0.0,
     timeout_s: Annotated[
-        float, typer.Option("--timeout", help="Longest wait for the service and the answer, s.")
+        float,
+        typer.Option(
+            "--timeout",
+            min=0.0,
+            callback=finite,
+            help="Longest wait for the service and the answer, s.",
+        ),
     ] = 10.0,
 ) -> None:
     """Calls a service."""

@@ -47,7 +47,7 @@ def tool_node(
             if look_around:
                 settle(node, found)
             yield node
-        except NameValidationException as error:  # its text has lines for the rule and the name
+        except NameValidationException as error:  # the rule and the name are lines of its text
             rule, name = str(error).split("\n")[:2]
             raise InputError(f"{rule.rstrip(':')}, found {name.strip()}") from None
         finally:

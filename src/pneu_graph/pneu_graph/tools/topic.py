@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`pneu topic`: which topics there are, what is on them, and publishing by hand."""
 
-import math
 import os
 import sys
 import time
@@ -11,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from pneu_common.errors import InputError
+from pneu_common.options import finite
 from pneu_graph.nodes.type_support import interface_class
 from pneu_graph.tools import rates
 from pneu_graph.tools.endpoint_text import endpoint_text
@@ -25,21 +25,13 @@ from pneu_graph.tools.qos_options import chosen_profile, matching_profile
 from pneu_graph.tools.session import absolute, hidden, nobody_found, spin_while, tool_node
 
 app = typer.Typer(help="Show topics, and publish by hand.", no_args_is_help=True)
-
-
-def _finite(value: float) -> float:
-    if not math.isfinite(value):
-        raise typer.BadParameter(f"found {value:g}, a finite number is needed")
-    return value
-
-
 Name = Annotated[str, typer.Argument(help="The topic.")]
 Reliability = Annotated[str, typer.Option("--qos-reliability", help="reliable or best_effort.")]
 Durability = Annotated[str, typer.Option("--qos-durability", help="volatile or transient_local.")]
 Depth = Annotated[int, typer.Option("--qos-depth", min=0, help="Length of the queue; 0: default.")]
 Window = Annotated[int, typer.Option("--window", "-w", min=1, help="Messages to average over.")]
 Seconds = Annotated[
-    float, typer.Option("--seconds", min=0.0, callback=_finite, help="Stop after, s; 0: never.")
+    float, typer.Option("--seconds", min=0.0, callback=finite, help="Stop after, s; 0: never.")
 ]
 
 
@@ -161,7 +153,7 @@ def echo(
     timeout_s: Annotated[
         float,
         typer.Option(
-            "--timeout", min=0.0, callback=_finite, help="Give up after so long, s; 0: never."
+            "--timeout", min=0.0, callback=finite, help="Give up after so long, s; 0: never."
         ),
     ] = 0.0,
     field: Annotated[str, typer.Option("--field", help="Only this field, such as a.b.")] = "",
@@ -228,7 +220,7 @@ def publish(
     message_type: Annotated[str, typer.Argument(help="Its type.")],
     values: Annotated[str, typer.Argument(help='Values in YAML, such as "{data: 1.0}".')] = "{}",
     rate_hz: Annotated[
-        float, typer.Option("--rate", "-r", callback=_finite, help="Messages per second.")
+        float, typer.Option("--rate", "-r", callback=finite, help="Messages per second.")
     ] = 1.0,
     once: Annotated[bool, typer.Option("--once", "-1", help="One message.")] = False,
     times: Annotated[int, typer.Option("--times", "-t", min=0, help="So many; 0: no end.")] = 0,
@@ -244,7 +236,7 @@ def publish(
     keep_alive_s: Annotated[
         float,
         typer.Option(
-            "--keep-alive", min=0.0, callback=_finite, help="Stay after the last message, s."
+            "--keep-alive", min=0.0, callback=finite, help="Stay after the last message, s."
         ),
     ] = 0.1,
     reliability: Reliability = "",

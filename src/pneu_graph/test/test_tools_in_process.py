@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands on the graph, all in this process, beside nodes that have one thing of each kind."""
+"""Commands on the graph, run in this process against nodes with one interface of each kind."""
 
-import threading
 import time
 from importlib.metadata import EntryPoint
 
 import pytest
 
-from tests.graph_fixtures import domain  # isort: skip
+from tests.graph_fixtures import domain, spinning  # isort: skip
 
 import rclpy
 from pneu_msgs.action import Identify
@@ -15,7 +14,7 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.action import ActionServer, GoalResponse
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool
 from typer.testing import CliRunner
@@ -26,11 +25,12 @@ pytestmark = pytest.mark.kernel_free
 
 __all__ = ["domain"]  # a fixture
 
-HEARD = []
+RECEIVED = []
+"""When messages on /rig/input came, and their text."""
 
 
-def hear(message):
-    HEARD.append((time.monotonic(), message.data))
+def receive(message):
+    RECEIVED.append((time.monotonic(), message.data))
 
 
 def answer(request, response):
@@ -38,65 +38,47 @@ def answer(request, response):
     return response
 
 
-def carry_out(handle):
-    handle.succeed()
+def execute(goal_handle):
+    goal_handle.succeed()
     return Identify.Result(success=True, verdict="as asked")
+
+
+def accept(goal):
+    return GoalResponse.REJECT if goal.task == "no" else GoalResponse.ACCEPT
 
 
 @pytest.fixture(scope="module")
 def talker(domain):
-    """A node in a context of its own, which publishes, hears, answers and carries out.
-
-    Beside it there is one with a life cycle.
-    """
-    context = rclpy.context.Context()
-    rclpy.init(args=[], context=context)
-    node = rclpy.create_node("talker", namespace="/rig", context=context)
-    limits = [FloatingPointRange(from_value=0.0, to_value=9.0)]
-    about = ParameterDescriptor(description="A gain.", floating_point_range=limits)
-    node.declare_parameter("gain.p", 1.5, about)
-    fixed = ParameterDescriptor(read_only=True)
-    node.declare_parameter("names", ["a", "b"], fixed)
-    latched = QoSProfile(
-        depth=3,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
-        reliability=ReliabilityPolicy.RELIABLE,
-    )
-    told = node.create_publisher(Header, "told", latched)
-    told.publish(Header(frame_id="end"))
-    often = node.create_publisher(String, "often", 10)
-    node.create_timer(0.02, lambda: often.publish(String(data="abc")))
-    node.create_subscription(
-        String, "heard", lambda m: HEARD.append((time.monotonic(), m.data)), 10
-    )
-    node.create_service(SetBool, "~/enable", answer)
-    action = ActionServer(
-        node,
-        Identify,
-        "identify",
-        carry_out,
-        goal_callback=lambda goal: (
-            GoalResponse.REJECT if goal.task == "no" else GoalResponse.ACCEPT
-        ),
-    )
-    device = LifecycleNode("device", namespace="/rig", context=context)
-    executor = MultiThreadedExecutor(2, context=context)
-    executor.add_node(node)
-    executor.add_node(device)
-    thread = threading.Thread(target=executor.spin, daemon=True)
-    thread.start()
-    yield node
-    executor.shutdown()
-    thread.join(10.0)
-    action.destroy()
-    device.destroy_node()
-    node.destroy_node()
-    context.try_shutdown()
+    """A node with topics, parameters, a service and an action, beside a lifecycle node."""
+    with spinning(MultiThreadedExecutor) as (context, executor):
+        node = rclpy.create_node("talker", namespace="/rig", context=context)
+        gain = ParameterDescriptor(
+            description="A gain.",
+            floating_point_range=[FloatingPointRange(from_value=0.0, to_value=9.0)],
+        )
+        node.declare_parameter("gain.p", 1.5, gain)
+        node.declare_parameter("names", ["a", "b"], ParameterDescriptor(read_only=True))
+        latched = QoSProfile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        node.create_publisher(Header, "latched", latched).publish(Header(frame_id="end"))
+        periodic = node.create_publisher(String, "periodic", 10)
+        node.create_timer(0.02, lambda: periodic.publish(String(data="abc")))
+        node.create_subscription(String, "input", receive, 10)
+        node.create_service(SetBool, "~/enable", answer)
+        action = ActionServer(node, Identify, "identify", execute, goal_callback=accept)
+        device = LifecycleNode("device", namespace="/rig", context=context)
+        executor.add_node(node)
+        executor.add_node(device)
+        yield node
+        for one in (device, node):
+            executor.remove_node(one)
+        action.destroy()
+        device.destroy_node()
+        node.destroy_node()
 
 
 @pytest.fixture
 def pneu(talker):
-    """Runs a command; returns what it prints, of one that fails what it says of it."""
+    """Run a command; return its standard output, or its standard error where it fails."""
     app = build_app([EntryPoint("graph", "pneu_graph.commands:register", COMMANDS_GROUP)])
 
     def run(*words, status=0):
@@ -107,7 +89,7 @@ def pneu(talker):
     return run
 
 
-TOPICS = ["/rig/heard", "/rig/often", "/rig/told"]
+TOPICS = ["/rig/input", "/rig/latched", "/rig/periodic"]
 
 
 def test_topics(pneu):
@@ -116,12 +98,12 @@ def test_topics(pneu):
     assert not any("_action" in name for name in shown)
     assert any("_action" in n for n in pneu("topic", "list", "--include-hidden-topics").split())
     assert pneu("topic", "list", "-c") == f"{len(shown)}\n"
-    assert "/rig/told [std_msgs/msg/Header]" in pneu("topic", "list", "-t").splitlines()
+    assert "/rig/latched [std_msgs/msg/Header]" in pneu("topic", "list", "-t").splitlines()
     published, subscribed = pneu("topic", "list", "-v").split("Subscribed topics:")
-    assert " * /rig/told [std_msgs/msg/Header] 1 publisher\n" in published
-    assert "/rig/told" not in subscribed and "/rig/heard" not in published
-    assert " * /rig/heard [std_msgs/msg/String] 1 subscriber\n" in subscribed
-    assert pneu("topic", "type", "rig/told") == "std_msgs/msg/Header\n"
+    assert " * /rig/latched [std_msgs/msg/Header] 1 publisher\n" in published
+    assert "/rig/latched" not in subscribed and "/rig/input" not in published
+    assert " * /rig/input [std_msgs/msg/String] 1 subscriber\n" in subscribed
+    assert pneu("topic", "type", "rig/latched") == "std_msgs/msg/Header\n"
     pneu("topic", "type", "/rig/none", status=1)
 
 
@@ -139,36 +121,36 @@ def test_with_others_there_it_says_nothing_of_that(talker):
 
 
 def test_endpoints_of_a_topic(pneu):
-    shown = pneu("topic", "info", "/rig/told")
+    shown = pneu("topic", "info", "/rig/latched")
     assert shown == "Type: std_msgs/msg/Header\nPublisher count: 1\nSubscription count: 0\n"
-    shown = pneu("topic", "info", "-v", "/rig/told").splitlines()
+    shown = pneu("topic", "info", "-v", "/rig/latched").splitlines()
     for line in ("Node name: talker", "Node namespace: /rig", "  Durability: TRANSIENT_LOCAL"):
         assert line in shown
     assert "Unknown topic '/none'" in pneu("topic", "info", "/none", status=1)
 
 
 def test_messages_are_shown(pneu):
-    latched = ("--once", "--timeout", "20", "/rig/told")
+    latched = ("--once", "--timeout", "20", "/rig/latched")
     assert pneu("topic", "echo", "--field", "frame_id", *latched) == "end\n---\n"
     assert pneu("topic", "echo", "--csv", *latched) == "0,0,end\n"
     assert pneu("topic", "echo", *latched).endswith("frame_id: end\n---\n")
     assert "has no field 'where'" in pneu("topic", "echo", "--field", "where", *latched, status=2)
-    silent = ("--once", "--timeout", "0.1", "/rig/heard")
-    assert "no message on /rig/heard within 0.1 s" in pneu("topic", "echo", *silent, status=1)
+    silent = ("--once", "--timeout", "0.1", "/rig/input")
+    assert "no message on /rig/input within 0.1 s" in pneu("topic", "echo", *silent, status=1)
 
 
 @pytest.mark.parametrize(("options", "count"), [(("--once",), 1), (("-t", "3", "-r", "5"), 3)])
 def test_messages_are_published(pneu, options, count):
-    HEARD.clear()
-    shown = pneu("topic", "pub", *options, "/rig/heard", "std_msgs/msg/String", "{data: hello}")
+    RECEIVED.clear()
+    shown = pneu("topic", "pub", *options, "/rig/input", "std_msgs/msg/String", "{data: hello}")
     assert shown.count("publishing #") == count
     assert shown.startswith("Waiting for at least 1 matching subscription(s)...\n")
     until_s = time.monotonic() + 10.0
-    while len(HEARD) < count and time.monotonic() < until_s:
+    while len(RECEIVED) < count and time.monotonic() < until_s:
         time.sleep(0.01)
-    assert [text for _, text in HEARD] == ["hello"] * count
-    assert HEARD[-1][0] - HEARD[0][0] >= 0.8 * (count - 1) / 5.0  # five a second
-    words = ("-r", "-1", "/rig/heard", "std_msgs/msg/String")
+    assert [text for _, text in RECEIVED] == ["hello"] * count
+    assert RECEIVED[-1][0] - RECEIVED[0][0] >= 0.8 * (count - 1) / 5.0  # five a second
+    words = ("-r", "-1", "/rig/input", "std_msgs/msg/String")
     assert "--rate: is more than 0, found -1" in pneu("topic", "pub", *words, status=2)
 
 
@@ -194,20 +176,20 @@ def test_names_that_cannot_be_are_refused(pneu, name, found):
 @pytest.mark.parametrize(
     "words",
     [
-        ("hz", "-w", "0", "/rig/often"),
-        ("hz", "--seconds", "-1", "/rig/often"),
-        ("hz", "--seconds", "nan", "/rig/often"),
-        ("bw", "--seconds", "inf", "/rig/often"),
-        ("echo", "--timeout", "-1", "/rig/often"),
-        ("echo", "--timeout", "nan", "/rig/often"),
-        ("echo", "-l", "-3", "/rig/often"),
-        ("echo", "--qos-depth", "-1", "/rig/often"),
-        ("pub", "-r", "nan", "/rig/heard", "std_msgs/msg/String"),
-        ("pub", "-r", "inf", "/rig/heard", "std_msgs/msg/String"),
-        ("pub", "-t", "-3", "/rig/heard", "std_msgs/msg/String"),
-        ("pub", "-w", "-5", "/rig/heard", "std_msgs/msg/String"),
-        ("pub", "-p", "-1", "/rig/heard", "std_msgs/msg/String"),
-        ("pub", "--keep-alive", "-1", "/rig/heard", "std_msgs/msg/String"),
+        ("hz", "-w", "0", "/rig/periodic"),
+        ("hz", "--seconds", "-1", "/rig/periodic"),
+        ("hz", "--seconds", "nan", "/rig/periodic"),
+        ("bw", "--seconds", "inf", "/rig/periodic"),
+        ("echo", "--timeout", "-1", "/rig/periodic"),
+        ("echo", "--timeout", "nan", "/rig/periodic"),
+        ("echo", "-l", "-3", "/rig/periodic"),
+        ("echo", "--qos-depth", "-1", "/rig/periodic"),
+        ("pub", "-r", "nan", "/rig/input", "std_msgs/msg/String"),
+        ("pub", "-r", "inf", "/rig/input", "std_msgs/msg/String"),
+        ("pub", "-t", "-3", "/rig/input", "std_msgs/msg/String"),
+        ("pub", "-w", "-5", "/rig/input", "std_msgs/msg/String"),
+        ("pub", "-p", "-1", "/rig/input", "std_msgs/msg/String"),
+        ("pub", "--keep-alive", "-1", "/rig/input", "std_msgs/msg/String"),
     ],
 )
 def test_numbers_that_cannot_be_are_refused(pneu, words):
@@ -215,10 +197,10 @@ def test_numbers_that_cannot_be_are_refused(pneu, words):
 
 
 def test_rates_are_measured(pneu):
-    shown = pneu("topic", "hz", "--seconds", "1.2", "/rig/often")
+    shown = pneu("topic", "hz", "--seconds", "1.2", "/rig/periodic")
     assert float(shown.split("average rate: ")[1].split()[0]) == pytest.approx(50.0, rel=0.5)
-    shown = pneu("topic", "bw", "--seconds", "1.2", "/rig/often")
-    assert shown.startswith("Subscribed to [/rig/often]\n")
+    shown = pneu("topic", "bw", "--seconds", "1.2", "/rig/periodic")
+    assert shown.startswith("Subscribed to [/rig/periodic]\n")
 
 
 def test_nodes(pneu):
@@ -227,10 +209,10 @@ def test_nodes(pneu):
     assert "/_ros2cli_" in pneu("node", "list", "-a")
     shown = pneu("node", "info", "rig/talker").splitlines()
     assert shown[0] == "/rig/talker"
-    heard, told = shown.index("  Subscribers:"), shown.index("  Publishers:")
+    subscribed, published = shown.index("  Subscribers:"), shown.index("  Publishers:")
     served = shown.index("  Service Servers:")
-    assert heard < shown.index("    /rig/heard: std_msgs/msg/String") < told
-    assert told < shown.index("    /rig/told: std_msgs/msg/Header") < served
+    assert subscribed < shown.index("    /rig/input: std_msgs/msg/String") < published
+    assert published < shown.index("    /rig/latched: std_msgs/msg/Header") < served
     assert served < shown.index("    /rig/talker/enable: std_srvs/srv/SetBool")
     acts = shown.index("  Action Servers:")
     assert acts < shown.index("    /rig/identify: pneu_msgs/action/Identify")
