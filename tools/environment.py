@@ -2,9 +2,9 @@
 """Build the virtual environment that the Makefile's targets run in.
 
 Needs nothing beyond the standard library. Creates the environment if it is missing or broken,
-installs this repository into it in editable mode with the extras asked for, shows one name per
-package as pip reaches it, and marks the environment ready only once all of it is in place. What pip
-said in full is kept in `pip.log` inside the environment.
+installs this repository into it in editable mode with the extras asked for, prints the names of the
+packages, and marks the environment ready only once all of it is in place. The full output of the
+installers is kept in `pip.log` inside the environment.
 """
 
 import argparse
@@ -21,13 +21,14 @@ OLDEST_PYTHON = (3, 11)
 BUILT_WITH = {"clawpack": "gfortran"}
 """System packages without which pip cannot build one of Python's."""
 UV = "uv>=0.9,<1"
-ALIKE = re.compile(r"[a-z-]*(url|links|constraint|host)")
-"""Keys of pip's configuration that are options of uv as well: what comes from where."""
+SHARED = re.compile(r"[a-z-]*(url|links|constraint|host)")
+"""Keys of pip's configuration that name sources of packages; uv has options of the same names."""
 VARIABLES = {
     "cert": "SSL_CERT_FILE",
     "timeout": "UV_HTTP_TIMEOUT",
     "default-timeout": "UV_HTTP_TIMEOUT",
 }
+"""Environment variables of uv for other keys of pip's configuration."""
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
@@ -163,10 +164,10 @@ def install_all(pip, what, requirements, log):
 
 
 def install(pip, requirements, log):
-    """Install, name the packages as they come, log the rest; return success.
+    """Install requirements, print the names of the packages, log the rest; return success.
 
-    By uv, which takes a fifth of pip's time, with the indexes that pip is configured for; where
-    that cannot be had or fails, by pip.
+    uv installs, with the sources that pip is configured for; pip does where uv is not available or
+    fails. uv takes a third of the time.
     """
     # Python compiles what it imports and keeps it; all the rest is never needed.
     options = ["--no-compile", "--disable-pip-version-check", "--no-input"]
@@ -182,17 +183,20 @@ def install(pip, requirements, log):
 
 
 def configured(pip):
-    """Return what pip is configured for as words and environment variables of uv.
+    """Translate pip's configuration into options and environment variables of uv.
 
     Args:
         pip: Command that runs pip.
     """
     told = subprocess.run([*pip, "config", "list"], capture_output=True, text=True, check=False)
-    words, variables = ["--index-strategy", "unsafe-best-match"], {}  # as pip: the newest of all
+    words, variables = (
+        ["--index-strategy", "unsafe-best-match"],
+        {},
+    )  # pip, too, takes the newest of all
     for line in told.stdout.splitlines():
         key, _, value = line.partition("=")
         key, values = key.rpartition(".")[2], value.strip().strip("'").replace("\\n", " ").split()
-        if ALIKE.fullmatch(key):
+        if SHARED.fullmatch(key):
             words += [word for one in values for word in (f"--{key}", one)]
         elif key in VARIABLES and values:
             variables[VARIABLES[key]] = values[0]
@@ -202,12 +206,12 @@ def configured(pip):
 
 
 def run(command, variables, log):
-    """Run what installs; return success.
+    """Run an installer; return success.
 
     Args:
-        command: The command.
-        variables: Environment variables that it has besides, unless they are set.
-        log: File that takes what it prints.
+        command: Its command line.
+        variables: Environment variables for it, unless they are set already.
+        log: File that its output is appended to.
     """
     with log.open("a", encoding="utf-8") as record:
         process = subprocess.Popen(
