@@ -7,6 +7,7 @@ import socket
 
 import pytest
 
+from pneu_hw_bridge.phantom import servo as servo_module
 from pneu_hw_bridge.phantom.device import Frame
 from pneu_hw_bridge.phantom.governor import Governor, Limits, State
 from pneu_hw_bridge.phantom.servo import Servo
@@ -218,14 +219,13 @@ def test_samples_are_told_whichever_ticks_frames_come_at(late: int) -> None:
         assert stamps == [1_000_000 * tick for tick in range(late, 80, 4)]
 
 
-def test_the_longest_wait_between_ticks_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_longest_wait_between_ticks_is_reported_once(monkeypatch: pytest.MonkeyPatch) -> None:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
         theirs.setblocking(False)
+        monkeypatch.setattr(servo_module, "REPORT_S", 1e9)  # the loop sends changes only
         limits = Limits(("a", "b"), (JOINT, JOINT), 0.05, 0.1, 0.1, False, 0.0)
         servo = Servo(theirs, object(), limits, every=1000)  # type: ignore[arg-type]
-        servo._report_s = 1e9  # it reports by itself only what changes
-        servo._told = (servo.governor.state()[0].value, servo.governor.state()[1].split(" for ")[0])
         for at_s in (100.0, 100.001, 100.009, 100.010):
             monkeypatch.setattr("time.monotonic", lambda at_s=at_s: at_s)
             servo.tick(None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sensors of vectors that tell them in another frame than the model's."""
+"""Vector sensors whose readings are in another frame than the model's."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -15,7 +15,7 @@ VECTORS = np.random.default_rng(5).normal(size=(40, 3)) * [3.0, 2.0, 1.0]
 
 
 def found(turn: Rotation, vectors: Any = VECTORS, noise: float = 0.0, **more: Any) -> Any:
-    """What is found where one sensor's readings are those of the model, turned."""
+    """Return the turned frames found for one sensor whose readings are the model's, rotated."""
     about = {"name": "imu", "size": 3, "turns": False, "stage": "forces", "address": 2}
     channel = SimpleNamespace(**about | more, knots=slice(None))
     off = noise * np.random.default_rng(6).normal(size=vectors.shape)

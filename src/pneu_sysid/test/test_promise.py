@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a plan promises, of one rig or of several as it may be; numbers that all differ."""
+"""Expected results of a plan, for one rig and for several; all numbers differ."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +19,7 @@ def promise(
     scale: float, errors: tuple[float, float], share: tuple[float, float] = (0.1, 0.2),
     within: bool = True,
 ) -> Any:  # fmt: skip
-    """Of a rig whose pressures, joints and air go with a number."""
+    """Return the expectation for one rig; pressures, joints and air scale with a number."""
     time = np.array([0.0, 0.1, 0.2])
     pressures = {
         "end": Signal(time, 1e5 * (1.0 + scale * np.array([0.0, 1.0, 0.5]))),
@@ -37,13 +37,13 @@ def promise(
     return SimpleNamespace(seen=seen, told=told, errors=lambda learnt: np.array(errors))
 
 
-def test_of_one_rig_no_range_is_told() -> None:
+def test_one_rig_gives_no_range() -> None:
     told = expected_of([promise(1.0, (2.0, 30.0))], LIMITS, [], [], LEARNT, 4.0)
     assert told.std_errors == {NAMES[0]: 2.0, NAMES[1]: 30.0}
     assert told.std_errors_range == {} and told.words == []
 
 
-def test_of_several_rigs_extremes_and_middle_errors_are_told() -> None:
+def test_several_rigs_give_extremes_and_median_errors() -> None:
     rigs = [promise(1.0, (2.0, 30.0)), promise(3.0, (3.0, 20.0)), promise(2.0, (2.5, 50.0))]
     told = expected_of(rigs, LIMITS, [], [], LEARNT, 4.0)
     assert told.std_errors == {NAMES[0]: 2.5, NAMES[1]: 30.0}
@@ -56,7 +56,7 @@ def test_of_several_rigs_extremes_and_middle_errors_are_told() -> None:
     assert told.words == []
 
 
-def test_what_a_plan_cannot_promise_is_said() -> None:
+def test_what_a_plan_cannot_promise_is_reported() -> None:
     rigs = [promise(1.0, (2.0, 1.0)), promise(1.0, (2.0, 1.01 * DEPENDS), within=False)]
     depends, beyond = expected_of(rigs, LIMITS, [], [], LEARNT, 4.0).words
     assert f"How much it tells of {NAMES[1]} depends on what the rig is" in depends

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cards of the page, made without a browser, with results whose numbers all differ."""
+"""Cards of the page, built without a browser from results whose numbers all differ."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,14 +20,15 @@ from pneu_sysid.report.quantities import number, percent
 from pneu_sysid.results.compare import CompareResult
 from pneu_workbench.cards import MOST, NOTCHES, WORST, Cards, heat_of, over_noise, refusing
 from pneu_workbench.versions import Version, Versions
-from pneu_workbench.view import MapRow, Part
+from pneu_workbench.view import MapRow, Part, View
+from pneu_workbench.work import Work
 
 RIG = load_rig(Path(__file__).parents[3] / "rigs" / "rig_a_fitted.yaml")
 KEYS = [("pressure", "supply", "1-2 bar"), ("flow_direction", "", "filling")]
 
 
 class Session:
-    """What a session has to show, and what is asked of it."""
+    """Stand-in for `Work` with fixed results; records the calls of its other methods."""
 
     def __init__(self) -> None:
         self.asked: list[tuple[Any, ...]] = []
@@ -57,6 +58,8 @@ class Session:
             },
         )  # fmt: skip
 
+        assert all(hasattr(View, name) for name in vars(self.view))
+
     def errors(self, part: Part, beside: bool = False) -> dict[str, float]:
         if part.regime is None and part.begin_s is None:
             return {"supply": 1.25, "valve_out": 222.2} if not beside else {"supply": 7.75}
@@ -70,7 +73,7 @@ class Session:
         return [MapRow(key, told, times, chosen) for key, told, times, chosen in every]
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("_"):
+        if name.startswith("_") or not callable(getattr(Work, name, None)):
             raise AttributeError(name)
         return lambda *given: self.asked.append((name, *given))
 

@@ -59,7 +59,7 @@ class Emergency:
         self.latches = Latches()
         self.driving = False
         self._device = ""
-        # asked for by calls in another thread, while the node may already be going
+        # Kept, as the thread that takes stops may need them after the node was destroyed.
         self._name, self._namespace = node.get_fully_qualified_name(), node.get_namespace()
         self._memory: Memory | None = None
         self._calls: deque[Mapping[str, Any]] = deque(maxlen=MOST_CALLS)

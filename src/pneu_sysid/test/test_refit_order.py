@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The search for what is missing: who is fitted again, from where, and when the search ends.
+"""The order of refits in a diagnosis: which candidates, from which starts, on which cells.
 
-What a fit of a candidate finds is chosen; what decides on it is what always does.
+The outcome of each refit is prescribed; everything that decides on it is the product's own.
 """
 
 import copy
@@ -31,13 +31,13 @@ Part = tuple[str, str]
 
 @dataclass
 class Search:
-    """A case, scores of candidates, and what was done with them.
+    """A diagnosis with prescribed scores and refits, and a record of what it asked for.
 
     Attributes:
         case: The case.
-        asked: Fits: the effect, whether from far larger strengths, whether on longer cells.
-        settled: Effects that were fitted once more on the cells that count.
-        placed: Effects whose place was looked for on these.
+        asked: Refits: effect, whether with multi-start, whether on coarse cells.
+        settled: Effects that were refitted on the fine cells.
+        placed: Effects whose position was refined there.
     """
 
     case: Case
@@ -56,11 +56,11 @@ class Search:
         longer = copy.copy(problem) if coarse else problem
 
         def work(shared: Any, rig: Any, base: Any, candidate: Score, *more: Any) -> Refit:
-            self.asked.append((candidate.site.part[0], more[-1], shared.recordings is not told))
+            self.asked.append((candidate.site.part[0], more[-1], shared.recordings is not fine))
             return made(candidate.site.part, more[-1])
 
         def settle(shared: Any, base: Any, found: Refit, project: Any = None) -> Refit:
-            assert shared.recordings is told  # on the cells that count
+            assert shared.recordings is fine
             self.settled.append(found.site.part[0])
             return found
 
@@ -68,9 +68,9 @@ class Search:
             self.placed.append(found.site.part[0])
             return found
 
-        told = problem.recordings
+        fine = problem.recordings  # marks the problem on the fine cells
         if coarse:
-            longer.recordings = list(told)
+            longer.recordings = list(fine)
         monkeypatch.setattr(Bench, "coarser", lambda bench, rig, readings: longer)
         monkeypatch.setattr(Problem, "mended", lambda problem, rig: problem)
         monkeypatch.setattr(diagnose_module, "best_per_place", lambda every: scores)
@@ -81,7 +81,7 @@ class Search:
 
 
 def way_of(case: Case, k: int, cosine: float = 0.0) -> np.ndarray:
-    """A change of the prediction of its own; or one that looks like the first to a degree."""
+    """A sensitivity of its own, or one with a given cosine to that of candidate 0."""
     way = np.zeros(case.base.shape)
     way.ravel()[k] = np.sqrt(1.0 - cosine**2)
     way.ravel()[0] += cosine
@@ -92,7 +92,7 @@ def score(part: Part, explained: float, way: np.ndarray) -> Score:
     return Score(Site(find_effect(part[0]), part[1], {}), 1e-8, explained, 9.0, way, way)
 
 
-def test_where_the_first_is_the_answer_nothing_else_is_tried(
+def test_a_sufficient_first_candidate_ends_the_search(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     search = Search(Case(rig, 6.0))
@@ -104,7 +104,7 @@ def test_where_the_first_is_the_answer_nothing_else_is_tried(
     assert found.verdict == "effect" and found.finalists == [answer]
 
 
-def test_else_those_that_were_scored_low_are_tried_from_larger_strengths(
+def test_low_scores_are_refitted_with_multi_start(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     search = Search(Case(rig, 6.0))
@@ -116,7 +116,7 @@ def test_else_those_that_were_scored_low_are_tried_from_larger_strengths(
 
 
 @pytest.mark.parametrize("better", [False, True])
-def test_at_last_the_first_is_tried_again_and_the_better_one_is_kept(
+def test_the_first_is_refitted_with_multi_start_last_and_the_better_fit_kept(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, better: bool
 ) -> None:
     search = Search(Case(rig, 6.0))
@@ -135,7 +135,7 @@ def test_at_last_the_first_is_tried_again_and_the_better_one_is_kept(
     assert [r for r in found.finalists if r.site.part == LEAK] == [again if better else first]
 
 
-def test_one_that_looks_alike_and_was_only_scored_is_fitted_before_one_is_named(
+def test_confounded_candidates_are_refitted_before_one_is_named(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     search = Search(Case(rig, 6.0))
@@ -156,10 +156,10 @@ def test_one_that_looks_alike_and_was_only_scored_is_fitted_before_one_is_named(
 
 
 @pytest.mark.parametrize("coarse", [True, False])
-def test_rivals_that_are_nearly_as_good_are_settled_on_the_cells_that_count(
+def test_runners_up_are_refitted_on_the_fine_cells(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, coarse: bool
 ) -> None:
-    """Where they were fitted on these already, that is all."""
+    """Unless the first refits were on the fine cells already."""
     search = Search(Case(rig, 6.0))
     scores = [
         score(part, 0.9 - 0.1 * k, way_of(search.case, k))
