@@ -89,6 +89,13 @@ class Plant:
     def volts(self):
         return self.commands[-1].voltage_v[0] if self.commands else math.nan
 
+    def period_s(self):
+        """Return the median time between commands: a busy machine drops some, but not most."""
+        first = len(self.commands)
+        wait_for(lambda: len(self.commands) > first + 100)
+        stamps = [common.from_stamp(command.header.stamp) for command in self.commands[first:]]
+        return 1e-9 * np.median(np.diff(stamps))
+
     def settles_at(self, volts):
         wait_for(lambda: self.volts() == pytest.approx(volts, abs=1e-6))
 
@@ -99,10 +106,7 @@ def test_it_commands_the_voltage_of_its_law_at_its_rate(graph):
     plant.settles_at(5.5)
     plant.pressure_pa = 300e3
     plant.settles_at(4.5)
-    begin, count = time.monotonic(), len(plant.commands)
-    time.sleep(1.0)
-    rate = (len(plant.commands) - count) / (time.monotonic() - begin)
-    assert rate == pytest.approx(100.0, rel=0.1)
+    assert plant.period_s() == pytest.approx(0.01, rel=0.1)
     assert list(plant.commands[-1].name) == ["voltage"]
     assert "tracking" in graph.status("control").message
 
@@ -397,10 +401,7 @@ def test_the_policy_commands_the_voltage_of_its_network_at_the_period_of_its_fil
     plant.settles_at(5.0 + 0.5 + 2.0)
     plant.pressure_pa = 300e3
     plant.settles_at(4.5)
-    begin, count = time.monotonic(), len(plant.commands)
-    time.sleep(1.0)
-    rate = (len(plant.commands) - count) / (time.monotonic() - begin)
-    assert rate == pytest.approx(100.0, rel=0.1)
+    assert plant.period_s() == pytest.approx(0.01, rel=0.1)
     status = graph.status("policy: control")
     assert "tracking" in status.message
     rms = {pair.key: float(pair.value) for pair in status.values}["rms error (Pa)"]
