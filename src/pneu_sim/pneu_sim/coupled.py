@@ -12,6 +12,7 @@ from pneu_common.errors import InputError
 from pneu_sim import layout as L
 from pneu_sim import tile as tiles
 from pneu_sim.full_solver import FullSolver
+from pneu_sim.kernel.bodies import hold
 from pneu_sim.mechanism.coupling import Coupling
 from pneu_sim.mechanism.mechanism import Mechanism
 from pneu_sim.rig.model import Model
@@ -48,6 +49,13 @@ class CoupledSolver(FullSolver):
         )
         self._coupling = Coupling(self.mechanism)
         self._rows = np.stack([m.cylinder[self._of] for m in self.models], axis=-1)
+        self._give = np.broadcast_to(self.mechanism.give(), self._rows[:, 0].shape)
+        self._forget()
+
+    @property
+    def unit_s(self) -> float:
+        """The physics step, s, of which an interval is a whole number."""
+        return float(self.mechanism.step_s)
 
     @property
     def joint_names(self) -> list[str]:
@@ -71,6 +79,7 @@ class CoupledSolver(FullSolver):
         """
         self.mechanism.reset()
         self._coupling.reset()
+        self._forget()
         start = self.mechanism.extension()
         for tile, of in self.tiles:
             tile.cylinder[self._of, L.PY_START] = start[:, of]
@@ -117,9 +126,50 @@ class CoupledSolver(FullSolver):
             return mean + self._held_by_springs(speed_m_s)
 
         for _ in range(steps):
-            self._coupling.step(gas, self._grip())
+            grip = self._grip()
+            if grip is None or not (self._rows[:, L.PY_SOFT] > 0.0).any():
+                self._coupling.step(gas, grip)
+            else:
+                self._coupling.step(gas, *self._bend(grip))
+                self._bent = self._bent_by(self.mechanism.speed(), grip)
         assert last is not None
         return last
+
+    def _forget(self) -> None:
+        """Has soft seals straight, at rest."""
+        shape = self._rows[:, 0].shape
+        self._bent, self._impulse, self._before = (np.zeros(shape) for _ in range(3))
+
+    def _bend(self, grip: Floats) -> tuple[Floats, Floats]:
+        """What is left to MuJoCo of dry friction, and the force of seals that are soft, N.
+
+        MuJoCo's friction holds rigidly. Soft seals are bristles as those of bodies (`hold`), by the
+        speed that the step before foresees.
+        """
+        row, h, speed = self._rows, self.mechanism.step_s, self.mechanism.speed()
+        free = 2.0 * speed - self._before - self._give * self._impulse
+        soft = np.where(grip > 0.0, row[:, L.PY_SOFT], 0.0)
+        for c, j in np.ndindex(*grip.shape):
+            self._impulse[c, j] = 0.0
+            if soft[c, j] > 0.0:
+                self._impulse[c, j] = hold(
+                    free[c, j],
+                    self._give[c, j],
+                    h * grip[c, j],
+                    self._bent[c, j],
+                    h,
+                    soft[c, j],
+                    row[c, L.PY_SOFT_DAMPING, j],
+                )
+        self._before = speed
+        return np.where(soft > 0.0, 0.0, grip), self._impulse / h
+
+    def _bent_by(self, speed: Floats, grip: Floats) -> Floats:
+        """Deflections of soft seals after a step, m."""
+        h, soft = self.mechanism.step_s, self._rows[:, L.PY_SOFT]
+        most = np.where((soft > 0.0) & (grip > 0.0), soft * grip, 1.0)
+        after = (self._bent + h * speed) / (1.0 + h * np.abs(speed) / most)
+        return np.asarray(np.where((soft > 0.0) & (grip > 0.0), after, 0.0))
 
     def _extension(self) -> Floats:
         """(n_cyl, lanes) extensions of the mechanism's cylinders, as the gas has them."""
@@ -172,7 +222,8 @@ class CoupledSolver(FullSolver):
 
     def state(self) -> list[NDArray[Any]]:
         """Returns copies of all that the future depends on; see `Solver.state`."""
-        return [*super().state(), *self._coupling.state()]
+        own = [self._bent, self._impulse, self._before]
+        return [*super().state(), *(part.copy() for part in own), *self._coupling.state()]
 
     def set_state(self, parts: Sequence[NDArray[Any]]) -> None:
         """Goes back to a state; see `Solver.set_state`.
@@ -182,7 +233,8 @@ class CoupledSolver(FullSolver):
         """
         of_gas = len(tiles.CHANGING) + 1
         super().set_state(parts[:of_gas])
-        self._coupling.set_state(parts[of_gas:])
+        self._bent, self._impulse, self._before = (p.copy() for p in parts[of_gas : of_gas + 3])
+        self._coupling.set_state(parts[of_gas + 3 :])
 
 
 def _between(opening: Floats, share: float) -> Floats:

@@ -212,6 +212,11 @@ class Solver(ABC):
         raise InputError("joints: the rig's model moves no bodies")
 
     @property
+    def unit_s(self) -> float:
+        """Time of which every interval has to be a whole number, s; 0 where any will do."""
+        return 0.0
+
+    @property
     def joint_names(self) -> list[str]:
         """Names of the joints of bodies."""
         return self.plan.joints

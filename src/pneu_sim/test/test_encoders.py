@@ -48,13 +48,14 @@ def test_a_lag_is_that_of_first_order_and_a_late_clock_shows_what_was():
     rig = kokoro(
         slow={"joint": "elbow", "lag_s": lag_s}, late={"joint": "elbow", "offset_s": late_s}
     )
-    seen = Simulator(rig).run(0.4, APART, STEP_S)
+    fine_s = 1e-3  # over which positions are linear to a sensor
+    seen = Simulator(rig).run(0.4, APART, fine_s)
     true, slow = seen.joints["elbow"], seen.encoders["slow"]
     # lag * d(slow)/dt = true - slow, integrated over each interval
     gained = lag_s * np.diff(slow)
-    owed = 0.5 * STEP_S * ((true - slow)[1:] + (true - slow)[:-1])
+    owed = 0.5 * fine_s * ((true - slow)[1:] + (true - slow)[:-1])
     assert np.max(np.abs(gained - owed)) < 1e-3 * np.max(np.abs(owed)) + 1e-6
-    k = round(late_s / STEP_S)
+    k = round(late_s / fine_s)
     np.testing.assert_allclose(seen.encoders["late"][k:], true[:-k], atol=1e-9)
 
 

@@ -80,19 +80,23 @@ class Coupling:
         self._before = np.zeros(shape)
         self._owed = np.zeros(shape)
 
-    def step(self, gas: PistonGas, friction_n: Floats | None = None) -> Floats:
+    def step(
+        self, gas: PistonGas, friction_n: Floats | None = None, held_n: Floats | float = 0.0
+    ) -> Floats:
         """Moves gas and mechanism by one physics step.
 
         Args:
             gas: The gas.
             friction_n: (n_cyl, lanes) dry friction of the pistons, N; None is none.
+            held_n: (n_cyl, lanes) force on the pistons besides that of the gas, N, constant over
+                the step.
 
         Returns:
             (n_cyl, lanes) force that the mechanism was given, N.
         """
         if self.mechanism.settings.coupling == "thesis":
-            return self._thesis(gas, friction_n)
-        return self._second_order(gas, friction_n)
+            return self._thesis(gas, friction_n, held_n)
+        return self._second_order(gas, friction_n, held_n)
 
     def advance(self, gas: PistonGas, duration_s: float, friction_n: Floats | None = None) -> None:
         """Moves gas and mechanism by whole physics steps.
@@ -123,11 +127,11 @@ class Coupling:
         self.mechanism.set_state(of_mechanism)
         self._begun, self._before, self._owed = begun.copy(), before.copy(), owed.copy()
 
-    def _thesis(self, gas: PistonGas, friction_n: Floats | None) -> Floats:
+    def _thesis(self, gas: PistonGas, friction_n: Floats | None, held_n: Floats | float) -> Floats:
         """Force at the beginning, physics step, gas (thesis 5.6)."""
         h = self.mechanism.step_s
         force = gas(np.zeros_like(self._owed), 0.0)
-        moved = self.mechanism.advance(force, h, friction_n)
+        moved = self.mechanism.advance(force + held_n, h, friction_n)
         gas(moved / h, h)
         return force
 
@@ -144,7 +148,9 @@ class Coupling:
         high = np.maximum(x, stroke)
         return np.clip(speed, (low - x) / duration, (high - x) / duration)
 
-    def _second_order(self, gas: PistonGas, friction_n: Floats | None) -> Floats:
+    def _second_order(
+        self, gas: PistonGas, friction_n: Floats | None, held_n: Floats | float
+    ) -> Floats:
         """Half a step of gas, physics step, the other half of gas."""
         mechanism, half = self.mechanism, 0.5 * self.mechanism.step_s
         speed = self._led(mechanism.extension(), mechanism.speed(), half)
@@ -154,7 +160,7 @@ class Coupling:
         self._begun[:] = True
         middle = 1.5 * first - 0.5 * self._before
         force = middle + self._owed
-        moved = mechanism.advance(force, 2.0 * half, friction_n)
+        moved = mechanism.advance(force + held_n, 2.0 * half, friction_n)
         last = gas(moved / half - speed, half)
         self._owed = 0.5 * (first + last) - middle
         self._before = last

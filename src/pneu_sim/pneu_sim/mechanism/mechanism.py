@@ -141,6 +141,11 @@ class Mechanism:
         """Returns speeds of the pistons, positive where they extend: (n_cyl, lanes), m/s."""
         return self._speed.copy()
 
+    def give(self) -> Floats:
+        """Returns how fast an impulse makes the pistons at the start: (n_cyl, 1), 1/kg."""
+        inverse = self._loaded.model.tendon_invweight0[self._loaded.tendons]
+        return np.asarray(self._gear**2 * inverse[:, None])
+
     def joint_positions(self) -> Floats:
         """Returns positions of the joints of one coordinate: (n_joints, lanes), rad or m."""
         return self._known(self._qpos[:, self._loaded.positions].T)
