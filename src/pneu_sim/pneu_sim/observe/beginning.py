@@ -21,8 +21,9 @@ from pneu_sim.rig.cells import middles
 
 Floats = NDArray[np.float64]
 
-LEAST_PA = 2e4
-"""No member begins with less pressure than this, absolute."""
+LEAST_PA = 100.0
+"""Least pressure, absolute, that a reading is taken for: with less, the molecules of air fly a
+fifteenth of a millimetre, and the gas in a line flows no more as a continuum."""
 SMOOTH = 0.25
 """Fields of a beginning vary over this share of a line: half of their correlation's support."""
 SMALLEST = 1e-9
@@ -72,7 +73,7 @@ def begin(
         sound = math.sqrt(AIR.gamma * AIR.r_specific * warm)
         fields = [_field(at, plant.lanes, rng) for _ in range(3)]
         start = settings.start_std_pa
-        p = np.maximum(mean[:, None] + start * fields[0], LEAST_PA)
+        p = _pressures(np.asarray(mean)[:, None], start, fields[0])
         t = warm + settings.start_std_k * fields[1]
         u = start / (density * sound)[:, None] * fields[2]
         plant.set_gas(name, p / (AIR.r_specific * t), u, p)
@@ -81,7 +82,7 @@ def begin(
         if np.isfinite(near).any():
             level = values[int(np.argmin(near))]
             draw = centred(rng, (2, plant.lanes))
-            p = np.maximum(level + settings.start_std_pa * draw[0], LEAST_PA)
+            p = _pressures(np.asarray(level), settings.start_std_pa, draw[0])
             t = rig.ambient.temperature_k + settings.start_std_k * draw[1]
             plant.set_chamber(chamber, p, t)
 
@@ -103,6 +104,13 @@ def _place(
         {names[at]: readings[name] for name, at in told.items()},
         {names[at]: speed[k] for k, at in enumerate(told.values())},
     )
+
+
+def _pressures(mean: Floats, std: float, draw: Floats) -> Floats:
+    """Lognormal pressures of a mean and a standard deviation: positive, however low the mean."""
+    mean = np.maximum(mean, LEAST_PA)
+    spread = np.sqrt(np.log1p((std / mean) ** 2))
+    return np.asarray(mean * np.exp(spread * draw - 0.5 * spread**2))
 
 
 def _field(at: Floats, lanes: int, rng: np.random.Generator) -> Floats:
