@@ -44,21 +44,22 @@ def passes(rigs: Any, dt: float, opening: Any) -> list[tuple[str, Any, tuple[Any
         dt: Step, s.
         opening: Openings of all ports.
     """
-    gas, scheme, cells, steps, ends, ports, reservoirs, chambers, terms, _ = rigs
+    gas, scheme, cells, steps, _, ends, ports, reservoirs, chambers, terms, _ = rigs
     second, seldom = scheme.order == 2, 1.0 / kernel.WALL_EVERY
     k = kernel
     found: list[tuple[str, Any, tuple[Any, ...], float]] = [
         ("velocity, pressure, speed of sound", k.find_primitive, (gas, cells), 1.0),
         ("flux through faces", k.cross, (gas, scheme, cells), 1.0),
-        ("what faces carry", k.conserve, (dt, cells, cells.par[kernel.L.FACE]), 1.0),
+        ("what faces carry", k.conserve, (scheme.order, dt, cells, cells.par[kernel.L.FACE]), 1.0),
         ("wall coefficients, every fourth step", k.find_coefficients, (gas, cells), seldom),
         ("decay of memory, every fourth step", k.find_decay, (gas, dt, cells), seldom),
-        ("wall heat with memory", k.heat_with_memory, (gas, dt, cells), 1.0),
-        ("wall friction with memory", k.drag_with_memory, (dt, cells), 1.0),
+        ("wall heat with memory", k.heat_with_memory, (gas, scheme.order, dt, cells), 1.0),
+        ("wall friction with memory", k.drag_with_memory, (scheme.order, dt, cells), 1.0),
         ("chambers", k.find_chambers, (gas, chambers), 1.0),
         ("opening of ports", k.open_ports, (0, 0.5, opening, ports), 1.0),
         ("ghosts", k.fill_ghosts, (gas, second, cells, ends, reservoirs, chambers), 1.0),
         ("steps of area", k.cross_steps, (gas, scheme, dt, cells, steps), 1.0),
+        ("ports of the step before", k.recall_ports, (cells, ends, ports), 1.0),
         (
             "ports",
             k.cross_ports,

@@ -97,14 +97,18 @@ PORTED: Final = 5  # wall fed only through valve ports
 JUNCTION: Final = 7  # one of three or more ends at a common pressure
 TANK: Final = 6  # large vessel: outflow meets its pressure, inflow its stagnation state
 
+# --- volumes beside cells (integer columns) ------------------------------------------------------
+D_SLOT: Final = 0  # the cell
+D_END: Final = 1  # the end of its pipe that it lies at, or -1 where it lies beside its middle
+SIDE_COLUMNS: Final = 2
+
 # --- joints of three or more ends -----------------------------------------------------------------
-J_PUSH: Final = 0  # sums over the joint, kept with its first end: what drives flow into it, N
-J_GIVE: Final = 1  # flow per pressure, m s
-J_MASS: Final = 2  # mass that flows in, kg/s
-J_HEAT: Final = 3  # enthalpy that flows in, W
-J_FLOW: Final = 4  # of each end its outward mass flow per area, kg/(m^2 s)
-J_PRESSURE: Final = 5  # and the joint's pressure, Pa
-JOINT_ROWS: Final = 6
+J_MASS: Final = 0  # kept with the first end of a joint: mass that flows in, kg/s
+J_HEAT: Final = 1  # enthalpy that flows in, W
+J_FLOW: Final = 2  # of each end its outward mass flow per area, kg/(m^2 s)
+J_SLOPE: Final = 3  # by how much that grows as the joint's pressure falls, s/m
+J_PRESSURE: Final = 4  # and the pressure at it, Pa
+JOINT_ROWS: Final = 5
 
 # --- what leaves pipe ends through ports ----------------------------------------------------------
 N_MASS: Final = 0  # kg/s

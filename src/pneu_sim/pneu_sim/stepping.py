@@ -198,7 +198,7 @@ def some_lanes(tile: Tile, which: Ints) -> Tile:
     """
     own = [(index, np.ascontiguousarray(par[..., which])) for index, par in tile.own]
     common = {"compliant", "memory", "ripple_index", "leak_index", "step_index"}
-    common |= {"dt_s", "acts", "device"}
+    common |= {"side_index", "small", "dt_s", "acts", "device"}
     arrays: dict[str, Any] = {
         f.name: np.ascontiguousarray(getattr(tile, f.name)[..., which])
         for f in fields(tile)

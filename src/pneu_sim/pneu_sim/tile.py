@@ -13,7 +13,7 @@ from pneu_common.errors import InputError
 from pneu_sim import kernel
 from pneu_sim import layout as L
 from pneu_sim.device import Device
-from pneu_sim.rig.build import area_steps
+from pneu_sim.rig.build import area_steps, side_volumes, small_chambers
 from pneu_sim.rig.mechanics import SLIPPED_M, within_stroke
 from pneu_sim.rig.model import Model
 from pneu_sim.rig.plan import Plan
@@ -61,9 +61,11 @@ class Tile:
         opening: (n_ports, lanes) scratch.
         reservoir_p: (n_reservoirs, lanes) present pressures.
         supplied: (n_reservoirs, lanes) scratch.
+        drawn: (n_reservoirs, lanes) scratch.
         chamber: (n_chambers, CHAMBER_PARAMS, lanes).
         chamber_state: (n_chambers, 2, lanes) mass and energy.
         chamber_work: (n_chambers, CHAMBER_ROWS, lanes) scratch.
+        small: (n_small,) chambers that fill and empty within a step.
         cylinder: (n_cylinders, CYLINDER_PARAMS, lanes).
         cylinder_state: (n_cylinders, CYLINDER_STATE, lanes) where pistons stand.
         cylinder_work: (n_cylinders, CYLINDER_WORK, lanes) scratch.
@@ -82,6 +84,9 @@ class Tile:
         tap_weight: (n_taps, lanes).
         step_index: (n_steps, 5) faces where the area jumps.
         step_area: (n_steps, 2, lanes) areas on both sides of those.
+        side_index: (n_sides, SIDE_COLUMNS) cells that have a volume beside them.
+        side: (n_sides, lanes) how many times their own volume it is.
+        side_kept: (n_sides, 2, lanes) scratch.
         clock: (2, lanes) time from which steps are counted, s, and how many there were since.
         dt_s: Length of those steps.
         device: On what it is advanced.
@@ -96,6 +101,7 @@ class Tile:
     wall: Floats
     soft: Floats
     end_velocity: Floats
+    end_give: Floats
     joint: Floats
     ported: Floats
     port: Floats
@@ -106,9 +112,11 @@ class Tile:
     reservoir: Floats
     reservoir_p: Floats
     supplied: Floats
+    drawn: Floats
     chamber: Floats
     chamber_state: Floats
     chamber_work: Floats
+    small: Ints
     cylinder: Floats
     cylinder_state: Floats
     cylinder_work: Floats
@@ -127,6 +135,9 @@ class Tile:
     tap_weight: Floats
     step_index: Ints
     step_area: Floats
+    side_index: Ints
+    side: Floats
+    side_kept: Floats
     clock: Floats
     dt_s: float = 0.0
     device: Device = Device.CPU
@@ -262,6 +273,7 @@ def pack(
     leak_index, leak = _leaks(models)
     own, acts = _own_terms(models)
     step_index, step_area = area_steps(models)
+    side_index, side = side_volumes(models)
     rows = L.WORK_ROWS if models[0].order == 1 else L.WORK_ROWS_OF_SECOND
     tile = Tile(
         models=models,
@@ -273,6 +285,7 @@ def pack(
         wall=np.zeros((L.WALL_ROWS, plan.slots, w)),
         soft=np.zeros((L.SOFT_ROWS, plan.slots if compliant else 0, w)),
         end_velocity=np.zeros((ends, w)),
+        end_give=np.ones((ends, w)),
         joint=np.zeros((ends, L.JOINT_ROWS, w)),
         ported=np.zeros((ends, L.PORTED_ROWS, w)),
         port=lanes([m.port for m in models]),
@@ -283,9 +296,11 @@ def pack(
         reservoir=np.zeros((*models[0].reservoir.shape, w)),
         reservoir_p=np.zeros((reservoirs, w)),
         supplied=np.zeros((reservoirs, w)),
+        drawn=np.zeros((reservoirs, w)),
         chamber=lanes([m.chamber for m in models]),
         chamber_state=np.zeros((chambers, 2, w)),
         chamber_work=np.zeros((chambers, L.CHAMBER_ROWS, w)),
+        small=small_chambers(models),
         cylinder=lanes([m.cylinder for m in models]),
         cylinder_state=np.zeros((len(plan.cylinders), L.CYLINDER_STATE, w)),
         cylinder_work=np.zeros((len(plan.cylinders), L.CYLINDER_WORK, w)),
@@ -304,6 +319,9 @@ def pack(
         tap_weight=lanes([m.tap_weight for m in models]),
         step_index=step_index,
         step_area=step_area,
+        side_index=side_index,
+        side=side,
+        side_kept=np.zeros((len(side_index), 2, w)),
         clock=np.zeros((2, w)),
         device=device,
     )
@@ -620,7 +638,8 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
             tile.soft.reshape(L.SOFT_ROWS, -1),
         ),
         kernel.Steps(tile.step_index, tile.step_area),
-        kernel.Ends(plan.ends, tile.end_velocity, tile.joint, tile.ported),
+        kernel.Sides(tile.side_index, tile.side, tile.side_kept),
+        kernel.Ends(plan.ends, tile.end_velocity, tile.end_give, tile.joint, tile.ported),
         kernel.Ports(
             plan.ports,
             tile.port,
@@ -633,10 +652,11 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
             tile.reservoir_p,
             # where none ripples, what is supplied is the pressure itself
             tile.supplied if rippling else tile.reservoir_p,
+            tile.drawn,
             tile.ripple_index,
             tile.ripple,
         ),
-        kernel.Chambers(tile.chamber, tile.chamber_state, tile.chamber_work),
+        kernel.Chambers(tile.chamber, tile.chamber_state, tile.chamber_work, tile.small),
         (
             kernel.Term(tile.leak_index, tile.leak, tile.ambient),
             *(kernel.Term(index, par, tile.ambient) for index, par in tile.own),

@@ -51,6 +51,7 @@ EFFECTS = {
     "finger": ("kokoro", 0.5, ("piston_leak", "piston_friction", "backlash", "end_cushion")),
     "cart": ("cart_pole", 1.0, ("seal_friction", "rod_leak")),
     "legs": ("dog", 1.0, ()),
+    "small": ("closed_chamber", 20.0, ()),
     "cells": ("closed_chamber", 0.5, ("blockage",)),
 }
 """Rig, length of its cells, and effects that are attached where they can be."""
@@ -66,7 +67,11 @@ def rig_of(case: str, order: int, flux: str) -> Rig:
     """
     name, dx_m, effects = EFFECTS[case]
     rig = load_rig(HOUSE / "rigs" / f"{name}.yaml")
-    grid = rig.grid.model_copy(update={"order": order, "flux": flux, "dx_m": dx_m, "memory": True})
+    # at the step of finer cells: no chamber is small for it but in "small"
+    wanted = {"order": order, "flux": flux, "dx_m": dx_m, "memory": True}
+    if case != "small":
+        wanted["dt_s"] = 1e-4
+    grid = rig.grid.model_copy(update=wanted)
     attached = list(rig.effects)
     for effect in effects:
         kind = registry()[effect]

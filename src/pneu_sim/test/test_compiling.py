@@ -40,12 +40,12 @@ def rows(count: int) -> UniTuple:
     ("kernel", "arguments"),
     [
         (lines._primitive, (NUMBER, NUMBER, *[ROW] * 7)),
-        (lines._balance, (NUMBER, int64, *[ROW] * 10)),
+        (lines._balance, (NUMBER, int64, *[ROW] * 11)),
         (
             faces._slopes,
             (NUMBER, boolean, NUMBER, int64, rows(3), rows(5), rows(4), rows(4)),
         ),
-        (walls._drag, (NUMBER, rows(4), rows(4), rows(3), ROW, rows(6))),
+        (walls._drag, (NUMBER, rows(6), rows(4), rows(3), ROW, rows(6))),
     ],
     ids=lambda given: getattr(given, "__name__", ""),
 )

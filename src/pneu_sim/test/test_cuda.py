@@ -36,7 +36,14 @@ def differences(steps: int, *cases: str) -> dict[str, tuple[float, str]]:
 STEPS = 5
 """One more than walls are refreshed after; the simulator takes its time for each."""
 CASES = ("walls/2/hllc", "joint/2/exact", "regulator/1/hllc")
-MORE = ("legs/1/hllc", "walls/1/hllc", "finger/2/hllc", "cart/1/hllc", "cells/2/hllc")
+MORE = (
+    "small/1/hllc",
+    "legs/1/hllc",
+    "walls/1/hllc",
+    "finger/2/hllc",
+    "cart/1/hllc",
+    "cells/2/hllc",
+)
 
 
 SINGLE = "walls/2/hllc/cuda32"

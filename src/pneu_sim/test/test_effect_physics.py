@@ -605,7 +605,10 @@ def test_dead_volume_slows_a_choked_fill_in_proportion(rig: Rig) -> None:
     y, flows = rig_a([rig, added], hold(5.05, 0.16), ROOM_PA)
     assert flows[1, -1, FILL] == pytest.approx(flows[0, -1, FILL], rel=1e-2)
     gain = y[:, -1, MIDDLE] - y[:, 30, MIDDLE]
-    assert gain[1] / gain[0] == pytest.approx(2.5 * 6e-6 / (2.5 * 6e-6 + 5e-6), rel=0.03)
+    # The tube's walls keep it near their temperature, the volume has none: isentropic beside
+    # isothermal gas, but for what mixes.
+    own, added_m3 = 2.5 * 6e-6, 5e-6
+    assert own / (own + added_m3) < gain[1] / gain[0] < own / (own + added_m3 / 1.4)
 
 
 def test_wider_and_longer_tubes_fill_in_proportion(rig: Rig) -> None:

@@ -6,8 +6,10 @@ import pytest
 from scipy.optimize import brentq
 from tests.references.nozzle import area_ratio, pressure_ratio, temperature_ratio
 
-from pneu_sim.kernel.ends import NEAR, power, vessel_state
-from pneu_sim.kernel.faces import at_face
+from pneu_sim.kernel.ends import vessel_state
+from pneu_sim.kernel.faces import _passed, _widened, at_face
+from pneu_sim.kernel.waves import NEAR, leaving, power, pushed
+from pneu_sim.riemann import solve
 
 GAMMA, R = 1.4, 287.0
 
@@ -29,16 +31,20 @@ def test_gas_from_a_vessel_keeps_its_enthalpy_and_what_arrives(
     p0, t0 = 6e5, 293.0
     density = pressure_pa / (R * t0)
     d, v, p = vessel_state(density, 0.0, pressure_pa, p0, t0, loss, GAMMA, R)
-    z = np.sqrt(GAMMA * pressure_pa * density)
     cp = GAMMA * R / (GAMMA - 1.0)
+
+    def behind_a_shock(w: float) -> float:
+        """Of gas at rest that is pushed back (Anderson 2003, eq. 7.16, solved for the pressure)."""
+        k = 0.25 * (GAMMA + 1.0) * w
+        return pressure_pa + density * w * float(k + np.sqrt(k * k + GAMMA * R * t0))
 
     def over(w: float) -> float:
         stagnation = p0 * (1.0 - (1.0 + loss) * w * w / (2.0 * cp * t0)) ** (GAMMA / (GAMMA - 1.0))
-        return stagnation - (pressure_pa + z * w)
+        return stagnation - behind_a_shock(w)
 
     w = brentq(over, 0.0, 200.0, xtol=1e-13, rtol=1e-14)
     assert -v == pytest.approx(w, rel=1e-9)
-    assert p == pytest.approx(pressure_pa + z * w, rel=1e-11)
+    assert p == pytest.approx(behind_a_shock(w), rel=1e-11)
     assert cp * p / (R * d) + 0.5 * v * v == pytest.approx(cp * t0, rel=1e-12)
 
 
@@ -55,7 +61,7 @@ def test_gas_contracts_towards_a_face_without_loss(mach: float, sign: float) -> 
     area = 9e-6
     face = area * area_ratio(mach) / area_ratio(0.5 * mach)
     d, u, p = flowing(0.5 * mach, 6e5, 290.0)
-    found = at_face(d, sign * u, p, area, face, False, GAMMA)
+    found = at_face(d, sign * u, p, area, face, GAMMA)
     wanted = flowing(mach, 6e5, 290.0)
     assert found == pytest.approx((wanted[0], sign * wanted[1], wanted[2]), rel=2e-3)
     assert found[0] * found[1] * face == pytest.approx(sign * d * u * area, rel=1e-6)
@@ -64,7 +70,7 @@ def test_gas_contracts_towards_a_face_without_loss(mach: float, sign: float) -> 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_gas_that_a_face_cannot_pass_is_sonic_there(sign: float) -> None:
     d, u, p = flowing(0.6, 6e5, 290.0)
-    found = at_face(d, sign * u, p, 9e-6, 0.7 * 9e-6, False, GAMMA)  # sonic at 1 / 1.188
+    found = at_face(d, sign * u, p, 9e-6, 0.7 * 9e-6, GAMMA)  # sonic at 1 / 1.188
     wanted = flowing(1.0, 6e5, 290.0)
     assert found == pytest.approx((wanted[0], sign * wanted[1], wanted[2]), rel=1e-9)
 
@@ -83,5 +89,60 @@ def test_gas_spreads_behind_a_face_as_a_jet(share: float) -> None:
         return GAMMA / (GAMMA - 1.0) * p * u / mass + 0.5 * u * u - heat
 
     u = brentq(off, 1.0, 0.9 * v1, xtol=1e-13, rtol=1e-14)
-    found = at_face(mass / u, u, push - mass * u, area, share * area, True, GAMMA)
-    assert found == pytest.approx((d1, v1, p1), rel=1e-9)
+    found = _widened(d1, v1, p1, share * area, area, heat, GAMMA)
+    assert found == pytest.approx((mass / u, u, push - mass * u), rel=1e-9)
+
+
+@pytest.mark.parametrize("out", [-150.0, -20.0, 0.0, 3.0, 60.0, 220.0])
+@pytest.mark.parametrize("v", [-40.0, 0.0, 90.0])
+def test_the_wave_that_an_end_sends_is_that_of_a_piston(out: float, v: float) -> None:
+    """Half the exact Riemann problem of two equal gases that meet at the piston's speed."""
+    d, p = 3.0, 2.5e5
+    pressure, slope = pushed(d, v, p, out, GAMMA)
+    star, velocity = mirrored(d, v - out, p)
+    assert pressure == pytest.approx(star, rel=1e-9) and abs(velocity) < 1e-6
+    step = 1e-3
+    above, below = (pushed(d, v, p, out + s, GAMMA)[0] for s in (step, -step))
+    assert slope == pytest.approx((below - above) / (2.0 * step), rel=1e-6)
+    back, _ = leaving(d, v, p, pressure, GAMMA)
+    assert back == pytest.approx(out, abs=1e-8)
+
+
+def mirrored(d: float, v: float, p: float) -> tuple[float, float]:
+    """Pressure and velocity between a gas and its mirror image (`pneu_sim.riemann.solve`)."""
+    _, velocity, pressure = solve((d, v, p), (d, -v, p), [0.0], GAMMA)
+    return float(pressure[0]), float(velocity[0])
+
+
+@pytest.mark.parametrize(("wide", "narrow"), [(6e-6, 6e-7), (9e-6, 6e-6)])
+def test_steady_flow_over_a_step_of_area_stays(wide: float, narrow: float) -> None:
+    """What the nozzle and the jet give is what flows, and sends no wave."""
+    d1, v1, p1 = flowing(0.05, 4e5, 293.0)
+    d2, v2, p2 = at_face(d1, v1, p1, wide, narrow, GAMMA)
+    heat = GAMMA / (GAMMA - 1.0) * p1 / d1 + 0.5 * v1 * v1
+    mass = d1 * v1 * wide
+    m, h, before, _, behind = _passed(d1, v1, p1, wide, d2, -v2, p2, narrow, narrow, GAMMA)
+    assert (m, h) == pytest.approx((mass, heat), rel=1e-7)
+    assert (before, behind) == pytest.approx((p1 + d1 * v1**2, p2 + d2 * v2**2), rel=1e-7)
+    d3, v3, p3 = _widened(d2, v2, p2, narrow, wide, heat, GAMMA)
+    m, h, before, _, behind = _passed(d2, v2, p2, narrow, d3, -v3, p3, wide, narrow, GAMMA)
+    assert (m, h) == pytest.approx((mass, heat), rel=1e-7)
+    assert (before, behind) == pytest.approx((p2 + d2 * v2**2, p3 + d3 * v3**2), rel=1e-7)
+
+
+def test_a_step_that_chokes_passes_what_its_face_does() -> None:
+    """A wide line at 7 bar into a tenth of its area: sonic flow from rest but for the wave."""
+    d, p = 7e5 / (R * 293.0), 7e5
+    m, h, *_ = _passed(d, 0.0, p, 6e-6, 1e5 / (R * 293.0), 0.0, 1e5, 6e-7, 6e-7, GAMMA)
+    assert h < GAMMA * R * 293.0 / (GAMMA - 1.0)  # expanded by the wave
+
+    def over(out: float) -> float:
+        q, _ = pushed(d, 0.0, p, out, GAMMA)
+        _, df = leaving(d, 0.0, p, q, GAMMA)
+        mach = out / np.sqrt(GAMMA * q / df)
+        return float(area_ratio(mach)) - 10.0
+
+    out = brentq(over, 1.0, 100.0, xtol=1e-12)
+    q, _ = pushed(d, 0.0, p, out, GAMMA)
+    _, df = leaving(d, 0.0, p, q, GAMMA)
+    assert m == pytest.approx(df * out * 6e-6, rel=1e-5)

@@ -30,6 +30,8 @@ COMMON: dict[type, tuple[str, ...]] = {
     kernel.Regulators: ("table",),
     kernel.Ports: ("table",),
     kernel.Reservoirs: ("ripple_of",),
+    kernel.Sides: ("table",),
+    kernel.Chambers: ("small",),
     kernel.Cylinders: ("table", "moves"),
     kernel.Bodies: ("table", "driven_by"),
     kernel.Term: ("table",),
@@ -54,10 +56,11 @@ LONG: dict[type, tuple[str, ...]] = {
 """Arrays whose length is that of a recording, for which no kernel is compiled anew."""
 WRITTEN: dict[type, tuple[str, ...]] = {
     kernel.Cells: ("state", "work", "wall", "soft"),
-    kernel.Ends: ("velocity", "joint", "ported"),
+    kernel.Sides: ("kept",),
+    kernel.Ends: ("velocity", "give", "joint", "ported"),
     kernel.Regulators: ("state",),
     kernel.Ports: ("flow", "opening"),
-    kernel.Reservoirs: ("pressure", "supplied"),
+    kernel.Reservoirs: ("pressure", "supplied", "drawn"),
     kernel.Chambers: ("par", "state", "work"),
     kernel.Cylinders: ("state", "work"),
     kernel.Bodies: ("state", "heat"),

@@ -22,13 +22,12 @@ from pneu_sim.kernel.arrays import Regulators as Regulators
 from pneu_sim.kernel.arrays import Reservoirs as Reservoirs
 from pneu_sim.kernel.arrays import Rigs as Rigs
 from pneu_sim.kernel.arrays import Scheme as Scheme
+from pneu_sim.kernel.arrays import Sides as Sides
 from pneu_sim.kernel.arrays import Steps as Steps
 from pneu_sim.kernel.arrays import Taps as Taps
 from pneu_sim.kernel.arrays import Term as Term
 from pneu_sim.kernel.bodies import stand as stand
 from pneu_sim.kernel.chambers import chamber_pressure as chamber_pressure
-from pneu_sim.kernel.ends import vessel_state as vessel_state
-from pneu_sim.kernel.faces import at_face as at_face
 from pneu_sim.kernel.leaks import leak_flow as leak_flow
 from pneu_sim.kernel.orifices import iso6358_flow as iso6358_flow
 from pneu_sim.kernel.orifices import orifice_flow as orifice_flow

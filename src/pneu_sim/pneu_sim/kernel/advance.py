@@ -33,6 +33,7 @@ from pneu_sim.kernel.lines import (
     invert_density,
     take_gas,
     widen_faces,
+    yield_half,
 )
 from pneu_sim.kernel.pistons import (
     fill_piston_ghosts,
@@ -44,7 +45,7 @@ from pneu_sim.kernel.pistons import (
     settle,
     work_on_gas,
 )
-from pneu_sim.kernel.ports import cross_ports, open_ports
+from pneu_sim.kernel.ports import cross_ports, open_ports, recall_ports
 from pneu_sim.kernel.recording import (
     correct,
     correct_chambers,
@@ -55,6 +56,8 @@ from pneu_sim.kernel.recording import (
 )
 from pneu_sim.kernel.regulators import regulate_ports
 from pneu_sim.kernel.reservoirs import supply
+from pneu_sim.kernel.sides import mark_sides, part_sides, press_sides, push_sides, soften_ends
+from pneu_sim.kernel.small import keep_small, settle_small
 from pneu_sim.kernel.terms import act as act_terms
 from pneu_sim.kernel.terms import acting
 from pneu_sim.kernel.walls import (
@@ -71,31 +74,37 @@ they are refreshed every so many, and at every sample, so that no cut of a run s
 
 
 @sequence
-def _find_faces(gas, scheme, dt, cells, steps, ends):
+def _find_faces(gas, scheme, dt, cells, steps, sides, ends):
     """States on both sides of every face."""
     if scheme.order == 1:
         return
     reconstruct(gas, scheme.limiter == L.VAN_LEER, dt, cells)
     if scheme.tapered:
         taper(gas, dt, cells)
+    if scheme.compliant:
+        yield_half(gas, dt, cells)
     close_outermost(cells)
     flatten_steps(cells, steps)
+    part_sides(cells, sides)
     mirror_faces(cells, ends)
 
 
 @sequence
-def _conserve(dt, scheme, cells):
+def _conserve(dt, scheme, cells, sides):
     """What the faces carry reaches the cells; where walls yield, what the pipe holds."""
     if scheme.compliant:
         give_back(cells)
-        widen_faces(cells)
-        conserve(dt, cells, cells.soft[L.SOFT_FACE])
+        widen_faces(scheme.order, cells)
+        mark_sides(cells, sides)
+        conserve(scheme.order, dt, cells, cells.soft[L.SOFT_FACE])
     else:
-        conserve(dt, cells, cells.par[L.FACE])
+        mark_sides(cells, sides)
+        conserve(scheme.order, dt, cells, cells.par[L.FACE])
+    push_sides(cells, sides, True)
 
 
 @sequence
-def _act_of_walls(gas, scheme, dt, s, cells):
+def _act_of_walls(gas, scheme, dt, s, cells, sides):
     """Friction and heat of the walls, on the gas as it now is."""
     if scheme.compliant:
         take_gas(gas, cells)
@@ -104,11 +113,13 @@ def _act_of_walls(gas, scheme, dt, s, cells):
         find_coefficients(gas, cells)
         if scheme.memory:
             find_decay(gas, dt, cells)
+    mark_sides(cells, sides)
     if scheme.memory:
-        heat_with_memory(gas, dt, cells)
-        drag_with_memory(dt, cells)
+        heat_with_memory(gas, scheme.order, dt, cells)
+        drag_with_memory(scheme.order, dt, cells)
     else:
-        act_steadily(gas, dt, cells)
+        act_steadily(gas, scheme.order, dt, cells)
+    push_sides(cells, sides, False)
     if scheme.compliant:
         give_back(cells)
 
@@ -131,6 +142,7 @@ def advance(rigs, moving, clock, opening, record):
         scheme,
         cells,
         steps,
+        sides,
         ends,
         ports,
         reservoirs,
@@ -155,6 +167,7 @@ def advance(rigs, moving, clock, opening, record):
                 invert_density(cells)
             find_primitive(gas, cells)
             find_chambers(gas, chambers)
+            soften_ends(dt, cells, sides, ends)
             corrected = shifted = False
             if reading and (clock.closing or not last):
                 corrected = read(clock.watched + step, cells, chambers, taps)
@@ -187,27 +200,35 @@ def advance(rigs, moving, clock, opening, record):
             fill_ghosts(gas, vessels, cells, ends, reservoirs, chambers)
             if moving is not None:
                 fill_piston_ghosts(gas, cells, moving.cylinders)
-            _find_faces(gas, scheme, dt, cells, steps, ends)
+            _find_faces(gas, scheme, dt, cells, steps, sides, ends)
             if moving is not None:
                 reshape(gas, scheme, dt, cells, moving.cylinders)
             cross(gas, scheme, cells)
+            press_sides(cells, sides, ends)
+            mark_sides(cells, sides)
             cross_steps(gas, scheme, dt, cells, steps)
             if scheme.joints and order == 2:
                 join(gas, 2, cells, ends)
+            recall_ports(cells, ends, ports)
+            if chambers.small.size > 0:
+                settle_small(gas, order, dt, cells, ends, ports, reservoirs, chambers, terms[0])
             cross_ports(gas, order, cells, ends, ports, reservoirs, chambers)
             find_middle(gas, order, dt, cells, ends, ports, chambers, moving)
+            if chambers.small.size > 0:
+                keep_small(chambers)
             cross_ends(gas, order, dt, cells, ends, ports, reservoirs, chambers)
             if moving is not None:
                 press(gas, order, dt, cells, chambers, moving.cylinders)
                 move(dt, moving.bodies, moving.cylinders)
                 work_on_gas(dt, cells, chambers, moving.cylinders)
                 leak_past(gas, dt, cells, chambers, moving.cylinders)
+            push_sides(cells, sides, True)
             heat_chambers(gas, dt, chambers)
             act_terms(gas, dt, cells, chambers, terms)
-            _conserve(dt, scheme, cells)
+            _conserve(dt, scheme, cells, sides)
             if moving is not None:
                 make_room(gas, order, cells, chambers, moving.cylinders)
-            _act_of_walls(gas, scheme, dt, s, cells)
+            _act_of_walls(gas, scheme, dt, s, cells, sides)
             if corrected:
                 correct(cells, taps)
                 correct_chambers(chambers, taps)

@@ -84,18 +84,34 @@ class Steps(NamedTuple):
     area: Floats
 
 
+class Sides(NamedTuple):
+    """Volumes beside cells.
+
+    Attributes:
+        table: (n_sides, SIDE_COLUMNS).
+        more: (n_sides, lanes) how many times the cell's own volume it is.
+        kept: (n_sides, 2, lanes) density and momentum that the cells had.
+    """
+
+    table: Ints
+    more: Floats
+    kept: Floats
+
+
 class Ends(NamedTuple):
     """Ends of pipes.
 
     Attributes:
         table: (n_ends, END_COLUMNS).
         velocity: (n_ends, lanes) what ports let through at the last step, m/s.
+        give: (n_ends, lanes) how far the pressure follows what flows; 1 but beside a volume.
         joint: (n_ends, JOINT_ROWS, lanes) common pressure and flows where three or more meet.
         ported: (n_ends, PORTED_ROWS, lanes) what leaves through ports at this step.
     """
 
     table: Ints
     velocity: Floats
+    give: Floats
     joint: Floats
     ported: Floats
 
@@ -139,6 +155,7 @@ class Reservoirs(NamedTuple):
         par: (n_reservoirs, RESERVOIR_PARAMS, lanes).
         pressure: (n_reservoirs, lanes) present, Pa.
         supplied: (n_reservoirs, lanes) the same with its ripple, Pa.
+        drawn: (n_reservoirs, lanes) what pipes and ports draw at this step, kg/s.
         ripple_of: (n_ripples,) reservoirs.
         ripple: (n_ripples, RIPPLE_PARAMS, lanes).
     """
@@ -146,6 +163,7 @@ class Reservoirs(NamedTuple):
     par: Floats
     pressure: Floats
     supplied: Floats
+    drawn: Floats
     ripple_of: Ints
     ripple: Floats
 
@@ -157,11 +175,13 @@ class Chambers(NamedTuple):
         par: (n_chambers, CHAMBER_PARAMS, lanes).
         state: (n_chambers, 2, lanes) mass kg and energy J.
         work: (n_chambers, CHAMBER_ROWS, lanes) pressure, temperature, inflow, see ``layout``.
+        small: (n_small,) those whose pressure is found with all that flows.
     """
 
     par: Floats
     state: Floats
     work: Floats
+    small: Ints
 
 
 class Cylinders(NamedTuple):
@@ -294,6 +314,7 @@ class Rigs(NamedTuple):
     scheme: Scheme
     cells: Cells
     steps: Steps
+    sides: Sides
     ends: Ends
     ports: Ports
     reservoirs: Reservoirs

@@ -4,52 +4,28 @@
 import math
 
 from pneu_sim import layout as L
-from pneu_sim.compiling import apart, branching, folded, inlined, sequence
+from pneu_sim.compiling import apart, branching, folded, sequence
 from pneu_sim.kernel.orifices import orifice_flow
+from pneu_sim.kernel.waves import end_curve, fastest, leaving, power, pushed
 
 JET_STEPS, JET_FOUND = 40, 1e-10
 """Of the search for the pressure behind a cushion, at most; the share of the chamber's to which it
 is found."""
-NEAR = 0.03
-"""How near 1 the series of a power is taken."""
+JOINT_STEPS, JOINT_FOUND = 20, 1e-7
+"""Of Newton's method for the pressure of a joint, at most; the share to which it is found. The
+flows are those of the tangent there, which is right to the square of that."""
+END_STEPS, END_FOUND = 20, 1e-8
+"""Of Newton's method for the velocity at an end, at most; its last step squared, over the square of
+the speed of sound: so much is then left."""
 
 
-@inlined
-def power(x, a):
-    """``x**a``, by the binomial series near 1, where the gas at most ends is.
-
-    Args:
-        x: A positive number.
-        a: Exponent, from 0.5 to 12.
-
-    Returns:
-        The power; the relative error of the series is below 1e-14.
-    """
-    e = x - 1.0
-    if abs(e) > NEAR:
-        return math.exp(a * math.log(x))
-    c2 = a * (a - 1.0) * (1.0 / 2.0)
-    c3 = c2 * (a - 2.0) * (1.0 / 3.0)
-    c4 = c3 * (a - 3.0) * (1.0 / 4.0)
-    c5 = c4 * (a - 4.0) * (1.0 / 5.0)
-    c6 = c5 * (a - 5.0) * (1.0 / 6.0)
-    c7 = c6 * (a - 6.0) * (1.0 / 7.0)
-    c8 = c7 * (a - 7.0) * (1.0 / 8.0)
-    c9 = c8 * (a - 8.0) * (1.0 / 9.0)
-    e2 = e * e  # Estrin's scheme: a sum of ten that waits for few others
-    e4 = e2 * e2
-    low = (1.0 + a * e) + (c2 + c3 * e) * e2
-    high = (c4 + c5 * e) + (c6 + c7 * e) * e2
-    return low + e4 * (high + e4 * (c8 + c9 * e))
-
-
-@folded
+@branching
 def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
     """State at a pipe end that opens into a large vessel.
 
-    Outflow leaves at the vessel's pressure, or sonic; inflow comes from rest at the vessel's
-    pressure and temperature, less ``loss`` velocity heads. Either way the wave that arrives from
-    the pipe fixes the rest (linearised characteristic p + rho c v).
+    Outflow leaves at the vessel's pressure, or sonic, or as fast as it comes; inflow comes from
+    rest at the vessel's pressure and temperature, less ``loss`` velocity heads. Either way the wave
+    that runs into the pipe fixes the rest (`pushed`).
 
     Args:
         d: Density in the pipe's end, kg/m^3.
@@ -64,41 +40,41 @@ def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
     Returns:
         Density, outward velocity and pressure at the end.
     """
-    z = math.sqrt(gamma * p * d)
-    wave = p + z * v
-    if wave >= p0:
-        out = (wave - p0) / z
-        pf = p0
-        df = d * power(pf / p, 1.0 / gamma)
-        if out * out * df > gamma * pf:
-            # sonic at the face: along the isentrope of the end cell
-            c = z / d
-            g = (gamma - 1.0) / (gamma + 1.0)
-            cf = 2.0 / (gamma + 1.0) * c + g * v
-            out = cf
-            pf = p * (cf / c) ** (2.0 * gamma / (gamma - 1.0))
-            df = gamma * pf / (cf * cf)
-        return df, out, pf
+    if v * v * d >= gamma * p and v > 0.0:
+        return d, v, p
+    stopped, z = pushed(d, v, p, 0.0, gamma)
+    if stopped >= p0:
+        out, df = leaving(d, v, p, p0, gamma)
+        if out * out * df > gamma * p0:
+            out = fastest(d, v, p, gamma)
+            pf, _ = pushed(d, v, p, out, gamma)
+            return gamma * pf / (out * out), out, pf
+        return df, out, p0
     c0sq = gamma * r_gas * t0
     k = 0.5 * (gamma - 1.0) * (1.0 + loss) / c0sq
     e = gamma / (gamma - 1.0)
     # w < w_max, where gas from rest is sonic: k w^2 < (gamma - 1) / (gamma + 1)
     w_max = math.sqrt((gamma - 1.0) / ((gamma + 1.0) * k))
     # Bernoulli's law to first order in the velocity head, then to third, then Newton's method.
-    drive = p0 - wave
-    w = 2.0 * drive / (z + math.sqrt(z * z + 4.0 * e * k * p0 * drive))
+    drive = p0 - stopped
+    bent = e * k * p0 + 0.25 * (gamma + 1.0) * d
+    w = 2.0 * drive / (z + math.sqrt(z * z + 4.0 * bent * drive))
     s = k * w * w
     less = 0.5 * e * (e - 1.0) * p0 * s * s * (1.0 - (e - 2.0) / 3.0 * s)
     w = min(w + less / (z + 2.0 * p0 * e * k * w * (1.0 - (e - 1.0) * s)), w_max)
-    for _ in range(4):
+    pf = p0
+    for _ in range(6):
         x = max(1.0 - k * w * w, 0.05)
         y = power(x, e)
-        f = p0 * y - wave - z * w
+        pf, z = pushed(d, v, p, -w, gamma)
+        f = p0 * y - pf
         step = f * x / (p0 * e * y * 2.0 * k * w + z * x)
         w = min(max(w + step, 0.0), w_max)
-        if abs(step) < 1e-6 * w:  # the next one would be of the order of rounding
+        if abs(step) < 2e-5 * w:  # the next one would be below a part in 1e9
+            pf += z * step
             break
-    pf = wave + z * w if w < w_max else p0 * power(1.0 - k * w * w, e)
+    if w >= w_max:
+        pf = p0 * power(1.0 - k * w * w, e)
     tf = t0 - 0.5 * (gamma - 1.0) / (gamma * r_gas) * w * w
     return pf / (r_gas * tf), -w, pf
 
@@ -191,13 +167,48 @@ def turned(index, e, other):
     return -1.0 if index[other, L.E_SIGN] == index[e, L.E_SIGN] else 1.0
 
 
+@folded
+def _joining(d, v, p, q, h, gamma):
+    """What an end passes to a joint of a pressure, per area, and how that grows as it falls.
+
+    Args:
+        d: Density in the pipe's end, kg/m^3.
+        v: Velocity there, positive out of the pipe, m/s.
+        p: Pressure there, Pa.
+        q: Pressure of the joint, Pa.
+        h: Total enthalpy of what the joint gives, J/kg.
+        gamma: Ratio of specific heats.
+
+    Returns:
+        Flow, its slope, and the pressure at the end, which is above the joint's where it chokes.
+    """
+    out, _ = leaving(d, v, p, q, gamma)
+    most = fastest(d, v, p, gamma)
+    if out >= most:
+        _, q, _, m, _ = end_curve(d, v, p, most, h, gamma)
+        return m, 0.0, q
+    # what enters is at most sonic
+    sonic = -math.sqrt(2.0 * (gamma - 1.0) / (gamma + 1.0) * h)
+    if out <= sonic:
+        k = gamma / (gamma - 1.0) * sonic / (h - 0.5 * sonic * sonic)
+        return k * q, -k, q
+    _, _, z, m, slope = end_curve(d, v, p, out, h, gamma)
+    return m, slope / z, q
+
+
+@folded
+def _carried(d, v, p, q, gamma):
+    """Total enthalpy of what leaves a pipe's end on which there is a pressure, J/kg."""
+    out, df = leaving(d, v, p, q, gamma)
+    return gamma / (gamma - 1.0) * q / df + 0.5 * out * out
+
+
 @branching
 def join(gas, order, cells, ends):
     """Common pressure of every joint of three or more ends, and what each end passes to it.
 
-    The outgoing characteristic of each end gives its mass flow against the common static pressure;
-    the flows sum to zero. What flows out has the mixed total enthalpy of what flows in. Sums are
-    kept with the first end of a joint.
+    Each end's flow follows the joint's static pressure along the exact wave that this sends into
+    its pipe; the flows sum to zero. What flows out has the mixed total enthalpy of what flows in.
 
     Args:
         gas: The gas.
@@ -206,30 +217,52 @@ def join(gas, order, cells, ends):
         ends: Ends of pipes.
     """
     w, index, joint, gamma = cells.lanes, ends.table, ends.joint, gas.gamma
-    h = gamma / (gamma - 1.0)
-    joint[:, : L.J_FLOW] = 0.0
-    for e in range(index.shape[0]):
-        if index[e, L.E_KIND] == L.JUNCTION:
-            ref = index[e, L.E_REF]
-            for j in range(w):
-                d, v, p = face_state(e, j, order, cells, ends)
-                a = cells.par[L.FACE, index[e, L.E_FACE] * w + j]
-                k = a / math.sqrt(gamma * p / d)
-                joint[ref, L.J_PUSH, j] += a * d * v + k * p
-                joint[ref, L.J_GIVE, j] += k
-    for e in range(index.shape[0]):
-        if index[e, L.E_KIND] == L.JUNCTION:
-            ref = index[e, L.E_REF]
-            for j in range(w):
-                d, v, p = face_state(e, j, order, cells, ends)
-                q = joint[ref, L.J_PUSH, j] / joint[ref, L.J_GIVE, j]
-                m = d * v + (p - q) / math.sqrt(gamma * p / d)
-                joint[e, L.J_FLOW, j] = m
-                joint[e, L.J_PRESSURE, j] = q
-                if m > 0.0:
-                    a = cells.par[L.FACE, index[e, L.E_FACE] * w + j]
-                    joint[ref, L.J_MASS, j] += a * m
-                    joint[ref, L.J_HEAT, j] += a * m * (h * p / d + 0.5 * v * v)
+    for first in range(index.shape[0]):
+        if index[first, L.E_KIND] != L.JUNCTION or index[first, L.E_REF] != first:
+            continue
+        for j in range(w):
+            # as waves of little strength have it
+            push = give = heat = 0.0
+            for e in range(index.shape[0]):
+                if index[e, L.E_KIND] == L.JUNCTION and index[e, L.E_REF] == first:
+                    d, v, p = face_state(e, j, order, cells, ends)
+                    k = cells.par[L.FACE, index[e, L.E_FACE] * w + j] * math.sqrt(d / (gamma * p))
+                    push += k * (p + math.sqrt(gamma * p * d) * v)
+                    heat += k * gamma / (gamma - 1.0) * p / d
+                    give += k
+            q, mixed = push / give, heat / give
+            for attempt in range(JOINT_STEPS):
+                push = give = heat = mass = 0.0
+                for e in range(index.shape[0]):
+                    if index[e, L.E_KIND] == L.JUNCTION and index[e, L.E_REF] == first:
+                        d, v, p = face_state(e, j, order, cells, ends)
+                        a = cells.par[L.FACE, index[e, L.E_FACE] * w + j]
+                        m, k, joint[e, L.J_PRESSURE, j] = _joining(d, v, p, q, mixed, gamma)
+                        joint[e, L.J_FLOW, j] = m
+                        joint[e, L.J_SLOPE, j] = k
+                        push += a * m
+                        give += a * k
+                        if m > 0.0:  # its total enthalpy, which the wave has changed
+                            mass += a * m
+                            heat += a * m * _carried(d, v, p, joint[e, L.J_PRESSURE, j], gamma)
+                step = min(max(push / max(give, 1e-300), -0.8 * q), q)
+                if abs(step) < JOINT_FOUND * q or attempt == JOINT_STEPS - 1:
+                    break
+                q += step
+                mixed = heat / max(mass, 1e-300) if mass > 0.0 else mixed
+            heat = mass = 0.0
+            for e in range(index.shape[0]):
+                if index[e, L.E_KIND] == L.JUNCTION and index[e, L.E_REF] == first:
+                    # what is left of the sum, so that no mass is lost
+                    joint[e, L.J_FLOW, j] -= joint[e, L.J_SLOPE, j] * push / max(give, 1e-300)
+                    m = joint[e, L.J_FLOW, j]
+                    if m > 0.0:
+                        d, v, p = face_state(e, j, order, cells, ends)
+                        a = cells.par[L.FACE, index[e, L.E_FACE] * w + j]
+                        mass += a * m
+                        heat += a * m * _carried(d, v, p, joint[e, L.J_PRESSURE, j], gamma)
+            joint[first, L.J_MASS, j] = mass
+            joint[first, L.J_HEAT, j] = heat
 
 
 @folded
@@ -346,6 +379,41 @@ def mirror_faces(cells, ends):
 
 
 @folded
+def _ported_state(e, j, flow, gas, order, cells, ends):
+    """Velocity and pressure at a pipe's end through whose ports there is a flow per area.
+
+    Returns:
+        Outward velocity, pressure, and flow per area of the pipe itself: a side takes up the rest.
+    """
+    gamma = gas.gamma
+    d, v, p = face_state(e, j, order, cells, ends)
+    h0 = gamma / (gamma - 1.0) * p / d
+    if flow < 0.0:
+        mass = ends.ported[e, L.N_MASS, j]
+        h0 = ends.ported[e, L.N_HEAT, j] / mass if ends.ported[e, L.N_HEAT, j] < 0.0 else h0
+    most = fastest(d, v, p, gamma)
+    least = -math.sqrt(2.0 * (gamma - 1.0) / (gamma + 1.0) * h0)
+    held = 0.0
+    if ends.give[e, j] != 1.0:
+        held = (1.0 / ends.give[e, j] - 1.0) / math.sqrt(gamma * p / d)
+    out = min(max(float(ends.table[e, L.E_SIGN]) * ends.velocity[e, j], least), most)
+    q, m = p, 0.0
+    for _ in range(END_STEPS):
+        df, q, z, m, slope = end_curve(d, v, p, out, h0, gamma)
+        step = (flow - m - held * (p - q)) / max(slope + held * z, 0.01 * d)
+        step = min(max(step, least - out), most - out)
+        out += step
+        if step * step < END_FOUND * q / df:
+            q -= z * step
+            m += slope * step
+            break
+    if out <= least and flow < m:  # sonic as it enters: the pressure is what brings it through
+        q *= flow / m
+        m = flow
+    return out, q, m
+
+
+@folded
 def _through_ports(e, j, gas, order, cells, ends, ports):
     """Outward fluxes of mass, momentum and energy where a pipe ends at ports, per area."""
     w, X = cells.lanes, cells.work
@@ -361,10 +429,11 @@ def _through_ports(e, j, gas, order, cells, ends, ports):
             if ports.table[k, L.P_B] == L.SIDE_END and ports.table[k, L.P_BI] == e:
                 out -= ports.flow[k, 0, j]
         p = X[L.W_P, i] + push / face
+        uf = out / (face * cells.state[L.RHO, i])
     else:
-        d, v, p = face_state(e, j, order, cells, ends)
-        uf = out / (d * face)
-        p = max(p + math.sqrt(gas.gamma * p * d) * (v - uf), 0.05 * p) + d * uf * uf
+        uf, p, m = _ported_state(e, j, out / face, gas, order, cells, ends)
+        p += m * uf
+    ends.velocity[e, j] = float(ends.table[e, L.E_SIGN]) * uf
     i_face = 1.0 / face
     return out * i_face, p, ends.ported[e, L.N_HEAT, j] * i_face
 
@@ -393,17 +462,17 @@ def _into_vessel(e, j, gas, order, cells, ends, reservoirs, chambers):
 def _into_joint(e, j, gas, order, cells, ends):
     """Outward fluxes of mass, momentum and energy where a pipe meets others, per area."""
     joint, ref, gamma = ends.joint, ends.table[e, L.E_REF], gas.gamma
-    d, v, p = face_state(e, j, order, cells, ends)
     m = joint[e, L.J_FLOW, j]
     q = joint[e, L.J_PRESSURE, j]
     if m > 0.0:
-        h = gamma / (gamma - 1.0) * p / d + 0.5 * v * v
-        d += (q - p) * d / (gamma * p)
-    else:
-        h = joint[ref, L.J_HEAT, j] / max(joint[ref, L.J_MASS, j], 1e-300)
-        if m < 0.0:
-            d = gamma / (gamma - 1.0) * q / h
-    return m, q + m * m / d, m * h
+        d, v, p = face_state(e, j, order, cells, ends)
+        _, df = leaving(d, v, p, q, gamma)
+        return m, q + m * m / df, m * _carried(d, v, p, q, gamma)
+    h = joint[ref, L.J_HEAT, j] / max(joint[ref, L.J_MASS, j], 1e-300)
+    # enthalpy less what is in the velocity m / density, of which it is a quadratic equation
+    x = gamma / (gamma - 1.0) * q
+    df = 0.0 if m == 0.0 else (x + math.sqrt(x * x + 2.0 * h * m * m)) / (2.0 * h)
+    return m, q + (m * m / df if m < 0.0 else 0.0), m * h
 
 
 @folded
@@ -422,11 +491,7 @@ def _pass_on(e, j, dt, cells, ends, reservoirs, chambers):
         chambers.state[ref, 1, j] += k * fe[f]
         chambers.work[ref, L.H_INFLOW, j] += max(face * sign * fm[f], 0.0)
     elif kind == L.RESERVOIR or kind == L.TANK:
-        par = reservoirs.par
-        a = dt / (dt + par[ref, L.R_TAU, j])
-        drawn = -sign * fm[f] * face
-        goal = par[ref, L.R_PRESSURE, j] - par[ref, L.R_DROOP, j] * drawn
-        reservoirs.pressure[ref, j] += a * (goal - reservoirs.pressure[ref, j])
+        reservoirs.drawn[ref, j] -= sign * fm[f] * face
     elif kind == L.LINK:
         if e > ref:  # the first of the two ends carries the common face
             o = index[ref, L.E_FACE] * w + j
@@ -460,8 +525,6 @@ def _find_fluxes(gas, order, cells, ends, ports, reservoirs, chambers):
             elif kind == L.PORTED:
                 m, push, h = _through_ports(e, j, gas, order, cells, ends, ports)
                 fm[f], fp[f], fe[f] = sign * m, push, sign * h
-                i = index[e, L.E_CELL] * w + j
-                ends.velocity[e, j] = sign * m / cells.state[L.RHO, i]
             elif kind == L.CHAMBER or kind == L.TANK:
                 m, push, h = _into_vessel(e, j, gas, order, cells, ends, reservoirs, chambers)
                 fm[f], fp[f], fe[f] = sign * m, push, sign * h
@@ -472,7 +535,9 @@ def _find_fluxes(gas, order, cells, ends, ports, reservoirs, chambers):
 
 @folded
 def _feed(dt, cells, ends, ports, reservoirs, chambers):
-    """What flows through ends and ports reaches what they feed."""
+    """What flows through ends and ports reaches what they feed; supplies droop by all of it."""
+    par, drawn = reservoirs.par, reservoirs.drawn
+    drawn[:] = 0.0
     for e in range(ends.table.shape[0]):
         for j in range(cells.lanes):
             _pass_on(e, j, dt, cells, ends, reservoirs, chambers)
@@ -487,6 +552,14 @@ def _feed(dt, cells, ends, ports, reservoirs, chambers):
                     chambers.state[ref, 0, j] += g * ports.flow[k, 0, j]
                     chambers.state[ref, 1, j] += g * ports.flow[k, 1, j]
                     chambers.work[ref, L.H_INFLOW, j] += max(sign * ports.flow[k, 0, j], 0.0)
+            elif kind == L.SIDE_RESERVOIR:
+                for j in range(cells.lanes):
+                    drawn[ref, j] -= sign * ports.flow[k, 0, j]
+    for r in range(drawn.shape[0]):
+        for j in range(cells.lanes):
+            a = dt / (dt + par[r, L.R_TAU, j])
+            goal = par[r, L.R_PRESSURE, j] - par[r, L.R_DROOP, j] * drawn[r, j]
+            reservoirs.pressure[r, j] += a * (goal - reservoirs.pressure[r, j])
 
 
 @sequence

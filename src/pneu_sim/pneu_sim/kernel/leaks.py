@@ -5,6 +5,9 @@ from pneu_sim import layout as L
 from pneu_sim.compiling import branching, folded
 from pneu_sim.kernel.orifices import orifice_flow
 
+RELIEF_STEPS = 40
+"""Halvings of the range in which a pressure is sought: to below its rounding."""
+
 
 @folded
 def leak_flow(kind, size, opens, span, p, t, p_room, t_room, gamma, r_gas):
@@ -31,6 +34,31 @@ def leak_flow(kind, size, opens, span, p, t, p_room, t_room, gamma, r_gas):
     if p >= p_room:
         return orifice_flow(p, t, p_room, size, gamma, r_gas)
     return -orifice_flow(p_room, t_room, p, size, gamma, r_gas)
+
+
+@folded
+def _relieved(size, opens, span, p, t, p_room, t_room, brought, falls, gamma, r_gas):
+    """Pressure for which a relief valve of a cell lets through its flow of a step.
+
+    It may open wide within a pressure that a step brings or takes many times over. Where the flow
+    at the present one would take more than what lies above its opening, it is that of the pressure
+    it leaves behind, p' = p + brought - falls m(p').
+    """
+    low = max(opens, p_room)
+    m = leak_flow(L.RELIEF, size, opens, span, p, t, p_room, t_room, gamma, r_gas)
+    if p <= low or falls * m <= p - low:
+        return p
+    high = p + brought
+    if high <= low:
+        return low
+    for _ in range(RELIEF_STEPS):
+        middle = 0.5 * (low + high)
+        m = leak_flow(L.RELIEF, size, opens, span, middle, t, p_room, t_room, gamma, r_gas)
+        if middle + falls * m > p + brought:
+            high = middle
+        else:
+            low = middle
+    return 0.5 * (low + high)
 
 
 @branching
@@ -70,6 +98,15 @@ def leak(gas, dt, cells, chambers, term):
                 i = slot * w + j
                 p = X[L.W_P, i]
                 t = X[L.W_T, i]
+                if kind == L.RELIEF:
+                    g = dt * cells.par[L.INV_VOLUME, i]
+                    before, after = cells.par[L.FACE, i - w], cells.par[L.FACE, i]
+                    into = before * X[L.W_FE, i - w] - after * X[L.W_FE, i]
+                    falls = g * gamma * r_gas * t
+                    brought = (gamma - 1.0) * g * into
+                    p = _relieved(
+                        size, opens, span, p, t, pa, ta, brought, falls, gamma, r_gas
+                    )  # fmt: skip
                 m = leak_flow(kind, size, opens, span, p, t, pa, ta, gamma, r_gas)
                 if p >= pa:
                     v = X[L.W_U, i]

@@ -117,25 +117,57 @@ def give_back(cells):
 
 
 @branching
-def widen_faces(cells):
+def yield_half(gas, dt, cells):
+    """Have reconstructed states yield to what they become in half a step.
+
+    The wall takes up part of what is compressed: D rho / Dt = -phi rho du/dx along with the gas,
+    phi = 1 / (1 + kappa gamma p / s), where a rigid wall has 1.
+
+    Args:
+        gas: The gas.
+        dt: Step, s.
+        cells: All slots.
+    """
+    X, kappa, length = cells.work, cells.par[L.COMPLIANCE], cells.par[L.LENGTH]
+    for i in each(length.size):
+        if kappa[i] > 0.0 and length[i] > 0.0:
+            k = kappa[i] * gas.gamma * X[L.W_P, i] / cells.soft[L.SOFT_STRETCH, i]
+            g = 0.5 * dt / length[i] * k / (1.0 + k) * (X[L.W_UR, i] - X[L.W_UL, i])
+            d, p = g * cells.state[L.RHO, i], g * gas.gamma * X[L.W_P, i]
+            X[L.W_RL, i] += d
+            X[L.W_RR, i] += d
+            X[L.W_PL, i] += p
+            X[L.W_PR, i] += p
+            X[L.W_IL, i] = 1.0 / X[L.W_RL, i]
+            X[L.W_IR, i] = 1.0 / X[L.W_RR, i]
+
+
+@branching
+def widen_faces(order, cells):
     """Areas of the faces of yielding pipes; a pipe's end is held by its fitting.
 
     Args:
+        order: 1 Godunov, 2 MUSCL-Hancock, whose areas are those at the middle of the step.
         cells: All slots.
     """
-    w, length, face = cells.lanes, cells.par[L.LENGTH], cells.par[L.FACE]
-    stretch, out = cells.soft[L.SOFT_STRETCH], cells.soft[L.SOFT_FACE]
+    w, length, face, X = cells.lanes, cells.par[L.LENGTH], cells.par[L.FACE], cells.work
+    kappa, stretch = cells.par[L.COMPLIANCE], cells.soft[L.SOFT_STRETCH]
     for i in each(length.size - w):
-        inside = length[i] > 0.0 and length[i + w] > 0.0
-        out[i] = face[i] * (0.5 * (stretch[i] + stretch[i + w]) if inside else 1.0)
+        s = 1.0
+        if length[i] > 0.0 and length[i + w] > 0.0:
+            s = 0.5 * (stretch[i] + stretch[i + w])
+            if order == 2:
+                s += 0.5 * kappa[i] * (X[L.W_PR, i] - X[L.W_P, i])
+                s += 0.5 * kappa[i + w] * (X[L.W_PL, i + w] - X[L.W_P, i + w])
+        cells.soft[L.SOFT_FACE, i] = face[i] * s
 
 
 @vectorised
-def _balance(dt, w, face, inv, p, fm, fp, fe, rho, mom, ene, ri):
+def _balance(dt, w, face, inv, pl, pr, fm, fp, fe, rho, mom, ene, ri):
     """See `conserve`."""
     # Shifted views instead of an index i + w: what keeps the loop free of gathers.
     right, gm, gp, ge = face[w:], fm[w:], fp[w:], fe[w:]
-    inv, p, rho, mom, ene, ri = inv[w:], p[w:], rho[w:], mom[w:], ene[w:], ri[w:]
+    inv, pl, pr, rho, mom, ene, ri = inv[w:], pl[w:], pr[w:], rho[w:], mom[w:], ene[w:], ri[w:]
     for i in each(rho.size):
         k = dt * inv[i]
         a = face[i]
@@ -143,20 +175,24 @@ def _balance(dt, w, face, inv, p, fm, fp, fe, rho, mom, ene, ri):
         d = rho[i] + k * (a * fm[i] - b * gm[i])
         rho[i] = d
         ri[i] = 1.0 / d
-        mom[i] += k * (a * fp[i] - b * gp[i] + p[i] * (b - a))
+        mom[i] += k * (a * fp[i] - b * gp[i] + 0.5 * (pl[i] + pr[i]) * (b - a))
         ene[i] += k * (a * fe[i] - b * ge[i])
 
 
 @sequence
-def conserve(dt, cells, face):
+def conserve(order, dt, cells, face):
     """Add what the faces carry, and the wall reaction of a changing area (thesis eq. 4.1-4.8).
 
+    That wall has the cell's pressure; with order 2 the one in the middle of the step.
+
     Args:
+        order: 1 Godunov, 2 MUSCL-Hancock.
         dt: Step, s.
         cells: All slots.
         face: Area of the face between each slot and the next.
     """
     S, X = cells.state, cells.work
-    inv, p, ri = cells.par[L.INV_VOLUME], X[L.W_P], X[L.W_RI]
+    inv, ri = cells.par[L.INV_VOLUME], X[L.W_RI]
+    pl, pr = X[L.W_P if order == 1 else L.W_PL], X[L.W_P if order == 1 else L.W_PR]
     fm, fp, fe = X[L.W_FM], X[L.W_FP], X[L.W_FE]
-    _balance(dt, cells.lanes, face, inv, p, fm, fp, fe, S[L.RHO], S[L.MOM], S[L.ENE], ri)
+    _balance(dt, cells.lanes, face, inv, pl, pr, fm, fp, fe, S[L.RHO], S[L.MOM], S[L.ENE], ri)

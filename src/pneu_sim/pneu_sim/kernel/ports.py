@@ -7,7 +7,14 @@ from pneu_sim import layout as L
 from pneu_sim.compiling import branching, folded
 from pneu_sim.kernel.ends import face_state
 from pneu_sim.kernel.orifices import iso6358_flow
+from pneu_sim.kernel.waves import end_curve, fastest, power
 from pneu_sim.riemann import hllc_flux
+
+PORT_STEPS = 30
+"""How often the tangents of a port's sides are laid anew, at most."""
+TANGENT = 3e-3
+"""How far from where it touches a tangent is taken for the curve, of the speed of sound: pressures
+are then wrong by their square, 1e-5."""
 
 
 @folded
@@ -37,126 +44,236 @@ def _through_area(k, j, gas, cells, ends, ports):
 
 
 @folded
-def _head(j, end, flow, heads, cells, ends):
-    """Velocity heads at a pipe end: twice their pressure per flow, 1/(m s), and the Mach number.
+def warmth(j, kind, ref, gas, cells, ends, reservoirs, chambers):
+    """Stagnation temperature of what a port draws from one side, K.
 
-    Stagnation pressure (one head) has its first compressible term; the momentum flux (two heads)
-    is exact without.
+    Args:
+        j: The lane.
+        kind: Kind of the side.
+        ref: Which one of those.
+        gas: The gas.
+        cells: All slots.
+        ends: Ends of pipes.
+        reservoirs: Reservoirs.
+        chambers: Chambers.
     """
-    i = ends.table[end, L.E_CELL] * cells.lanes + j
-    area, c = cells.par[L.AREA, i], cells.work[L.W_C, i]
-    y = flow / (cells.state[L.RHO, i] * area * area * c)
-    x = y * c
-    mach = min(y * area, 0.95)
-    return heads * x * (1.0 + 0.25 * mach * mach * min(max(2.0 - heads, 0.0), 1.0)), mach
-
-
-@folded
-def _at_end(k, j, end, out, gas, order, cells, ends, ports):
-    """What a port sees in a pipe: pressure at no flow, impedance, temperature.
-
-    The stagnation pressure of the line it leaves (ISO 6358) drives the port, against the static
-    pressure of the line it enters plus the velocity heads its jet does not recover; both heads are
-    linearised about the last step's flow ``out`` of the pipe.
-    """
-    i = ends.table[end, L.E_CELL] * cells.lanes + j
-    d, v, p = face_state(end, j, order, cells, ends)
-    dc = math.sqrt(gas.gamma * p * d)
-    z = dc / (d * cells.par[L.FACE, ends.table[end, L.E_FACE] * cells.lanes + j])
-    p = max(p + dc * v - z * ends.ported[end, L.N_MASS, j], 0.05 * p)
-    if out > 0.0:
-        heads = ports.par[k, L.Q_HEAD, j]
-        x, mach = _head(j, end, out, heads, cells, ends)
-        # rarefied gas has less head: at 2 heads the slope is (1 - M)^2, never negative
-        lean = z * max(1.0 - heads * mach * (1.0 - 0.5 * mach), 0.02)
-        p += (lean - z + 0.5 * x) * out
-        z = lean
-    elif out < 0.0:
-        x, _ = _head(j, end, -out, ports.par[k, L.Q_JET, j], cells, ends)
-        z += x
-        p += 0.5 * x * out
-    return p, z, cells.work[L.W_T, i]
-
-
-@folded
-def _side(k, j, kind, ref, out, gas, order, cells, ends, ports, reservoirs, chambers):
-    """What a port sees on one side: pressure at no flow, impedance, temperature."""
     if kind == L.SIDE_END:
-        return _at_end(k, j, ref, out, gas, order, cells, ends, ports)
+        i = ends.table[ref, L.E_CELL] * cells.lanes + j
+        u = cells.work[L.W_U, i]
+        return cells.work[L.W_T, i] + 0.5 * (gas.gamma - 1.0) / (gas.gamma * gas.r) * u * u
     if kind == L.SIDE_CHAMBER:
-        return chambers.work[ref, L.H_PRESSURE, j], 0.0, chambers.work[ref, L.H_TEMPERATURE, j]
-    return reservoirs.supplied[ref, j], 0.0, reservoirs.par[ref, L.R_TEMPERATURE, j]
+        return chambers.work[ref, L.H_TEMPERATURE, j]
+    return reservoirs.par[ref, L.R_TEMPERATURE, j]
 
 
 @folded
-def _most_out(j, end, flow, gas, order, cells, ends):
-    """Most that can leave a pipe end, kg/s, its gas sonic there; infinite if ``flow`` is far below.
+def _at_end(k, j, end, vf, least, far_t, others, gas, order, cells, ends, ports):
+    """What a port sees in a pipe whose gas leaves with a velocity, or enters: a tangent there.
 
-    A port that would take more is wider than the pipe: the pipe's own end chokes, along the
-    isentrope and the characteristic that arrive there (as in `vessel_state`).
+    The stagnation pressure of the line it leaves (ISO 6358-1) drives the port, against the static
+    pressure of the line it enters plus the velocity heads its jet does not recover.
+
+    Args:
+        k: The port.
+        j: The lane.
+        end: The end of the pipe.
+        vf: Velocity at the end, as known so far, positive out of the pipe, m/s.
+        least: The velocity of gas that enters at its own speed of sound, m/s; from there on the
+            pressure goes with the flow.
+        far_t: Stagnation temperature of what enters, K.
+        others: What other ports take from the pipe's end, kg/s.
+        gas: The gas.
+        order: 1 Godunov, 2 MUSCL-Hancock.
+        cells: All slots.
+        ends: Ends of pipes.
+        ports: Ports.
+
+    Returns:
+        Pressure that there would be with no flow of this port, by how much it falls per flow;
+        flow at which the tangent lies, and the velocity's growth per flow.
     """
     gamma = gas.gamma
     d, v, p = face_state(end, j, order, cells, ends)
-    dc = math.sqrt(gamma * p * d)
-    face = cells.par[L.FACE, ends.table[end, L.E_FACE] * cells.lanes + j]
-    if flow < 0.4 * dc * face:
-        return math.inf
-    c = dc / d
-    cf = min(max(2.0 / (gamma + 1.0) * c + (gamma - 1.0) / (gamma + 1.0) * v, 0.1 * c), c + abs(v))
-    return face * cf * d * math.exp(2.0 / (gamma - 1.0) * math.log(cf / c))
+    area = cells.par[L.FACE, ends.table[end, L.E_FACE] * cells.lanes + j]
+    cp = gamma * gas.r / (gamma - 1.0)
+    df, q, z, m, slope = end_curve(d, v, p, vf, cp * far_t, gamma)
+    held = 0.0
+    if ends.give[end, j] != 1.0:
+        held = (1.0 / ends.give[end, j] - 1.0) / math.sqrt(gamma * p / d)
+    grow = area * (max(slope, 1e-3 * df) + held * z)
+    at = area * (m + held * (p - q)) - others
+    t0 = q / (gas.r * df) + 0.5 * vf * vf / cp
+    falls = z / grow if vf > least else 1.0 / (area * (held - m / q))
+    if at > 0.0 and vf > 0.0:
+        # One head is the stagnation pressure, along an isentrope; two are the momentum that
+        # arrives; each falls with the velocity up to that of sound, the former by rho0 (c - v), the
+        # latter by rho (c - v)^2 / c.
+        heads = ports.par[k, L.Q_HEAD, j]
+        dynamic = 0.5 * df * vf * vf
+        share = min(max(2.0 - heads, 0.0), 1.0)
+        more = (1.0 - share) * dynamic
+        less = (share - 1.0) * (df * vf - dynamic * z / (gamma * q))
+        if share > 0.0:
+            rest = q * power(t0 * gas.r * df / q, gamma / (gamma - 1.0))
+            more += share * (rest - q)
+            less += share * (rest / (gas.r * t0) * (z / df - vf) - z)
+        falls = max(z + heads * less, 0.0) / grow
+        q += heads * more
+    elif at < 0.0:
+        x = ports.par[k, L.Q_JET, j] * abs(at) / (df * area * area)
+        falls += x
+        q += 0.5 * x * abs(at)
+    return q + falls * at, falls, at, 1.0 / grow
 
 
 @folded
-def _through_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
-    """Flow of an ISO 6358 port, and what it takes from and brings to the pipes on its sides."""
+def solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
+    """Flow of an ISO 6358 port from what is on its sides, kg/s.
+
+    Args:
+        k: The port.
+        j: The lane.
+        gas: The gas.
+        order: 1 Godunov, 2 MUSCL-Hancock.
+        cells: All slots.
+        ends: Ends of pipes; of the port itself `ported` has its last flow.
+        ports: Ports.
+        reservoirs: Reservoirs.
+        chambers: Chambers.
+    """
     ported = ends.ported
     ka = ports.table[k, L.P_A]
     ia = ports.table[k, L.P_AI]
     kb = ports.table[k, L.P_B]
     ib = ports.table[k, L.P_BI]
-    old = ports.flow[k, 0, j]
-    if ka == L.SIDE_END:
-        ported[ia, L.N_MASS, j] -= old
-    if kb == L.SIDE_END:
-        ported[ib, L.N_MASS, j] += old
-    pa, za, ta = _side(k, j, ka, ia, old, gas, order, cells, ends, ports, reservoirs, chambers)
-    pb, zb, tb = _side(k, j, kb, ib, -old, gas, order, cells, ends, ports, reservoirs, chambers)
+    m = ports.flow[k, 0, j]
     opening = ports.opening[k, j]
     c = opening * ports.par[k, L.Q_CONDUCTANCE, j]
+    if c <= 0.0:
+        return 0.0
     width = 1.0 - ports.par[k, L.Q_LAMINAR, j]
     if ports.par[k, L.Q_WIDENING, j] != 0.0:
         width *= min(opening, 1.0) ** ports.par[k, L.Q_WIDENING, j]
-    m = iso6358_flow(
-        pa,
-        za,
-        ta,
-        pb,
-        zb,
-        tb,
-        c,
-        ports.par[k, L.Q_RATIO, j],
-        1.0 - width,
-        ports.par[k, L.Q_SHARE, j],
-    )
-    if m > 0.0 and ka == L.SIDE_END:
-        most = _most_out(j, ia, m, gas, order, cells, ends)
-        m = min(m, max(most - ported[ia, L.N_MASS, j], 0.0))
-    elif m < 0.0 and kb == L.SIDE_END:
-        most = _most_out(j, ib, -m, gas, order, cells, ends)
-        m = max(m, min(ported[ib, L.N_MASS, j] - most, 0.0))
-    up_kind, up, up_t = (ka, ia, ta) if m >= 0.0 else (kb, ib, tb)
-    h0 = gas.gamma * gas.r / (gas.gamma - 1.0) * up_t
-    if up_kind == L.SIDE_END:
-        v = cells.work[L.W_U, ends.table[up, L.E_CELL] * cells.lanes + j]
-        h0 += 0.5 * v * v
-    ports.flow[k, 0, j] = m
-    ports.flow[k, 1, j] = m * h0
+    ta = warmth(j, ka, ia, gas, cells, ends, reservoirs, chambers)
+    tb = warmth(j, kb, ib, gas, cells, ends, reservoirs, chambers)
+    pa = pb = za = zb = va = vb = at_a = at_b = grow_a = grow_b = 0.0
+    lowest_a = highest_a = lowest_b = highest_b = near = others_a = others_b = 0.0
+    sonic = 2.0 * gas.gamma * gas.r / (gas.gamma + 1.0)
     if ka == L.SIDE_END:
-        ported[ia, L.N_MASS, j] += m
-        ported[ia, L.N_HEAT, j] += m * h0
+        va = float(ends.table[ia, L.E_SIGN]) * ends.velocity[ia, j]
+        d, v, p = face_state(ia, j, order, cells, ends)
+        lowest_a, highest_a = -math.sqrt(sonic * tb), fastest(d, v, p, gas.gamma)
+        near = TANGENT * math.sqrt(gas.gamma * p / d)
+        others_a = ported[ia, L.N_MASS, j] - m
+    elif ka == L.SIDE_CHAMBER:
+        pa = chambers.work[ia, L.H_PRESSURE, j]
+    else:
+        pa = reservoirs.supplied[ia, j]
     if kb == L.SIDE_END:
-        ported[ib, L.N_MASS, j] -= m
-        ported[ib, L.N_HEAT, j] -= m * h0
+        vb = float(ends.table[ib, L.E_SIGN]) * ends.velocity[ib, j]
+        d, v, p = face_state(ib, j, order, cells, ends)
+        lowest_b, highest_b = -math.sqrt(sonic * ta), fastest(d, v, p, gas.gamma)
+        near = TANGENT * math.sqrt(gas.gamma * p / d)
+        others_b = ported[ib, L.N_MASS, j] + m
+    elif kb == L.SIDE_CHAMBER:
+        pb = chambers.work[ib, L.H_PRESSURE, j]
+    else:
+        pb = reservoirs.supplied[ib, j]
+    for attempt in range(PORT_STEPS):
+        # beyond a few, it goes to and fro over a bend between sonic and slower flow
+        part = 1.0 if attempt < 4 else 0.5
+        if ka == L.SIDE_END:
+            va = min(max(va, lowest_a), highest_a)
+            pa, za, at_a, grow_a = _at_end(
+                k, j, ia, va, lowest_a, tb, others_a, gas, order, cells, ends, ports
+            )
+        if kb == L.SIDE_END:
+            vb = min(max(vb, lowest_b), highest_b)
+            pb, zb, at_b, grow_b = _at_end(
+                k, j, ib, vb, lowest_b, ta, others_b, gas, order, cells, ends, ports
+            )
+        m = iso6358_flow(
+            pa,
+            za,
+            ta,
+            pb,
+            zb,
+            tb,
+            c,
+            ports.par[k, L.Q_RATIO, j],
+            1.0 - width,
+            ports.par[k, L.Q_SHARE, j],
+        )
+        moved = 0.0
+        if ka == L.SIDE_END:
+            was = va
+            va = min(max(va + part * (m - at_a) * grow_a, lowest_a), highest_a)
+            moved = abs(va - was)
+        if kb == L.SIDE_END:
+            was = vb
+            vb = min(max(vb - part * (m + at_b) * grow_b, lowest_b), highest_b)
+            moved = max(moved, abs(vb - was))
+        if moved <= near:
+            break
+    # a port that would take more is wider than the pipe, whose own end chokes
+    if m > 0.0 and ka == L.SIDE_END and va >= highest_a:
+        m = min(m, max(at_a, 0.0))
+    elif m < 0.0 and kb == L.SIDE_END and vb >= highest_b:
+        m = max(m, min(-at_b, 0.0))
+    # from which the state at the end, and the next step, begin
+    if ka == L.SIDE_END:
+        ends.velocity[ia, j] = float(ends.table[ia, L.E_SIGN]) * va
+    if kb == L.SIDE_END:
+        ends.velocity[ib, j] = float(ends.table[ib, L.E_SIGN]) * vb
+    return m
+
+
+@folded
+def _through_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
+    """Flow of an ISO 6358 port, and what it takes from and brings to the pipes on its sides."""
+    ka, ia = ports.table[k, L.P_A], ports.table[k, L.P_AI]
+    kb, ib = ports.table[k, L.P_B], ports.table[k, L.P_BI]
+    m = solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers)
+    t = warmth(
+        j,
+        ka if m >= 0.0 else kb,
+        ia if m >= 0.0 else ib,
+        gas,
+        cells,
+        ends,
+        reservoirs,
+        chambers,
+    )
+    heat = m * gas.gamma * gas.r / (gas.gamma - 1.0) * t
+    if ka == L.SIDE_END:
+        ends.ported[ia, L.N_MASS, j] += m - ports.flow[k, 0, j]
+        ends.ported[ia, L.N_HEAT, j] += heat
+    if kb == L.SIDE_END:
+        ends.ported[ib, L.N_MASS, j] -= m - ports.flow[k, 0, j]
+        ends.ported[ib, L.N_HEAT, j] -= heat
+    ports.flow[k, 0, j] = m
+    ports.flow[k, 1, j] = heat
+
+
+@branching
+def recall_ports(cells, ends, ports):
+    """Have the flows of the last step stand in for ports not yet solved at this one (Gauss-Seidel).
+
+    Args:
+        cells: All slots.
+        ends: Ends of pipes.
+        ports: Ports.
+    """
+    index, ported = ports.table, ends.ported
+    ported[:] = 0.0
+    for k in range(index.shape[0]):
+        if index[k, L.P_MODE] != L.ISO6358:
+            continue
+        for j in range(cells.lanes):
+            if index[k, L.P_A] == L.SIDE_END:
+                ported[index[k, L.P_AI], L.N_MASS, j] += ports.flow[k, 0, j]
+            if index[k, L.P_B] == L.SIDE_END:
+                ported[index[k, L.P_BI], L.N_MASS, j] -= ports.flow[k, 0, j]
 
 
 @branching
@@ -167,25 +284,14 @@ def cross_ports(gas, order, cells, ends, ports, reservoirs, chambers):
         gas: The gas.
         order: 1 Godunov, 2 MUSCL-Hancock.
         cells: All slots.
-        ends: Ends of pipes.
+        ends: Ends of pipes, after `recall_ports`.
         ports: Ports.
         reservoirs: Reservoirs.
         chambers: Chambers.
     """
-    index, ported = ports.table, ends.ported
-    ported[:] = 0.0
-    # Flows of the last step stand in for ports not yet solved at this one (Gauss-Seidel).
-    for k in range(index.shape[0]):
-        if index[k, L.P_MODE] != L.ISO6358:
-            continue
+    for k in range(ports.table.shape[0]):
         for j in range(cells.lanes):
-            if index[k, L.P_A] == L.SIDE_END:
-                ported[index[k, L.P_AI], L.N_MASS, j] += ports.flow[k, 0, j]
-            if index[k, L.P_B] == L.SIDE_END:
-                ported[index[k, L.P_BI], L.N_MASS, j] -= ports.flow[k, 0, j]
-    for k in range(index.shape[0]):
-        for j in range(cells.lanes):
-            if index[k, L.P_MODE] == L.EFFECTIVE_AREA:
+            if ports.table[k, L.P_MODE] == L.EFFECTIVE_AREA:
                 _through_area(k, j, gas, cells, ends, ports)
             else:
                 _through_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers)

@@ -94,22 +94,54 @@ def find_decay(gas, dt, cells):
     _decay(gas.prandtl, dt, P[L.RELAX], P[L.QUICKEN], X[L.W_RI], D[L.D_PHI], a_u, a_t, fade)
 
 
+@inlined
+def _slowed(u, v0, il, ir, viscous, loss, dt):
+    """How far drag that goes with the velocity gets in a step, and what a quadratic law adds.
+
+    The velocity at the middle of the step is foreseen from both of its ends without that drag; it
+    lies between them, however strong the drag is.
+
+    Args:
+        u: Velocity at the step's beginning, m/s.
+        v0: What it would be at its end without drag, m/s.
+        il: One over the density at one side of the cell, m^3/kg.
+        ir: The same at the other.
+        viscous: Drag per velocity and volume, Pa s/m^2.
+        loss: Velocity heads lost per length, 1/m.
+        dt: Step, s.
+
+    Returns:
+        Step over the time in which the drag takes the velocity away.
+    """
+    x = 0.5 * dt * viscous * (il + ir)
+    now = x + 0.5 * dt * loss * abs(u)
+    most = max(abs(u), abs(v0))
+    middle = min(abs(u + 0.5 * (v0 - u - now * u)), most)
+    return x + 0.5 * dt * loss * middle
+
+
 @vectorised
-def _steadily(gamma, r_gas, dt, rho, mom, ene, ri, visc, loss, wall_t, phi, film, drag, warm):
+def _steadily(gas, dt, gas_is, was, wall, drag, warm):
     """See `act_steadily`."""
-    cv = r_gas / (gamma - 1.0)
+    rho, mom, ene, ri = gas_is
+    u, t_old, il, ir = was
+    visc, loss, wall_t, phi, film = wall
+    cv = gas.r / (gas.gamma - 1.0)
+    recovered = gas.prandtl ** (1.0 / 3.0) / (2.0 * gas.gamma * cv)
     i_cv = 1.0 / cv
     i_dt = 1.0 / dt
     for i in each(rho.size):
         k = ri[i]
         v0 = mom[i] * k
         t0 = (ene[i] * k - 0.5 * v0 * v0) * i_cv
-        h = dt * film[i] * k * i_cv
-        hold = 1.0 + dt * (visc[i] * phi[i] * k + 0.5 * loss[i] * abs(v0))
-        keep = 1.0 + h
+        x = _slowed(u[i], v0, il[i], ir[i], visc[i] * phi[i], loss[i], dt)
+        h = 0.5 * dt * film[i] * (il[i] + ir[i]) * i_cv
+        hold = 1.0 + x + 0.5 * x * x
+        keep = 1.0 + h + 0.5 * h * h
         q = 1.0 / (hold * keep)
-        v = v0 * (keep * q)
-        t = (t0 + h * wall_t[i]) * (hold * q)
+        v = (u[i] + (1.0 + 0.5 * x) * (v0 - u[i])) * (keep * q)
+        goal = wall_t[i] - 0.5 * recovered * (u[i] * u[i] + v0 * v0)
+        t = (t_old[i] + (1.0 + 0.5 * h) * (t0 - t_old[i]) + (keep - 1.0) * goal) * (hold * q)
         # Friction turns kinetic energy into heat, so it leaves the total alone (thesis 5.1).
         mom[i] = rho[i] * v
         g = rho[i] * cv * (t - t0)
@@ -119,19 +151,33 @@ def _steadily(gamma, r_gas, dt, rho, mom, ene, ri, visc, loss, wall_t, phi, film
 
 
 @sequence
-def act_steadily(gas, dt, cells):
-    """Quasi-steady friction and heat, implicit in the end-of-step velocity and temperature.
+def act_steadily(gas, order, dt, cells):
+    """Quasi-steady friction and heat, of second order and stable however strong they are.
+
+    What the faces bring in a step comes evenly over it, dv/dt = a - k v; the exponential of its
+    solution is taken as 1 / (1 + x + x^2 / 2). A steady flow stays as it is.
+
+    A wall that conducts nothing has the recovery temperature T + r u^2 / (2 cp), r = Pr^(1/3) in
+    turbulent flow (White, Viscous Fluid Flow); heat is driven by the difference to that.
 
     Args:
         gas: The gas.
+        order: 1 Godunov, 2 MUSCL-Hancock.
         dt: Step, s.
         cells: All slots.
     """
     P, S, X, D = cells.par, cells.state, cells.work, cells.wall
+    # at both sides of the cells in the middle of the step, where that is known
+    il, ir = X[L.W_RI if order == 1 else L.W_IL], X[L.W_RI if order == 1 else L.W_IR]
     _steadily(
-        gas.gamma, gas.r, dt, S[L.RHO], S[L.MOM], S[L.ENE], X[L.W_RI],
-        P[L.VISCOUS], P[L.LOSS], P[L.WALL_T], D[L.D_PHI], D[L.D_FILM], D[L.D_DRAG], D[L.D_WARM],
-    )  # fmt: skip
+        gas,
+        dt,
+        (S[L.RHO], S[L.MOM], S[L.ENE], X[L.W_RI]),
+        (X[L.W_U], X[L.W_T], il, ir),
+        (P[L.VISCOUS], P[L.LOSS], P[L.WALL_T], D[L.D_PHI], D[L.D_FILM]),
+        D[L.D_DRAG],
+        D[L.D_WARM],
+    )
 
 
 @inlined
@@ -204,7 +250,7 @@ def _remember(given, hold, tie, before, xi, a, f, x0, x1, x2, x3, x4, x5):
 @vectorised
 def _drag(dt, gas_is, wall, fading, drag, y):
     """See `drag_with_memory`."""
-    rho, mom, ri, u = gas_is
+    rho, mom, ri, u, il, ir = gas_is
     phi, visc, loss, unst = wall
     decay, fade, stay = fading
     y0, y1, y2, y3, y4, y5 = y
@@ -212,11 +258,12 @@ def _drag(dt, gas_is, wall, fading, drag, y):
     half = 0.5 * dt
     for i in each(rho.size):
         v0 = mom[i] * ri[i]
-        h = dt * ri[i]
+        x = _slowed(u[i], v0, il[i], ir[i], visc[i] * phi[i], loss[i], dt)
+        g = 1.0 + 0.5 * x
         v, y0[i], y1[i], y2[i], y3[i], y4[i], y5[i] = _remember(
-            v0,
-            1.0 + h * visc[i] * phi[i] + half * loss[i] * abs(v0),
-            h * unst[i],
+            u[i] + g * (v0 - u[i]),
+            1.0 + x * g,
+            g * half * (il[i] + ir[i]) * unst[i],
             u[i],
             rho[i] * stay[i] * i_dt,
             decay[i],
@@ -234,17 +281,20 @@ def _drag(dt, gas_is, wall, fading, drag, y):
 
 
 @sequence
-def drag_with_memory(dt, cells):
-    """Wall friction with memory.
+def drag_with_memory(order, dt, cells):
+    """Wall friction with memory; its steady part as in `act_steadily`.
 
     Args:
+        order: 1 Godunov, 2 MUSCL-Hancock.
         dt: Step, s.
         cells: All slots.
     """
     P, S, X, D = cells.par, cells.state, cells.work, cells.wall
+    # at both sides of the cells in the middle of the step, where that is known
+    il, ir = X[L.W_RI if order == 1 else L.W_IL], X[L.W_RI if order == 1 else L.W_IR]
     _drag(
         dt,
-        (S[L.RHO], S[L.MOM], X[L.W_RI], X[L.W_U]),
+        (S[L.RHO], S[L.MOM], X[L.W_RI], X[L.W_U], il, ir),
         (D[L.D_PHI], P[L.VISCOUS], P[L.LOSS], P[L.UNSTEADY]),
         (D[L.D_AU], D[L.D_FADE], D[L.D_STAY]),
         D[L.D_DRAG],
@@ -255,7 +305,7 @@ def drag_with_memory(dt, cells):
 @vectorised
 def _heat(gas, dt, gas_is, wall, fading, warm, y):
     """See `heat_with_memory`."""
-    rho, mom, ene, ri, t_old = gas_is
+    rho, mom, ene, ri, u, t_old, il, ir = gas_is
     film, unst, wall_t = wall
     decay, fade, stay = fading
     y0, y1, y2, y3, y4, y5 = y
@@ -263,16 +313,19 @@ def _heat(gas, dt, gas_is, wall, fading, warm, y):
     i_cv = 1.0 / cv
     i_dt = 1.0 / dt
     i_rate = gas.prandtl / dt
-    per_heat = dt * i_cv
+    per_heat = 0.5 * dt * i_cv
+    recovered = gas.prandtl ** (1.0 / 3.0) / (2.0 * gas.gamma * cv)
     for i in each(rho.size):
         v0 = mom[i] * ri[i]
         t0 = (ene[i] * ri[i] - 0.5 * v0 * v0) * i_cv
-        h = per_heat * ri[i]
-        q = h * film[i]
+        h = per_heat * (il[i] + ir[i])
+        x = h * film[i]
+        k = 1.0 + 0.5 * x
+        goal = wall_t[i] - 0.5 * recovered * (u[i] * u[i] + v0 * v0)
         t, y0[i], y1[i], y2[i], y3[i], y4[i], y5[i] = _remember(
-            t0 + q * wall_t[i],
-            1.0 + q,
-            h * unst[i],
+            t_old[i] + k * (t0 - t_old[i] + x * goal),
+            1.0 + x * k,
+            k * h * unst[i],
             t_old[i],
             rho[i] * stay[i] * i_rate,
             decay[i],
@@ -290,19 +343,22 @@ def _heat(gas, dt, gas_is, wall, fading, warm, y):
 
 
 @sequence
-def heat_with_memory(gas, dt, cells):
+def heat_with_memory(gas, order, dt, cells):
     """Wall heat with memory: the thermal twin of the drag, at the thermal diffusivity.
 
     Args:
         gas: The gas.
+        order: 1 Godunov, 2 MUSCL-Hancock.
         dt: Step, s.
         cells: All slots.
     """
     P, S, X, D = cells.par, cells.state, cells.work, cells.wall
+    # at both sides of the cells in the middle of the step, where that is known
+    il, ir = X[L.W_RI if order == 1 else L.W_IL], X[L.W_RI if order == 1 else L.W_IR]
     _heat(
         gas,
         dt,
-        (S[L.RHO], S[L.MOM], S[L.ENE], X[L.W_RI], X[L.W_T]),
+        (S[L.RHO], S[L.MOM], S[L.ENE], X[L.W_RI], X[L.W_U], X[L.W_T], il, ir),
         (D[L.D_FILM], P[L.HEAT_UNSTEADY], P[L.WALL_T]),
         (D[L.D_AT], D[L.D_FADE], D[L.D_STAY]),
         D[L.D_WARM],

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pneu_sim import layout as L
 from pneu_sim.effects import apply_to_model, apply_to_rig
 from pneu_sim.gas import AIR, Gas
+from pneu_sim.kernel.orifices import ANR_DENSITY, ANR_TEMPERATURE
 from pneu_sim.rig.cells import spread
 from pneu_sim.rig.expand import with_cylinders
 from pneu_sim.rig.lines import cells_of
@@ -352,3 +353,79 @@ def area_steps(models: Sequence[Model]) -> tuple[Ints, Floats]:
         np.array(index, dtype=np.int64).reshape(-1, 5),
         np.array(area).reshape(-1, 2, len(models)),
     )
+
+
+def side_volumes(models: Sequence[Model]) -> tuple[Ints, Floats]:
+    """Cells that have a volume beside them in any of some models on one plan.
+
+    Args:
+        models: The models.
+
+    Returns:
+        (n_sides, SIDE_COLUMNS) cells; and (n_sides, n_models) how many times the cell's own volume
+        that beside it is.
+    """
+    plan = models[0].plan
+    cell = np.stack([m.cell for m in models], axis=-1)
+    own = cell[L.AREA] * cell[L.LENGTH] * cell[L.INV_VOLUME]
+    there = (cell[L.INV_VOLUME] > 0.0) & (own < 1.0 - 1e-12)
+    slots = np.flatnonzero(there.any(axis=1))
+    at_end = {
+        int(end[L.E_CELL]): e
+        for e, end in enumerate(plan.ends)
+        if end[L.E_KIND] in (L.WALL, L.PORTED)
+    }
+    table = [(slot, at_end.get(slot, -1)) for slot in slots.tolist()]
+    more = np.where(there[slots], 1.0 / np.where(there[slots], own[slots], 1.0) - 1.0, 0.0)
+    return np.array(table, dtype=np.int64).reshape(-1, L.SIDE_COLUMNS), more
+
+
+def small_chambers(models: Sequence[Model]) -> Ints:
+    """Chambers that fill or empty within a step in any of some models on one plan.
+
+    Of an explicit step the pressure overshoots where a step is longer than the chamber's time
+    constant, V / (gamma R T G), G being by how much the flow of all that is connected grows with
+    pressure: of a pipe's end A / c, of a port its slope where it is steepest, at pressures that are
+    nearly equal.
+
+    Args:
+        models: The models.
+
+    Returns:
+        (n_small,) their numbers.
+    """
+    plan = models[0].plan
+    small: set[int] = set()
+    for model in models:
+        gas, t = model.gas, float(model.ambient[1])
+        rt = gas.r_specific * t
+        give = np.zeros(len(plan.chambers))
+        for end, area in zip(plan.ends, model.end_area, strict=True):
+            if end[L.E_KIND] == L.CHAMBER:
+                give[end[L.E_REF]] += area / math.sqrt(gas.gamma * rt)
+        for port, par in zip(plan.ports, model.port, strict=True):
+            ratio = par[L.Q_RATIO]
+            # ISO 6358-1 itself takes the flow as linear in the last thousandth of the pressure
+            linear = min(par[L.Q_LAMINAR], 0.999)
+            steepest = math.sqrt((1.0 - ratio) ** 2 - (linear - ratio) ** 2)
+            steepest *= par[L.Q_CONDUCTANCE] * ANR_DENSITY * math.sqrt(ANR_TEMPERATURE / t)
+            steepest /= (1.0 - ratio) * (1.0 - linear)
+            for kind, ref in ((L.P_A, L.P_AI), (L.P_B, L.P_BI)):
+                if port[kind] == L.SIDE_CHAMBER:
+                    give[port[ref]] += steepest
+        for slot, area in model.leaks.items():
+            if slot < 0:  # sonic as soon as it may be: area / sqrt(R T) is its slope there
+                give[-1 - slot] += area / math.sqrt(rt)
+        for slot, reliefs in model.reliefs.items():
+            if slot < 0:
+                for area, opens, span in reliefs:
+                    give[-1 - slot] += area / math.sqrt(rt) * (1.0 + (opens + span) / span)
+        volume = model.chamber[:, L.C_VOLUME].copy()
+        for sides, par in zip(plan.cylinder, model.cylinder, strict=True):
+            for side in range(2):
+                kind, c, _ = sides[L.COLUMNS_PER_SIDE * side : L.COLUMNS_PER_SIDE * (side + 1)]
+                if kind == L.GAS_CHAMBER:
+                    volume[c] = par[L.PY_DEAD + side]
+        stiff = plan.dt_s * gas.gamma * rt * give > volume
+        small |= set(np.flatnonzero(stiff).tolist())
+    return np.array(sorted(small), dtype=np.int64)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is at a place along a pipe, as its cells and faces feel it."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import bisect
 
 from pneu_sim.rig.schema import Pipe
 
@@ -44,15 +44,17 @@ class Narrowed:
     """What narrowings make of the cells and faces of a pipe.
 
     Attributes:
-        face: (n + 1,) factor on the area of each face.
-        volume: (n,) factor on the volume of each cell.
-        viscous: (n,) factor on its laminar drag.
-        turbulent: (n,) factor on its turbulent drag.
-        heads: (n,) velocity heads lost besides.
+        area: (n,) factor on the area of each cell.
+        length: (n,) factor on its length.
+        face: (n + 1,) area of each face, relative to the pipe's there.
+        viscous: (n,) factor on its laminar drag per volume.
+        turbulent: (n,) factor on its turbulent drag per volume.
+        heads: (n,) heads of the velocity in the cell that are lost besides.
     """
 
+    area: Floats
+    length: Floats
     face: Floats
-    volume: Floats
     viscous: Floats
     turbulent: Floats
     heads: Floats
@@ -61,43 +63,72 @@ class Narrowed:
 def narrowed_by(pipe: Pipe, faces: Floats) -> Narrowed:
     """A narrowing as cells of any length feel it.
 
-    Its volume and the friction along it are shared by the cells that it covers. The jet behind it
-    loses what Borda and Carnot say, whatever the cells: the narrowing is at the faces next to its
-    middle, and where it lies between two each has the part of the loss that is its own. The flow
-    into it loses what a sharp edge does (Idelchik 2007, diagram 4-9).
+    A cell of which a part is narrowed is one of another area and length, whose volume and whose
+    inertance, the integrals of A and of 1 / A, are those of the parts: it reflects waves as the
+    narrowing does. The faces next to its middle have its own area, at which the flow chokes. The
+    jet behind it loses what Borda and Carnot say, whatever the cells: what the steps from cell to
+    cell and to those faces do not lose is lost along the cells. The flow into it loses what a sharp
+    edge does (Idelchik 2007, diagram 4-9).
 
     Args:
         pipe: The pipe with its narrowings.
         faces: (n + 1,) where its cells end, m.
     """
-    centres = 0.5 * (faces[1:] + faces[:-1])
     n = faces.size - 1
     dx = pipe.length_m / n
-    face, volume = np.ones(n + 1), np.ones(n)
-    viscous, turbulent, heads = np.ones(n), np.ones(n), np.zeros(n)
+    # moments of the free share of the area over each cell: what powers of it add up to
+    powers = np.array([1.0, -1.0, -2.0, -2.375])
+    edges = [
+        (k.position_m - 0.5 * k.length_m, k.position_m + 0.5 * k.length_m) for k in pipe.narrowings
+    ]
+    cuts = np.unique(np.clip([*faces, *(x for pair in edges for x in pair)], 0.0, pipe.length_m))
+    middle, width = 0.5 * (cuts[1:] + cuts[:-1]), np.diff(cuts)
+    free = np.ones_like(middle)
+    for (low, high), narrowing in zip(edges, pipe.narrowings, strict=True):
+        free *= np.where((middle > low) & (middle < high), 1.0 - narrowing.fraction, 1.0)
+    of = np.clip(np.searchsorted(faces, middle) - 1, 0, n - 1)
+    moments = np.ones((4, n))
+    for moment, power in zip(moments, powers, strict=True):
+        np.add.at(moment, of, width / dx * (free**power - 1.0))
+    volume, inertance, laminar, rough = moments
+    area, length = np.sqrt(volume / inertance), np.sqrt(volume * inertance)
+    # the pressure drop of one mass flow goes with 1 / A^2, by Blasius' law with 1 / A^2.375
+    viscous, turbulent = laminar / inertance, rough / inertance * area**0.375
+
+    # Heads of the pipe's velocity that a change of the area loses: of the jet where it widens, of a
+    # sharp edge where it narrows; which is which depends on the direction of flow, so the mean.
+    wide, narrow = np.maximum(free[1:], free[:-1]), np.minimum(free[1:], free[:-1])
+    jet = 0.5 * (1.0 / narrow - 1.0 / wide) ** 2
+    edge = 0.5 * 0.5 * (1.0 - narrow / wide) ** 0.75 / narrow**2
+    where = np.where(free[1:] < free[:-1], middle[1:], middle[:-1])
+    wanted = float(jet.sum())
+
+    slow = 1.0 / area
+    widest = np.concatenate(([slow[0]], np.maximum(slow[1:], slow[:-1]), [slow[-1]]))
+    throat = np.zeros_like(widest)
     for narrowing in pipe.narrowings:
-        left = 1.0 - narrowing.fraction
-        low = narrowing.position_m - 0.5 * narrowing.length_m
-        high = narrowing.position_m + 0.5 * narrowing.length_m
-        covered = np.clip(np.minimum(faces[1:], high) - np.maximum(faces[:-1], low), 0.0, None)
-        covered /= dx
-        volume *= 1.0 - narrowing.fraction * covered
-        # pressure drop at one mass flow: 1 / A^2, and with Blasius' law 1 / A^2.375
-        viscous *= 1.0 + covered * (left**-2.0 - 1.0)
-        turbulent *= 1.0 + covered * (left**-2.375 - 1.0)
-        loss = (1.0 / left - 1.0) ** 2
-        entrance = 0.5 * narrowing.fraction**0.75 / left**2
-        for i, part in spread(narrowing.position_m, centres):
-            heads[i] += part * (entrance + (loss if n == 1 else 0.0))
-        if n == 1:
-            continue
-        at = float(np.clip(narrowing.position_m / dx, 1.0, n - 1.0))
+        least = 1.0 / float(np.interp(narrowing.position_m, middle, free))
+        at = min(max(narrowing.position_m / dx, 1.0), n - 1.0) if n > 1 else 0.0
         k = min(int(at), n - 2) if n > 2 else 1
-        share = at - k
-        face[k] /= 1.0 + math.sqrt((1.0 - share) * loss)
-        if share > 0.0:
-            face[k + 1] /= 1.0 + math.sqrt(share * loss)
-    return Narrowed(face, volume, viscous, turbulent, heads)
+        for j, share in ((k, k + 1.0 - at), (k + 1, at - k)) if n > 1 else ():
+            if share > 0.0:
+                throat[j] = max(throat[j], min(2.0 * share, 1.0) * (least - widest[j]))
+
+    def lost(part: float) -> float:
+        """Heads lost behind steps and throats, these opened in part: mean of both directions."""
+        inner = (widest + part * throat)[1:-1]
+        return float(0.5 * np.sum((inner - slow[1:]) ** 2 + (inner - slow[:-1]) ** 2))
+
+    part = 1.0
+    if lost(part) > wanted:
+        part = bisect(lambda x: lost(x) - wanted, 0.0, 1.0) if lost(0.0) < wanted else 0.0
+    missing = max(wanted - lost(part), 0.0) / max(wanted, 1e-300)
+    centres, heads = 0.5 * (faces[1:] + faces[:-1]), np.zeros(n)
+    for x, head in zip(where, edge + missing * jet, strict=True):
+        for i, share in spread(x, centres) if head > 0.0 else ():
+            heads[i] += share * head * area[i] ** 2
+    face = 1.0 / (widest + part * throat)
+    return Narrowed(area, length, face, viscous, turbulent, heads)
 
 
 def spread(x: float, centres: Floats) -> list[tuple[int, float]]:

@@ -50,17 +50,19 @@ def _shape(cell: Floats, pipe: Pipe, faces: Floats, narrowed: Narrowed) -> Float
     centres = 0.5 * (faces[1:] + faces[:-1])
     area, plain = areas(pipe, faces)
     face = plain * narrowed.face
-    volume = area * dx * narrowed.volume
+    tapering = np.diff(plain) / (area * dx)
+    volume = area * dx * narrowed.area * narrowed.length
     volume[0] += pipe.volume_from_m3
     volume[-1] += pipe.volume_to_m3
     for extra in pipe.volumes:
         for i, share in spread(extra.position_m, centres):
             volume[i] += share * extra.volume_m3
-    cell[L.AREA] = area
+    cell[L.AREA] = area * narrowed.area
     cell[L.INV_VOLUME] = 1.0 / volume
-    cell[L.LENGTH] = dx
-    if pipe.area_profile is not None:
-        cell[L.TAPER] = np.diff(face / narrowed.face) / (area * dx)
+    cell[L.LENGTH] = dx * narrowed.length
+    # beside a narrowing a taper is one of steps
+    plain_there = (narrowed.face == 1.0)[:-1] & (narrowed.face == 1.0)[1:] & (narrowed.area == 1.0)
+    cell[L.TAPER] = np.where(plain_there, tapering, 0.0)
     return face
 
 
@@ -69,9 +71,8 @@ def _walls(cell: Floats, pipe: Pipe, narrowed: Narrowed, gas: Gas, room_k: float
     mu, k_gas = float(gas.viscosity(room_k)), float(gas.conductivity(room_k))
     wall, area = pipe.wall, cell[L.AREA]
     diameter = np.sqrt(4.0 * area / math.pi)
-    # forces are per volume, and the volume of a narrowed cell is smaller
-    viscous = narrowed.viscous / narrowed.volume
-    cell[L.VISCOUS] = wall.laminar * 8.0 * math.pi * mu / area * viscous
+    plain = area / narrowed.area
+    cell[L.VISCOUS] = wall.laminar * 8.0 * math.pi * mu / plain * narrowed.viscous
     cell[L.UNSTEADY] = wall.unsteady * 4.0 * math.pi * mu / area
     cell[L.RELAX] = L.UNSTEADY_RATE * math.pi * mu / area
     cell[L.REYNOLDS] = diameter / mu
@@ -87,6 +88,11 @@ def _walls(cell: Floats, pipe: Pipe, narrowed: Narrowed, gas: Gas, room_k: float
     else:
         cell[L.HEAT] = wall.heat_kappa / np.sqrt(area)
     cell[L.HEAT_UNSTEADY] = wall.heat_unsteady * 4.0 * math.pi * k_gas / area
+    # Heat is per volume of all gas of the cell: a volume beside it has no wall, and that of one
+    # that is narrowed in part is no longer than the cell itself.
+    volume = 1.0 / cell[L.INV_VOLUME]
+    share = area * (cell[L.LENGTH] / narrowed.length) / volume
+    cell[[L.HEAT, L.HEAT_TURBULENT, L.HEAT_UNSTEADY]] *= share
     cell[L.COMPLIANCE] = wall.compliance_per_pa
 
 
@@ -94,7 +100,7 @@ def _losses(cell: Floats, pipe: Pipe, faces: Floats, narrowed: Narrowed) -> None
     """Local losses of a pipe whose walls have their drag."""
     dx = pipe.length_m / (faces.size - 1)
     centres = 0.5 * (faces[1:] + faces[:-1])
-    cell[L.LOSS] += narrowed.heads / (narrowed.volume * dx)
+    cell[L.LOSS] += narrowed.heads / (narrowed.length * dx)
     for loss in pipe.losses:
         for i, share in spread(loss.position_m, centres):
             cell[L.LOSS, i] += share * loss.k / dx
