@@ -115,6 +115,11 @@ class FullSolver(Solver):
         for tile, of in self.tiles:
             tile.reservoir[index, L.R_PRESSURE] = every[of]
 
+    @property
+    def knows_lines(self) -> bool:
+        """That the gas of every cell is known."""
+        return True
+
     def gas_in(self, pipe: str) -> tuple[Floats, Floats, Floats]:
         """Gas in the cells of a pipe; see `Solver.gas_in`.
 

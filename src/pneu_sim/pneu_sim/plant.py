@@ -23,15 +23,15 @@ from pneu_sim.rig.network import reservoir_of_pipes
 from pneu_sim.rig.plan import common_plan
 from pneu_sim.rig.schema import Rig
 from pneu_sim.sensors import Sensors
+from pneu_sim.simulate import TICK_S
 from pneu_sim.solver import Series
 from pneu_sim.valve import Spools
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-LONGEST_S = 1e-3
-"""Over which spools and pressures are taken as linear, s: the sample interval that rigs are
-calibrated and replayed with."""
+SENSED_S = 1e-3
+"""Likewise where a sensor lags or is late, s."""
 SAMPLES_AT_ONCE = 4096
 """That are kept of a run of which fewer are asked for."""
 
@@ -265,11 +265,12 @@ class Plant:
         """
         # Openings, and what sensors with a lag see, are linear over an interval: so it is no longer
         # than this, however seldom somebody looks.
-        parts = max(math.ceil(interval_s / LONGEST_S - 1e-9), 1)
+        longest_s = SENSED_S if self.taps.remembers or self._encoders.remembers else TICK_S
+        parts = max(math.ceil(interval_s / longest_s - 1e-9), 1)
         if self.solver.unit_s > 0.0:
             units = max(round(interval_s / self.solver.unit_s), 1)
             parts = next(n for n in range(min(parts, units), units + 1) if units % n == 0)
-        if parts == 1:
+        if parts == 1 or volts.shape[2] == 0:
             return self._advance(volts, interval_s)
         done, some = [], max(SAMPLES_AT_ONCE // parts, 1)
         for first in range(0, volts.shape[2], some):
@@ -282,7 +283,7 @@ class Plant:
         return Series(*cut), told
 
     def _advance(self, volts: Floats, interval_s: float) -> tuple[Series, Floats]:
-        """Advances all rigs by intervals no longer than `LONGEST_S`."""
+        """Advances all rigs by intervals over which all is linear."""
         self.clock = self.clock.by(interval_s)
         opening = self.spools.follow(volts, self.clock.origin_s, self.clock.count, interval_s)
         before = self.readings()

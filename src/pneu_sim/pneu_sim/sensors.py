@@ -89,6 +89,11 @@ class Sensors:
         """(n, lanes) first-order lags, s."""
         return self._lag
 
+    @property
+    def remembers(self) -> bool:
+        """Whether any shows what was before."""
+        return self._lags or self._late
+
     def set_lag(self, lag_s: Floats) -> None:
         """Changes the lags from now on.
 

@@ -196,8 +196,10 @@ class Simulator:
             )
         clock, plan = self.plant.clock.by(sample_s), self.plant.plan
         series, readings = self.plant.advance(self._held(commands or {}, steps), sample_s)
-        if not (np.isfinite(readings).all() and np.isfinite(series.joints).all()):
-            raise unstable(min(sample_s, self.plant.solver.step_s))
+        fine = np.isfinite(readings).all() and np.isfinite(series.joints).all()
+        where = self._broken(series.chambers)
+        if where or not fine:
+            raise unstable(min(sample_s, self.plant.solver.step_s), where=where)
         return Readings(
             clock.origin_s
             + sample_s * np.arange(clock.count, clock.count + steps + 1, dtype=np.float64),
@@ -223,6 +225,23 @@ class Simulator:
 
     def _one(self, of_rigs: Floats) -> float | Floats:
         return float(of_rigs[0]) if self._single else of_rigs
+
+    def _broken(self, chambers: Floats) -> str:
+        """The first part whose gas has no positive pressure and density; none is an empty string.
+
+        Args:
+            chambers: (samples, n_chambers, lanes) pressures, Pa.
+        """
+        for c, name in enumerate(self.plant.plan.chambers):
+            if not (chambers[:, c] > 0.0).all():
+                return f"in chamber {name!r}"
+        if not self.plant.solver.knows_lines:
+            return ""
+        for name in self.plant.rigs[0].pipes:  # those of cylinders have cells that nobody uses
+            density, _, pressure = self.plant.gas_in(name)
+            if not ((density > 0.0) & (pressure > 0.0) & np.isfinite(pressure)).all():
+                return f"in pipe {name!r}"
+        return ""
 
     def _held(self, commands: Mapping[str, float | ArrayLike], steps: int) -> Floats:
         """(1, valves, steps) commands, one value per interval of the samples."""

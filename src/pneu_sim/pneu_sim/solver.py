@@ -212,6 +212,11 @@ class Solver(ABC):
         raise InputError("joints: the rig's model moves no bodies")
 
     @property
+    def knows_lines(self) -> bool:
+        """Whether the model has gas along its lines, as `gas_in` tells it."""
+        return False
+
+    @property
     def unit_s(self) -> float:
         """Time of which every interval has to be a whole number, s; 0 where any will do."""
         return 0.0

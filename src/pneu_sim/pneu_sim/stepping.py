@@ -216,14 +216,16 @@ def finite_lanes(series: Floats) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(series).all(axis=tuple(range(series.ndim - 1))))
 
 
-def unstable(dt_s: float, tried: Sequence[int] = MORE_STEPS) -> InputError:
-    """The error of a run that is not finite.
+def unstable(dt_s: float, tried: Sequence[int] = MORE_STEPS, where: str = "") -> InputError:
+    """The error of a run that is not finite, or whose gas has no positive density and pressure.
 
     Args:
         dt_s: Its step, s.
         tried: With how many times as many steps it was tried besides.
+        where: The part that shows it, such as ``in pipe 'tube'``.
     """
-    text = f"the simulation became unstable at a time step of {dt_s:.3g} s"
+    text = f"the simulation became unstable {where}{' ' if where else ''}at a time step of"
+    text += f" {dt_s:.3g} s"
     if tried:
         text += f", and with up to {tried[-1]} times as many steps"
     return InputError(

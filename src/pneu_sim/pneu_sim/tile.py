@@ -25,6 +25,8 @@ CHANGING = (
     "state",
     "wall",
     "end_velocity",
+    "end_flow",
+    "side_kept",
     "port_flow",
     "reservoir_p",
     "chamber_state",
@@ -50,7 +52,8 @@ class Tile:
         work: (WORK_ROWS, slots, lanes) scratch; in second order more rows.
         wall: (WALL_ROWS, slots, lanes) what walls do, and did in the last step.
         soft: (SOFT_ROWS, slots, lanes) what yielding walls hold; no slots where none yields.
-        end_velocity: (n_ends, lanes) what ports let through at the last step, m/s.
+        end_velocity: (n_ends, lanes) of the gas at ends with ports in the last step, m/s.
+        end_flow: (n_ends, lanes) what ports let through there in the last step, kg/(m^2 s).
         joint: (n_ends, JOINT_ROWS, lanes) scratch.
         ported: (n_ends, PORTED_ROWS, lanes) scratch.
         port: (n_ports, PORT_PARAMS, lanes).
@@ -66,6 +69,7 @@ class Tile:
         chamber_state: (n_chambers, 2, lanes) mass and energy.
         chamber_work: (n_chambers, CHAMBER_ROWS, lanes) scratch.
         small: (n_small,) chambers that fill and empty within a step.
+        stiff: (n_small, lanes) in which rigs.
         cylinder: (n_cylinders, CYLINDER_PARAMS, lanes).
         cylinder_state: (n_cylinders, CYLINDER_STATE, lanes) where pistons stand.
         cylinder_work: (n_cylinders, CYLINDER_WORK, lanes) scratch.
@@ -86,7 +90,7 @@ class Tile:
         step_area: (n_steps, 2, lanes) areas on both sides of those.
         side_index: (n_sides, SIDE_COLUMNS) cells that have a volume beside them.
         side: (n_sides, lanes) how many times their own volume it is.
-        side_kept: (n_sides, 2, lanes) scratch.
+        side_kept: (n_sides, 3, lanes) what they took up in the last step, see `kernel.Sides`.
         clock: (2, lanes) time from which steps are counted, s, and how many there were since.
         dt_s: Length of those steps.
         device: On what it is advanced.
@@ -101,6 +105,7 @@ class Tile:
     wall: Floats
     soft: Floats
     end_velocity: Floats
+    end_flow: Floats
     end_give: Floats
     joint: Floats
     ported: Floats
@@ -117,6 +122,7 @@ class Tile:
     chamber_state: Floats
     chamber_work: Floats
     small: Ints
+    stiff: Floats
     cylinder: Floats
     cylinder_state: Floats
     cylinder_work: Floats
@@ -274,6 +280,7 @@ def pack(
     own, acts = _own_terms(models)
     step_index, step_area = area_steps(models)
     side_index, side = side_volumes(models)
+    small, stiff = small_chambers(models)
     rows = L.WORK_ROWS if models[0].order == 1 else L.WORK_ROWS_OF_SECOND
     tile = Tile(
         models=models,
@@ -285,6 +292,7 @@ def pack(
         wall=np.zeros((L.WALL_ROWS, plan.slots, w)),
         soft=np.zeros((L.SOFT_ROWS, plan.slots if compliant else 0, w)),
         end_velocity=np.zeros((ends, w)),
+        end_flow=np.zeros((ends, w)),
         end_give=np.ones((ends, w)),
         joint=np.zeros((ends, L.JOINT_ROWS, w)),
         ported=np.zeros((ends, L.PORTED_ROWS, w)),
@@ -300,7 +308,8 @@ def pack(
         chamber=lanes([m.chamber for m in models]),
         chamber_state=np.zeros((chambers, 2, w)),
         chamber_work=np.zeros((chambers, L.CHAMBER_ROWS, w)),
-        small=small_chambers(models),
+        small=small,
+        stiff=stiff,
         cylinder=lanes([m.cylinder for m in models]),
         cylinder_state=np.zeros((len(plan.cylinders), L.CYLINDER_STATE, w)),
         cylinder_work=np.zeros((len(plan.cylinders), L.CYLINDER_WORK, w)),
@@ -321,7 +330,7 @@ def pack(
         step_area=step_area,
         side_index=side_index,
         side=side,
-        side_kept=np.zeros((len(side_index), 2, w)),
+        side_kept=np.zeros((len(side_index), 3, w)),
         clock=np.zeros((2, w)),
         device=device,
     )
@@ -500,7 +509,8 @@ def fill_pipes(
         temperature: (slots, lanes) or broadcast to it, K.
         velocity: (slots, lanes) m/s.
     """
-    tile.end_velocity[:] = 0.0
+    tile.end_velocity[:] = tile.end_flow[:] = 0.0
+    tile.side_kept[:] = 0.0
     rho = pressure / (tile.models[0].gas.r_specific * temperature)
     hold_gas(tile, slice(None), rho, np.broadcast_to(velocity, rho.shape), pressure)
 
@@ -639,7 +649,9 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
         ),
         kernel.Steps(tile.step_index, tile.step_area),
         kernel.Sides(tile.side_index, tile.side, tile.side_kept),
-        kernel.Ends(plan.ends, tile.end_velocity, tile.end_give, tile.joint, tile.ported),
+        kernel.Ends(
+            plan.ends, tile.end_velocity, tile.end_flow, tile.end_give, tile.joint, tile.ported
+        ),
         kernel.Ports(
             plan.ports,
             tile.port,
@@ -656,7 +668,9 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
             tile.ripple_index,
             tile.ripple,
         ),
-        kernel.Chambers(tile.chamber, tile.chamber_state, tile.chamber_work, tile.small),
+        kernel.Chambers(
+            tile.chamber, tile.chamber_state, tile.chamber_work, tile.small, tile.stiff
+        ),
         (
             kernel.Term(tile.leak_index, tile.leak, tile.ambient),
             *(kernel.Term(index, par, tile.ambient) for index, par in tile.own),
@@ -776,4 +790,7 @@ def held(tile: Tile) -> tuple[Floats, Floats]:
         np.sum(tile.state[row] * volume, axis=0) + tile.chamber_state[:, column].sum(axis=0)
         for row, column in ((L.RHO, 0), (L.ENE, 1))
     )
-    return mass, energy
+    # what lies beside a line does not move with it, see `kernel.sides`
+    slots = tile.side_index[:, L.D_SLOT]
+    moves = 0.5 * tile.state[L.MOM, slots] ** 2 / tile.state[L.RHO, slots] * volume[slots]
+    return mass, energy - np.sum(tile.side / (1.0 + tile.side) * moves, axis=0)

@@ -36,7 +36,11 @@ def chambers(pressure_pa):
     work[:, L.H_PRESSURE] = pressure_pa
     state = np.array([[[1e-4, 2e-4], [20.0, 43.0]], [[5e-4, 3e-4], [110.0, 61.0]]])
     return kernel.Chambers(
-        np.zeros((2, L.CHAMBER_PARAMS, 2)), state, work, np.zeros(0, dtype=np.int64)
+        np.zeros((2, L.CHAMBER_PARAMS, 2)),
+        state,
+        work,
+        np.zeros(0, dtype=np.int64),
+        np.zeros((0, 2)),
     )
 
 

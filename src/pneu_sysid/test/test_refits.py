@@ -136,7 +136,8 @@ def test_a_candidate_is_placed_without_what_its_cells_make_of_it() -> None:
     assert same.rig is found.rig
     # and so it is told
     there = settled(problem, base, placed)
-    assert there.position_error_m == pytest.approx(np.diff(placed.places_m).item() / 2.0)
+    assert there.position_error_m is not None
+    assert there.position_error_m >= np.diff(placed.places_m).item() / 2.0
     # what has no place is left alone
     bare = Site(find_effect("sensor_lag"), "end", {})
     slow = Refit(bare, 0.01, 0.0, None, 0.0, 0.0, 9.0, 0.0, off, off, bare.attached(rig, 0.01))

@@ -57,7 +57,7 @@ LONG: dict[type, tuple[str, ...]] = {
 WRITTEN: dict[type, tuple[str, ...]] = {
     kernel.Cells: ("state", "work", "wall", "soft"),
     kernel.Sides: ("kept",),
-    kernel.Ends: ("velocity", "give", "joint", "ported"),
+    kernel.Ends: ("velocity", "flow", "give", "joint", "ported"),
     kernel.Regulators: ("state",),
     kernel.Ports: ("flow", "opening"),
     kernel.Reservoirs: ("pressure", "supplied", "drawn"),

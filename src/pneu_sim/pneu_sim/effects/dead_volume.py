@@ -15,7 +15,7 @@ class DeadVolume(Effect):
     name: ClassVar[str] = "dead_volume"
     title: ClassVar[str] = "extra volume on a line"
     where: ClassVar[str] = "pipe, at a position"
-    formula: ClassVar[str] = "V = A dx + volume_m3 at position_m"
+    formula: ClassVar[str] = "V dp/dt = gamma R T m: a side of volume_m3 at position_m takes up m"
     source: ClassVar[str] = (
         "lumped side volume in a line: Bergh and Tijdeman 1965, NLR-TR F.238; Beater, Pneumatic"
         " Drives, Springer 2007"

@@ -14,7 +14,7 @@ class RegulatorDroop(Effect):
     name: ClassVar[str] = "regulator_droop"
     title: ClassVar[str] = "supply sags under flow"
     where: ClassVar[str] = "reservoir other than the room"
-    formula: ClassVar[str] = "p_supply = p_set - droop_pa_s_per_kg m"
+    formula: ClassVar[str] = "p_supply = p_set - droop_pa_s_per_kg (sum of all m drawn)"
     source: ClassVar[str] = "flow characteristics of pressure regulators: ISO 6953-2:2015"
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("droop_pa_s_per_kg", "Pa s/kg", 0.0, 0.0, 2e8, 1.2e7, 2.5e5),

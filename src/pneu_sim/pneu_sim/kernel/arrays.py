@@ -90,7 +90,8 @@ class Sides(NamedTuple):
     Attributes:
         table: (n_sides, SIDE_COLUMNS).
         more: (n_sides, lanes) how many times the cell's own volume it is.
-        kept: (n_sides, 2, lanes) density and momentum that the cells had.
+        kept: (n_sides, 3, lanes) density and momentum that the cells had, and what cell and side
+            took up together in the last step, kg/s.
     """
 
     table: Ints
@@ -103,7 +104,9 @@ class Ends(NamedTuple):
 
     Attributes:
         table: (n_ends, END_COLUMNS).
-        velocity: (n_ends, lanes) what ports let through at the last step, m/s.
+        velocity: (n_ends, lanes) of the gas at ends with ports in the last step, along the pipe,
+            m/s.
+        flow: (n_ends, lanes) what ports let through there in the last step, kg/(m^2 s).
         give: (n_ends, lanes) how far the pressure follows what flows; 1 but beside a volume.
         joint: (n_ends, JOINT_ROWS, lanes) common pressure and flows where three or more meet.
         ported: (n_ends, PORTED_ROWS, lanes) what leaves through ports at this step.
@@ -111,6 +114,7 @@ class Ends(NamedTuple):
 
     table: Ints
     velocity: Floats
+    flow: Floats
     give: Floats
     joint: Floats
     ported: Floats
@@ -176,12 +180,14 @@ class Chambers(NamedTuple):
         state: (n_chambers, 2, lanes) mass kg and energy J.
         work: (n_chambers, CHAMBER_ROWS, lanes) pressure, temperature, inflow, see ``layout``.
         small: (n_small,) those whose pressure is found with all that flows.
+        stiff: (n_small, lanes) 1 in the rigs in which they are, else 0.
     """
 
     par: Floats
     state: Floats
     work: Floats
     small: Ints
+    stiff: Floats
 
 
 class Cylinders(NamedTuple):

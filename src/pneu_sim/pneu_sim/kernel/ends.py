@@ -6,7 +6,7 @@ import math
 from pneu_sim import layout as L
 from pneu_sim.compiling import apart, branching, folded, sequence
 from pneu_sim.kernel.orifices import orifice_flow
-from pneu_sim.kernel.waves import end_curve, fastest, leaving, power, pushed
+from pneu_sim.kernel.waves import end_curve, fastest, leaving, met, power, pushed, swept
 
 JET_STEPS, JET_FOUND = 40, 1e-10
 """Of the search for the pressure behind a cushion, at most; the share of the chamber's to which it
@@ -40,7 +40,7 @@ def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
     Returns:
         Density, outward velocity and pressure at the end.
     """
-    if v * v * d >= gamma * p and v > 0.0:
+    if swept(d, v, p, p0, gamma):
         return d, v, p
     stopped, z = pushed(d, v, p, 0.0, gamma)
     if stopped >= p0:
@@ -182,6 +182,8 @@ def _joining(d, v, p, q, h, gamma):
     Returns:
         Flow, its slope, and the pressure at the end, which is above the joint's where it chokes.
     """
+    if swept(d, v, p, q, gamma):
+        return d * v, 0.0, p
     out, _ = leaving(d, v, p, q, gamma)
     most = fastest(d, v, p, gamma)
     if out >= most:
@@ -344,7 +346,7 @@ def fill_ghosts(gas, vessels, cells, ends, reservoirs, chambers):
             u = X[L.W_U, i]
             v = turn * u
             if kind == L.PORTED:
-                v += 2.0 * ends.velocity[e, j]
+                v += 2.0 * ends.flow[e, j] / rho[i]
             rho[g], mom[g], ene[g] = rho[i], rho[i] * v, ene[i] + 0.5 * rho[i] * (v * v - u * u)
             X[L.W_U, g], X[L.W_P, g], X[L.W_T, g] = v, X[L.W_P, i], X[L.W_T, i]
             X[L.W_C, g], X[L.W_RI, g] = X[L.W_C, i], X[L.W_RI, i]
@@ -399,7 +401,8 @@ def _ported_state(e, j, flow, gas, order, cells, ends):
     out = min(max(float(ends.table[e, L.E_SIGN]) * ends.velocity[e, j], least), most)
     q, m = p, 0.0
     for _ in range(END_STEPS):
-        df, q, z, m, slope = end_curve(d, v, p, out, h0, gamma)
+        before = met(d, v, p, out, h0, gamma)
+        df, q, z, m, slope = end_curve(d, before, p, out, h0, gamma)
         step = (flow - m - held * (p - q)) / max(slope + held * z, 0.01 * d)
         step = min(max(step, least - out), most - out)
         out += step
@@ -407,9 +410,11 @@ def _ported_state(e, j, flow, gas, order, cells, ends):
             q -= z * step
             m += slope * step
             break
-    if out <= least and flow < m:  # sonic as it enters: the pressure is what brings it through
-        q *= flow / m
-        m = flow
+    if out <= least and flow < m + held * (p - q):
+        # sonic as it enters: the pressure is what brings it through
+        more = (flow - held * p) / ((m / q - held) * q)
+        q *= more
+        m *= more
     return out, q, m
 
 
@@ -433,7 +438,9 @@ def _through_ports(e, j, gas, order, cells, ends, ports):
     else:
         uf, p, m = _ported_state(e, j, out / face, gas, order, cells, ends)
         p += m * uf
-    ends.velocity[e, j] = float(ends.table[e, L.E_SIGN]) * uf
+    sign = float(ends.table[e, L.E_SIGN])
+    ends.velocity[e, j] = sign * uf
+    ends.flow[e, j] = sign * out / face
     i_face = 1.0 / face
     return out * i_face, p, ends.ported[e, L.N_HEAT, j] * i_face
 
@@ -534,6 +541,18 @@ def _find_fluxes(gas, order, cells, ends, ports, reservoirs, chambers):
 
 
 @folded
+def _given(r, j, cells, ends):
+    """By how much the flow into the lines at a reservoir grows with its pressure, m s."""
+    total = 0.0
+    for e in range(ends.table.shape[0]):
+        kind = ends.table[e, L.E_KIND]
+        if (kind == L.RESERVOIR or kind == L.TANK) and ends.table[e, L.E_REF] == r:
+            face = cells.par[L.FACE, ends.table[e, L.E_FACE] * cells.lanes + j]
+            total += face / cells.work[L.W_C, ends.table[e, L.E_CELL] * cells.lanes + j]
+    return total
+
+
+@folded
 def _feed(dt, cells, ends, ports, reservoirs, chambers):
     """What flows through ends and ports reaches what they feed; supplies droop by all of it."""
     par, drawn = reservoirs.par, reservoirs.drawn
@@ -559,6 +578,9 @@ def _feed(dt, cells, ends, ports, reservoirs, chambers):
         for j in range(cells.lanes):
             a = dt / (dt + par[r, L.R_TAU, j])
             goal = par[r, L.R_PRESSURE, j] - par[r, L.R_DROOP, j] * drawn[r, j]
+            if par[r, L.R_DROOP, j] > 0.0:
+                # implicit in what lines draw the less as it droops
+                a /= 1.0 + a * par[r, L.R_DROOP, j] * _given(r, j, cells, ends)
             reservoirs.pressure[r, j] += a * (goal - reservoirs.pressure[r, j])
 
 

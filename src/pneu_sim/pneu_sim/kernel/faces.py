@@ -299,6 +299,27 @@ def at_face(d, u, p, area, face, gamma):
     return d * r, g / (d * r), p * r**gamma
 
 
+@folded
+def _squeezed(d, u, p, ratio, gamma):
+    """State of supersonic flow in a smaller area, without loss; sonic where it cannot pass."""
+    k = gamma - 1.0
+    c2 = gamma * p / d
+    h = c2 / k + 0.5 * u * u
+    critical = 2.0 * k * h / (gamma + 1.0)
+    sonic = (critical / c2) ** (1.0 / k)  # densities over that before it
+    g = u * ratio
+    if g * g >= critical * sonic * sonic:
+        return d * sonic, math.sqrt(critical), d * sonic * critical / gamma
+    low, high = 1.0, sonic
+    for _ in range(40):  # what flows grows with the density up to the sonic one
+        r = 0.5 * (low + high)
+        if 2.0 * (h - c2 * r**k / k) * r * r > g * g:
+            high = r
+        else:
+            low = r
+    return d * low, g / low, p * low**gamma
+
+
 @branching
 def _widened(density, velocity, pressure, area, wide, h0, gamma):
     """State behind a jet that fills a wider pipe, whose step bears its pressure (Borda, Carnot)."""
@@ -382,6 +403,12 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, gamma):
             u = 0.5 * (low + high)
         if abs(u - was) * z1 <= STEP_FOUND * q1:
             break
+    if v1 * v1 * d1 > gamma * p1 and m > d1 * v1 * a1:
+        # A shock that brings more than comes would run with the flow: it is swept through, and the
+        # flow contracts at a supersonic speed.
+        dn, un, pn = _squeezed(d1, v1, p1, a1 / face, gamma)
+        m, h0, push = d1 * v1 * a1, k * p1 / d1 + 0.5 * v1 * v1, p1 + d1 * v1 * v1
+        thrust, behind = pn + dn * un * un, pn + face / a2 * dn * un * un
     return m, h0, push, thrust, behind
 
 

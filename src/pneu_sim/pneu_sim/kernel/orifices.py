@@ -19,7 +19,7 @@ def iso6358_flow(p_a, z_a, t_a, p_b, z_b, t_b, conductance, ratio, laminar=1.0, 
 
     Args:
         p_a: Pressure of side a with no flow, Pa.
-        z_a: Impedance c / A of side a, 1/(m s).
+        z_a: Impedance of side a, by how much its pressure falls per flow, 1/(m s).
         t_a: Temperature of side a, K.
         p_b: Pressure of side b with no flow, Pa.
         z_b: Impedance of side b, 1/(m s).
@@ -58,7 +58,11 @@ def iso6358_flow(p_a, z_a, t_a, p_b, z_b, t_b, conductance, ratio, laminar=1.0, 
     g = (1.0 - 2.0 * ratio) * z_a - z_b
     b1 = k * (z * e + d * g)
     disc = b1 * b1 + 4.0 * (above * above - k * k * z * g) * d * e
-    m = 2.0 * k * d * e / (b1 + math.sqrt(max(disc, 0.0)) + 1e-300)
+    root, squared = math.sqrt(max(disc, 0.0)), above * above - k * k * z * g
+    if b1 >= 0.0 or squared <= 0.0:
+        m = 2.0 * k * d * e / (b1 + root + 1e-300)
+    else:  # the same root without its cancellation
+        m = k * (root - b1) / (2.0 * squared)
     if share < 1.0 and laminar < 1.0 and p_b + z_b * m > laminar * (p_a - z_a * m):
         # what the lines let through lies within the jump, where the pressures' ratio stands
         m = (laminar * p_a - p_b) / max(z_b + laminar * z_a, 1e-300)

@@ -7,14 +7,14 @@ from pneu_sim import layout as L
 from pneu_sim.compiling import branching, folded
 from pneu_sim.kernel.ends import face_state
 from pneu_sim.kernel.orifices import iso6358_flow
-from pneu_sim.kernel.waves import end_curve, fastest, power
+from pneu_sim.kernel.waves import end_curve, fastest, met, power
 from pneu_sim.riemann import hllc_flux
 
 PORT_STEPS = 30
 """How often the tangents of a port's sides are laid anew, at most."""
-TANGENT = 3e-3
+TANGENT = 3e-4
 """How far from where it touches a tangent is taken for the curve, of the speed of sound: pressures
-are then wrong by their square, 1e-5."""
+are then wrong by their square, 1e-7."""
 
 
 @folded
@@ -96,7 +96,8 @@ def _at_end(k, j, end, vf, least, far_t, others, gas, order, cells, ends, ports)
     d, v, p = face_state(end, j, order, cells, ends)
     area = cells.par[L.FACE, ends.table[end, L.E_FACE] * cells.lanes + j]
     cp = gamma * gas.r / (gamma - 1.0)
-    df, q, z, m, slope = end_curve(d, v, p, vf, cp * far_t, gamma)
+    before = met(d, v, p, vf, cp * far_t, gamma)
+    df, q, z, m, slope = end_curve(d, before, p, vf, cp * far_t, gamma)
     held = 0.0
     if ends.give[end, j] != 1.0:
         held = (1.0 / ends.give[end, j] - 1.0) / math.sqrt(gamma * p / d)
@@ -124,6 +125,17 @@ def _at_end(k, j, end, vf, least, far_t, others, gas, order, cells, ends, ports)
         falls += x
         q += 0.5 * x * abs(at)
     return q + falls * at, falls, at, 1.0 / grow
+
+
+@folded
+def _conductance(j, end, ports):
+    """Of all ports at a pipe's end together, m^3/(s Pa)."""
+    total = 0.0
+    for k in range(ports.table.shape[0]):
+        for kind, ref in ((L.P_A, L.P_AI), (L.P_B, L.P_BI)):
+            if ports.table[k, kind] == L.SIDE_END and ports.table[k, ref] == end:
+                total += ports.opening[k, j] * ports.par[k, L.Q_CONDUCTANCE, j]
+    return total
 
 
 @folded
@@ -215,11 +227,13 @@ def solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
             moved = max(moved, abs(vb - was))
         if moved <= near:
             break
-    # a port that would take more is wider than the pipe, whose own end chokes
+    # a port that would take more is wider than the pipe, whose own end chokes; several share it
     if m > 0.0 and ka == L.SIDE_END and va >= highest_a:
-        m = min(m, max(at_a, 0.0))
+        share = c / _conductance(j, ia, ports)
+        m = min(m, max(at_a, share * (at_a + others_a), 0.0))
     elif m < 0.0 and kb == L.SIDE_END and vb >= highest_b:
-        m = max(m, min(-at_b, 0.0))
+        share = c / _conductance(j, ib, ports)
+        m = max(m, min(-at_b, -share * (at_b + others_b), 0.0))
     # from which the state at the end, and the next step, begin
     if ka == L.SIDE_END:
         ends.velocity[ia, j] = float(ends.table[ia, L.E_SIGN]) * va
@@ -229,8 +243,20 @@ def solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
 
 
 @folded
-def _through_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
-    """Flow of an ISO 6358 port, and what it takes from and brings to the pipes on its sides."""
+def through_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
+    """Flow of an ISO 6358 port, and what it takes from and brings to the pipes on its sides.
+
+    Args:
+        k: The port.
+        j: The lane.
+        gas: The gas.
+        order: 1 Godunov, 2 MUSCL-Hancock.
+        cells: All slots.
+        ends: Ends of pipes.
+        ports: Ports.
+        reservoirs: Reservoirs.
+        chambers: Chambers.
+    """
     ka, ia = ports.table[k, L.P_A], ports.table[k, L.P_AI]
     kb, ib = ports.table[k, L.P_B], ports.table[k, L.P_BI]
     m = solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers)
@@ -276,9 +302,43 @@ def recall_ports(cells, ends, ports):
                 ported[index[k, L.P_BI], L.N_MASS, j] -= ports.flow[k, 0, j]
 
 
+@folded
+def is_small(q, j, chambers):
+    """Whether the q-th of the small chambers is one in a lane, and has gas that can be balanced.
+
+    Args:
+        q: Which of `Chambers.small`.
+        j: The lane.
+        chambers: Chambers.
+    """
+    c = chambers.small[q]
+    fine = chambers.state[c, 0, j] > 0.0 and chambers.state[c, 1, j] > 0.0
+    return chambers.stiff[q, j] > 0.0 and fine
+
+
+@folded
+def at_small(k, j, ports, chambers):
+    """Whether a port is one of a small chamber.
+
+    Args:
+        k: The port.
+        j: The lane.
+        ports: Ports.
+        chambers: Chambers.
+    """
+    found = False
+    for q in range(chambers.small.size):
+        for kind, ref in ((L.P_A, L.P_AI), (L.P_B, L.P_BI)):
+            if ports.table[k, kind] == L.SIDE_CHAMBER and ports.table[k, ref] == chambers.small[q]:
+                found = found or is_small(q, j, chambers)
+    return found
+
+
 @branching
 def cross_ports(gas, order, cells, ends, ports, reservoirs, chambers):
     """Flow of every port at this step; sums per pipe end what leaves through ports.
+
+    Those of small chambers have theirs already, see `small`.
 
     Args:
         gas: The gas.
@@ -291,10 +351,12 @@ def cross_ports(gas, order, cells, ends, ports, reservoirs, chambers):
     """
     for k in range(ports.table.shape[0]):
         for j in range(cells.lanes):
+            if chambers.small.size > 0 and at_small(k, j, ports, chambers):
+                continue
             if ports.table[k, L.P_MODE] == L.EFFECTIVE_AREA:
                 _through_area(k, j, gas, cells, ends, ports)
             else:
-                _through_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers)
+                through_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers)
 
 
 @folded

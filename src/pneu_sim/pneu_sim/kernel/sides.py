@@ -44,10 +44,15 @@ def push_sides(cells, sides, shared):
     for q in range(sides.table.shape[0]):
         for j in range(cells.lanes):
             more = sides.more[q, j]
+            if more <= 0.0:
+                continue
             i = sides.table[q, L.D_SLOT] * cells.lanes + j
             d, was = cells.state[L.RHO, i], sides.kept[q, 1, j]
             m = cells.state[L.MOM, i]
             if shared:
+                a, b = cells.par[L.FACE, i - cells.lanes], cells.par[L.FACE, i]
+                flow = cells.work[L.W_FM]
+                sides.kept[q, 2, j] = a * flow[i - cells.lanes] - b * flow[i]
                 m = was + (1.0 + more) * (m - was)
                 m /= 1.0 + more * max(1.0 - sides.kept[q, 0, j] / d, 0.0)
                 cells.state[L.MOM, i] = m
@@ -96,9 +101,7 @@ def part_sides(cells, sides):
         for j in range(w):
             i = sides.table[q, L.D_SLOT] * w + j
             more = sides.more[q, j]
-            a, b = cells.par[L.FACE, i - w], cells.par[L.FACE, i]
-            taken = (a * X[L.W_FM, i - w] - b * X[L.W_FM, i]) / cells.par[L.AREA, i]
-            lost = 0.25 * more / (1.0 + more) * taken
+            lost = 0.25 * more / (1.0 + more) * sides.kept[q, 2, j] / cells.par[L.AREA, i]
             X[L.W_UL, i] += lost * X[L.W_IL, i]
             X[L.W_UR, i] -= lost * X[L.W_IR, i]
 

@@ -11,10 +11,10 @@ from pneu_sim import layout as L
 from pneu_sim.compiling import branching
 from pneu_sim.kernel.ends import cushioned_state, face_state
 from pneu_sim.kernel.leaks import leak_flow
-from pneu_sim.kernel.ports import solve_port, warmth
+from pneu_sim.kernel.ports import at_small, is_small, solve_port, through_port, warmth
 
 SWEEPS, STEPS = 60, 80
-FOUND = 1e-11
+FOUND = 1e-10
 """Share of the pressure to which it is found, and to which small chambers beside one another agree;
 well above rounding, and what is left is made up for in the next step."""
 
@@ -110,7 +110,7 @@ def _excess(c, j, p, dt, gas, order, cells, ends, ports, reservoirs, chambers, l
 
 @branching
 def settle_small(gas, order, dt, cells, ends, ports, reservoirs, chambers, leaks):
-    """Set pressure and temperature of small chambers to those at the end of the step.
+    """Set pressure and temperature of small chambers to those at the end of the step, and flows.
 
     Args:
         gas: The gas.
@@ -125,9 +125,14 @@ def settle_small(gas, order, dt, cells, ends, ports, reservoirs, chambers, leaks
     """
     small = chambers.small
     for j in range(cells.lanes):
+        count = 0
+        for q in range(small.size):
+            count += int(is_small(q, j, chambers))
         for _ in range(SWEEPS):
             moved = 0.0
             for q in range(small.size):
+                if not is_small(q, j, chambers):
+                    continue
                 c = small[q]
                 was = chambers.work[c, L.H_PRESSURE, j]
                 low = high = was
@@ -155,6 +160,9 @@ def settle_small(gas, order, dt, cells, ends, ports, reservoirs, chambers, leaks
                             c, j, low, dt, gas, order, cells, ends, ports, reservoirs, chambers,
                             leaks,
                         )  # fmt: skip
+                if not below <= 0.0 <= above:  # its gas is none that can be balanced
+                    chambers.work[c, L.H_PRESSURE, j] = was
+                    continue
                 p = low if above - below <= 0.0 else low - below * (high - low) / (above - below)
                 f_low, f_high = below, above
                 for _ in range(STEPS):
@@ -171,8 +179,12 @@ def settle_small(gas, order, dt, cells, ends, ports, reservoirs, chambers, leaks
                     if not low <= p <= high:
                         p = 0.5 * (low + high)
                 moved = max(moved, abs(p - was) / was)
-            if small.size == 1 or moved < FOUND * 10.0:
+            if count <= 1 or moved < FOUND * 10.0:
                 break
+        # what was balanced flows, whatever other ports will take
+        for k in range(ports.table.shape[0]):
+            if at_small(k, j, ports, chambers):
+                through_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers)
 
 
 @branching
@@ -185,4 +197,5 @@ def keep_small(chambers):
     for q in range(chambers.small.size):
         for j in range(chambers.work.shape[2]):
             c = chambers.small[q]
-            chambers.work[c, L.H_MIDDLE, j] = chambers.work[c, L.H_PRESSURE, j]
+            if is_small(q, j, chambers):
+                chambers.work[c, L.H_MIDDLE, j] = chambers.work[c, L.H_PRESSURE, j]

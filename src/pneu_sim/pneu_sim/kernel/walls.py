@@ -7,6 +7,8 @@ from pneu_sim import layout as L
 from pneu_sim.compiling import each, inlined, sequence, vectorised
 
 M0, M1, M2, M3, M4, M5 = L.UNSTEADY_WEIGHTS
+TURNING = math.sqrt(12.0)
+"""Where the Pade quotient of a decay is least, 0.07; beyond, it would rise again."""
 
 
 @vectorised
@@ -65,7 +67,8 @@ def _decay(prandtl, dt, relax, quicken, ri, phi, a_u, a_t, fade):
     i_pr = 1.0 / prandtl
     for i in each(ri.size):
         x = dt * relax[i] * ri[i]
-        y = x * i_pr
+        y = min(x * i_pr, TURNING)
+        x = min(x, TURNING)
         even_x, even_y = 12.0 + x * x, 12.0 + y * y
         below_x, below_y = even_x + 6.0 * x, even_y + 6.0 * y
         more = 1.0 + quicken[i] * (110.0 / 28.0) * x * (phi[i] - 1.0)

@@ -3,7 +3,7 @@
 
 import math
 
-from pneu_sim.compiling import branching, folded, inlined
+from pneu_sim.compiling import folded, inlined
 
 NEAR = 0.03
 """How near 1 the series of a power is taken."""
@@ -15,7 +15,7 @@ def power(x, a):
 
     Args:
         x: A positive number.
-        a: Exponent, from 0.5 to 12.
+        a: Exponent, from 0.1 to 12.
 
     Returns:
         The power; the relative error of the series is below 1e-14.
@@ -88,6 +88,25 @@ def leaving(d, v, p, q, gamma):
 
 
 @folded
+def swept(d, v, p, q, gamma):
+    """Whether gas leaves so fast that what a pressure at the end sends into the pipe is swept out.
+
+    It is a shock then that is no stronger than one at rest in that flow.
+
+    Args:
+        d: Density in the pipe's end, kg/m^3.
+        v: Velocity there, positive out of the pipe, m/s.
+        p: Pressure there, Pa.
+        q: Pressure at the end, Pa.
+        gamma: Ratio of specific heats.
+    """
+    head = d * v * v
+    if v <= 0.0 or head <= gamma * p:
+        return False
+    return q < p + 2.0 / (gamma + 1.0) * (head - gamma * p)
+
+
+@folded
 def fastest(d, v, p, gamma):
     """Highest velocity at which gas leaves a pipe's end: sonic there, or what it has already.
 
@@ -99,6 +118,26 @@ def fastest(d, v, p, gamma):
     """
     c = math.sqrt(gamma * p / d)
     return max((2.0 * c + (gamma - 1.0) * v) / (gamma + 1.0), v)
+
+
+@folded
+def met(d, v, p, out, h0, gamma):
+    """Velocity of the gas that meets what enters a pipe: as fast as its flow makes what enters.
+
+    Along a line that is warmed or drags, gas at its end and in the middle of its cell differ in
+    density and velocity, not in flow; a difference of velocities would be taken for a wave.
+
+    Args:
+        d: Density in the pipe's end, kg/m^3.
+        v: Velocity there, positive out of the pipe, m/s.
+        p: Pressure there, Pa.
+        out: Velocity at the end, m/s; negative is of gas that enters.
+        h0: Total enthalpy of gas that enters, J/kg.
+        gamma: Ratio of specific heats.
+    """
+    if out >= 0.0 or v >= 0.0:
+        return v
+    return v * (gamma - 1.0) / gamma * d / p * (h0 - 0.5 * out * out)
 
 
 @folded

@@ -86,7 +86,10 @@ def _resistance(full: Model, pipe: str) -> np.ndarray:
     """Laminar and turbulent R_t L of a pipe; its wall's factors and blockages count."""
     first, n = full.plan.pipes[pipe]
     cell = full.cell[:, first : first + n]
-    laminar = cell[L.VISCOUS] * cell[L.LENGTH]  # 8 pi mu / A = 32 mu / D^2
+    k = list(full.plan.pipes).index(pipe)
+    plain = full.end_area[2 * k : 2 * k + 2].mean()
+    # 8 pi mu / A = 32 mu / D^2, for the velocity where the pipe is not narrowed
+    laminar = cell[L.VISCOUS] * cell[L.LENGTH] * (plain / cell[L.AREA])
     reynolds = cell[L.REYNOLDS] / cell[L.AREA]  # per kg/s
     turbulent = laminar * cell[L.TURBULENT] * BLASIUS * reynolds**0.75
     return np.array([laminar.sum(), turbulent.sum()])

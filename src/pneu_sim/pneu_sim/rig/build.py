@@ -380,7 +380,7 @@ def side_volumes(models: Sequence[Model]) -> tuple[Ints, Floats]:
     return np.array(table, dtype=np.int64).reshape(-1, L.SIDE_COLUMNS), more
 
 
-def small_chambers(models: Sequence[Model]) -> Ints:
+def small_chambers(models: Sequence[Model]) -> tuple[Ints, Floats]:
     """Chambers that fill or empty within a step in any of some models on one plan.
 
     Of an explicit step the pressure overshoots where a step is longer than the chamber's time
@@ -392,11 +392,12 @@ def small_chambers(models: Sequence[Model]) -> Ints:
         models: The models.
 
     Returns:
-        (n_small,) their numbers.
+        (n_small,) their numbers; and (n_small, n_models) 1 for the models in which they are, else
+        0. Chambers of cylinders are none.
     """
     plan = models[0].plan
-    small: set[int] = set()
-    for model in models:
+    stiff = np.zeros((len(plan.chambers), len(models)))
+    for j, model in enumerate(models):
         gas, t = model.gas, float(model.ambient[1])
         rt = gas.r_specific * t
         give = np.zeros(len(plan.chambers))
@@ -420,12 +421,12 @@ def small_chambers(models: Sequence[Model]) -> Ints:
             if slot < 0:
                 for area, opens, span in reliefs:
                     give[-1 - slot] += area / math.sqrt(rt) * (1.0 + (opens + span) / span)
-        volume = model.chamber[:, L.C_VOLUME].copy()
-        for sides, par in zip(plan.cylinder, model.cylinder, strict=True):
-            for side in range(2):
-                kind, c, _ = sides[L.COLUMNS_PER_SIDE * side : L.COLUMNS_PER_SIDE * (side + 1)]
-                if kind == L.GAS_CHAMBER:
-                    volume[c] = par[L.PY_DEAD + side]
-        stiff = plan.dt_s * gas.gamma * rt * give > volume
-        small |= set(np.flatnonzero(stiff).tolist())
-    return np.array(sorted(small), dtype=np.int64)
+        volume = model.chamber[:, L.C_VOLUME]
+        stiff[:, j] = plan.dt_s * gas.gamma * rt * give > volume
+    for sides in plan.cylinder:
+        for side in range(2):
+            kind, c, _ = sides[L.COLUMNS_PER_SIDE * side : L.COLUMNS_PER_SIDE * (side + 1)]
+            if kind == L.GAS_CHAMBER:
+                stiff[c] = 0.0
+    small = np.flatnonzero(stiff.any(axis=1)).astype(np.int64)
+    return small, stiff[small]

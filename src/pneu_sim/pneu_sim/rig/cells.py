@@ -104,7 +104,9 @@ def narrowed_by(pipe: Pipe, faces: Floats) -> Narrowed:
     wanted = float(jet.sum())
 
     slow = 1.0 / area
-    widest = np.concatenate(([slow[0]], np.maximum(slow[1:], slow[:-1]), [slow[-1]]))
+    # (the pipe's mouths have their own areas, of which a cell may have another mean)
+    inside = np.maximum(slow[1:], slow[:-1])
+    widest = np.concatenate(([1.0 / free[0]], inside, [1.0 / free[-1]]))
     throat = np.zeros_like(widest)
     for narrowing in pipe.narrowings:
         least = 1.0 / float(np.interp(narrowing.position_m, middle, free))

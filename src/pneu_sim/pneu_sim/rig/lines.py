@@ -93,7 +93,8 @@ def _walls(cell: Floats, pipe: Pipe, narrowed: Narrowed, gas: Gas, room_k: float
     volume = 1.0 / cell[L.INV_VOLUME]
     share = area * (cell[L.LENGTH] / narrowed.length) / volume
     cell[[L.HEAT, L.HEAT_TURBULENT, L.HEAT_UNSTEADY]] *= share
-    cell[L.COMPLIANCE] = wall.compliance_per_pa
+    # its wall alone yields, not what lies beside it
+    cell[L.COMPLIANCE] = wall.compliance_per_pa * area * cell[L.LENGTH] / volume
 
 
 def _losses(cell: Floats, pipe: Pipe, faces: Floats, narrowed: Narrowed) -> None:
@@ -101,14 +102,16 @@ def _losses(cell: Floats, pipe: Pipe, faces: Floats, narrowed: Narrowed) -> None
     dx = pipe.length_m / (faces.size - 1)
     centres = 0.5 * (faces[1:] + faces[:-1])
     cell[L.LOSS] += narrowed.heads / (narrowed.length * dx)
+    # heads and drops of pressure of the pipe's velocity, which in a narrowed cell is higher
+    long, wide = narrowed.length * dx, narrowed.area
     for loss in pipe.losses:
         for i, share in spread(loss.position_m, centres):
-            cell[L.LOSS, i] += share * loss.k / dx
+            cell[L.LOSS, i] += share * loss.k * wide[i] ** 2 / long[i]
             if loss.resistance_pa_s_m > 0.0:
                 # A viscous part that turbulence does not raise: taken out of the gain on it.
                 own = cell[L.VISCOUS, i]
-                total = own + share * loss.resistance_pa_s_m / dx
+                total = own + share * loss.resistance_pa_s_m * wide[i] / long[i]
                 cell[L.VISCOUS, i] = total
                 cell[L.TURBULENT, i] *= own / total
-    cell[L.LOSS, 0] += pipe.loss_from / dx
-    cell[L.LOSS, -1] += pipe.loss_to / dx
+    cell[L.LOSS, 0] += pipe.loss_from * wide[0] ** 2 / long[0]
+    cell[L.LOSS, -1] += pipe.loss_to * wide[-1] ** 2 / long[-1]
