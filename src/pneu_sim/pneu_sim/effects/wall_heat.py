@@ -22,7 +22,8 @@ class WallHeat(Effect):
     title: ClassVar[str] = "heat exchange with the tube wall"
     where: ClassVar[str] = "pipe"
     formula: ClassVar[str] = (
-        "q per length = (Nu_rig + 8 gain) pi k (T_wall - T) + (unsteady_rig + gain) 4 pi k int W dT"
+        "q per length = (Nu_rig + 8 gain) pi k (T_wall - T_r)"
+        " + (unsteady_rig + gain) 4 pi k int W dT, T_r = T + Pr^(1/3) u^2 / (2 cp)"
     )
     source: ClassVar[str] = (
         "Bergh and Tijdeman 1965, NLR-TR F.238; Kagawa 1985, heat transfer effects on the frequency"

@@ -66,7 +66,8 @@ class Grid(Part):
             swallows every wave like an endless pipe, instead of as a large vessel.
         thesis_joints: Join pipes by smallest-area faces and fictitious walls (thesis 5.3,
             fig. 5.6), which resist steady flow wherever the area changes; else three or more ends
-            share one pressure, and steady flow across an area step is kept as such.
+            share one pressure, and flow contracts into a step of area without loss and widens from
+            it as a jet (Borda, Carnot).
     """
 
     dx_m: Positive = 0.05
