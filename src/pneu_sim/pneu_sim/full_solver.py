@@ -115,10 +115,9 @@ class FullSolver(Solver):
         for tile, of in self.tiles:
             tile.reservoir[index, L.R_PRESSURE] = every[of]
 
-    @property
-    def knows_lines(self) -> bool:
-        """That the gas of every cell is known."""
-        return True
+    def sound(self) -> bool:
+        """Whether all gas has energy and density; see `Solver.sound`."""
+        return all(tiles.sound(tile) for tile, _ in self.tiles)
 
     def gas_in(self, pipe: str) -> tuple[Floats, Floats, Floats]:
         """Gas in the cells of a pipe; see `Solver.gas_in`.

@@ -235,7 +235,7 @@ class Simulator:
         for c, name in enumerate(self.plant.plan.chambers):
             if not (chambers[:, c] > 0.0).all():
                 return f"in chamber {name!r}"
-        if not self.plant.solver.knows_lines:
+        if self.plant.solver.sound():
             return ""
         for name in self.plant.rigs[0].pipes:  # those of cylinders have cells that nobody uses
             density, _, pressure = self.plant.gas_in(name)

@@ -211,10 +211,9 @@ class Solver(ABC):
         """
         raise InputError("joints: the rig's model moves no bodies")
 
-    @property
-    def knows_lines(self) -> bool:
-        """Whether the model has gas along its lines, as `gas_in` tells it."""
-        return False
+    def sound(self) -> bool:
+        """Returns whether all gas along lines, where the model has any, has energy and density."""
+        return True
 
     @property
     def unit_s(self) -> float:

@@ -778,6 +778,19 @@ def hold_gas(tile: Tile, slots: slice, density: Floats, velocity: Floats, pressu
     )
 
 
+def sound(tile: Tile) -> bool:
+    """Whether the gas of all cells in use has density and energy above zero.
+
+    Args:
+        tile: The batch.
+    """
+    mass, momentum, energy = tile.state[:3]
+    used = tile.cell[L.INV_VOLUME] > 0.0
+    # NaN compares as false; what moves has more energy than there is where pressure is negative
+    fine = (mass > 0.0) & (energy * mass > 0.5 * momentum * momentum)
+    return bool((fine | ~used).all())
+
+
 def held(tile: Tile) -> tuple[Floats, Floats]:
     """Mass, kg, and energy, J, of all gas and yielding walls, each (lanes,).
 
