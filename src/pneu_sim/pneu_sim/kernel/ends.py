@@ -345,20 +345,11 @@ def fill_ghosts(gas, vessels, cells, ends, reservoirs, chambers):
             i = index[source, L.E_CELL] * w + j
             u = X[L.W_U, i]
             v = turn * u
-            more = 1.0
             if kind == L.PORTED:
-                # the slope with which drag is in balance, so that the face sees half a cell of it
-                slope = float(index[e, L.E_SIGN]) * cells.wall[L.D_DRAG, i] * cells.par[L.LENGTH, i]
-                more = min(max(1.0 + slope / X[L.W_P, i], 0.5), 2.0)
-                v = (v + 2.0 * ends.flow[e, j] / rho[i]) / more
-            d, p = more * rho[i], more * X[L.W_P, i]
-            rho[g], mom[g], ene[g] = (
-                d,
-                d * v,
-                more * (ene[i] - 0.5 * rho[i] * u * u) + 0.5 * d * v * v,
-            )
-            X[L.W_U, g], X[L.W_P, g], X[L.W_T, g] = v, p, X[L.W_T, i]
-            X[L.W_C, g], X[L.W_RI, g] = X[L.W_C, i], X[L.W_RI, i] / more
+                v += 2.0 * ends.flow[e, j] / rho[i]
+            rho[g], mom[g], ene[g] = rho[i], rho[i] * v, ene[i] + 0.5 * rho[i] * (v * v - u * u)
+            X[L.W_U, g], X[L.W_P, g], X[L.W_T, g] = v, X[L.W_P, i], X[L.W_T, i]
+            X[L.W_C, g], X[L.W_RI, g] = X[L.W_C, i], X[L.W_RI, i]
 
 
 @branching
