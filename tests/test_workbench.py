@@ -263,7 +263,7 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
     button(page, "Draw beside: rig_a_fitted").click()
     expect(page.get_by_text(re.compile(rf"^beside, rig_a_fitted: {TIMES}"))).to_be_visible()
     button(page, "Draw beside: rig_a_fitted").click()
-    expect(page.get_by_text(re.compile(r"^before: 1"))).to_be_visible()
+    expect(page.get_by_text(re.compile(r"^before: \d"))).to_be_visible()
     button(page, "Undo").click()
     expect(page.get_by_text(re.compile(rf"^before: {TIMES}"))).to_be_visible()
     with page.expect_download() as download:

@@ -52,7 +52,7 @@ def test_beyond_reach_it_is_at_least_as_near_as_a_valve_wide_open():
     # from then on a valve that is less open keeps it 0.02 % nearer.
     found = physical_limit(RIG, "end", lambda t: np.full(np.shape(t), 2e6), 0.1, START_PA, QUICK)
     fastest = run_with(RIG, np.full(found.volts.size, 10.0))
-    assert np.allclose(found.volts[:2], 10.0, atol=1e-6) and found.volts[:6].min() > 8.0
+    assert np.allclose(found.volts[:2], 10.0, atol=1e-6) and found.volts[:6].min() > 7.0
     assert np.mean((found.pressure_pa - 2e6) ** 2) <= np.mean((fastest - 2e6) ** 2) * (1 + 1e-6)
 
 
