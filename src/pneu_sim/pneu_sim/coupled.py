@@ -141,7 +141,7 @@ class CoupledSolver(FullSolver):
         self._bent, self._impulse, self._before = (np.zeros(shape) for _ in range(3))
 
     def _bend(self, grip: Floats) -> tuple[Floats, Floats]:
-        """What is left to MuJoCo of dry friction, and the force of seals that are soft, N.
+        """Dry friction for MuJoCo's constraint, and the force of seals with presliding, N.
 
         MuJoCo's friction holds rigidly. Soft seals are bristles as those of bodies (`hold`), by the
         speed that the step before foresees.

@@ -184,3 +184,18 @@ def test_an_mjcf_that_does_not_compile_is_said_in_one_sentence(tmp_path: Path) -
     with pytest.raises(InputError, match=r"rail\.xml") as error:
         Simulator(rig)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("soft_m_n", "damping_n_s_m"), [(1e-4, 5.0), (3e-5, 20.0)])
+def test_presliding_in_mujoco_is_that_of_the_body_in_the_kernel(
+    tmp_path: Path, soft_m_n: float, damping_n_s_m: float
+) -> None:
+    """Seals that are soft before they slide; the physics step is small beside their period."""
+    rigid: dict[str, Any] = {"friction": {"coulomb_n": 30.0}}
+    soft = {"presliding_m_n": soft_m_n, "presliding_n_s_m": damping_n_s_m}
+    bristles = {"friction": rigid["friction"] | soft}
+    wanted = swing(in_kernel(**bristles))
+    effect = np.ptp(wanted - swing(in_kernel(**rigid)))
+    found = swing(in_mujoco(tmp_path, 2.5e-4, **bristles))
+    assert effect > 1e-4
+    assert np.max(np.abs(found - wanted)) < 0.05 * effect

@@ -8,7 +8,7 @@ from tests.references.nozzle import area_ratio, pressure_ratio, temperature_rati
 
 from pneu_sim.kernel.ends import vessel_state
 from pneu_sim.kernel.faces import _passed, _widened, at_face
-from pneu_sim.kernel.waves import NEAR, leaving, power, pushed
+from pneu_sim.kernel.waves import NEAR, leaving, power, wave_state
 from pneu_sim.riemann import solve
 
 GAMMA, R = 1.4, 287.0
@@ -98,11 +98,11 @@ def test_gas_spreads_behind_a_face_as_a_jet(share: float) -> None:
 def test_the_wave_that_an_end_sends_is_that_of_a_piston(out: float, v: float) -> None:
     """Half the exact Riemann problem of two equal gases that meet at the piston's speed."""
     d, p = 3.0, 2.5e5
-    pressure, slope = pushed(d, v, p, out, GAMMA)
+    _, pressure, slope = wave_state(d, v, p, out, GAMMA)
     star, velocity = mirrored(d, v - out, p)
     assert pressure == pytest.approx(star, rel=1e-9) and abs(velocity) < 1e-6
     step = 1e-3
-    above, below = (pushed(d, v, p, out + s, GAMMA)[0] for s in (step, -step))
+    above, below = (wave_state(d, v, p, out + s, GAMMA)[1] for s in (step, -step))
     assert slope == pytest.approx((below - above) / (2.0 * step), rel=1e-6)
     back, _ = leaving(d, v, p, pressure, GAMMA)
     assert back == pytest.approx(out, abs=1e-8)
@@ -137,12 +137,12 @@ def test_a_step_that_chokes_passes_what_its_face_does() -> None:
     assert h < GAMMA * R * 293.0 / (GAMMA - 1.0)  # expanded by the wave
 
     def over(out: float) -> float:
-        q, _ = pushed(d, 0.0, p, out, GAMMA)
+        _, q, _ = wave_state(d, 0.0, p, out, GAMMA)
         _, df = leaving(d, 0.0, p, q, GAMMA)
         mach = out / np.sqrt(GAMMA * q / df)
         return float(area_ratio(mach)) - 10.0
 
     out = brentq(over, 1.0, 100.0, xtol=1e-12)
-    q, _ = pushed(d, 0.0, p, out, GAMMA)
+    _, q, _ = wave_state(d, 0.0, p, out, GAMMA)
     _, df = leaving(d, 0.0, p, q, GAMMA)
     assert m == pytest.approx(df * out * 6e-6, rel=1e-5)

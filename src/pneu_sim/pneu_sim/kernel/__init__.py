@@ -34,4 +34,3 @@ from pneu_sim.kernel.orifices import orifice_flow as orifice_flow
 from pneu_sim.kernel.pistons import count_cells as count_cells
 from pneu_sim.kernel.pistons import lean as lean
 from pneu_sim.kernel.pistons import settle as settle
-from pneu_sim.kernel.pistons import wall_pressure as wall_pressure

@@ -6,17 +6,17 @@ import math
 from pneu_sim import layout as L
 from pneu_sim.compiling import apart, branching, folded, sequence
 from pneu_sim.kernel.orifices import orifice_flow
-from pneu_sim.kernel.waves import end_curve, fastest, leaving, met, power, pushed, swept
+from pneu_sim.kernel.waves import end_curve, fastest, leaving, met, power, swept, wave_state
 
 JET_STEPS, JET_FOUND = 40, 1e-10
 """Of the search for the pressure behind a cushion, at most; the share of the chamber's to which it
 is found."""
 JOINT_STEPS, JOINT_FOUND = 20, 1e-7
-"""Of Newton's method for the pressure of a joint, at most; the share to which it is found. The
-flows are those of the tangent there, which is right to the square of that."""
+"""Iteration limit and relative tolerance of Newton's method for the pressure of a joint; flows
+are those of the tangent there, whose error is of the square of that."""
 END_STEPS, END_FOUND = 20, 1e-8
-"""Of Newton's method for the velocity at an end, at most; its last step squared, over the square of
-the speed of sound: so much is then left."""
+"""Iteration limit of Newton's method for the velocity at an end, and its tolerance: the square of
+the last step over that of the speed of sound, which is the error that remains."""
 
 
 @branching
@@ -25,7 +25,7 @@ def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
 
     Outflow leaves at the vessel's pressure, or sonic, or as fast as it comes; inflow comes from
     rest at the vessel's pressure and temperature, less ``loss`` velocity heads. Either way the wave
-    that runs into the pipe fixes the rest (`pushed`).
+    that runs into the pipe fixes the rest (`wave_state`).
 
     Args:
         d: Density in the pipe's end, kg/m^3.
@@ -42,12 +42,12 @@ def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
     """
     if swept(d, v, p, p0, gamma):
         return d, v, p
-    stopped, z = pushed(d, v, p, 0.0, gamma)
+    _, stopped, z = wave_state(d, v, p, 0.0, gamma)
     if stopped >= p0:
         out, df = leaving(d, v, p, p0, gamma)
         if out * out * df > gamma * p0:
             out = fastest(d, v, p, gamma)
-            pf, _ = pushed(d, v, p, out, gamma)
+            _, pf, _ = wave_state(d, v, p, out, gamma)
             return gamma * pf / (out * out), out, pf
         return df, out, p0
     c0sq = gamma * r_gas * t0
@@ -66,7 +66,7 @@ def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
     for _ in range(6):
         x = max(1.0 - k * w * w, 0.05)
         y = power(x, e)
-        pf, z = pushed(d, v, p, -w, gamma)
+        _, pf, z = wave_state(d, v, p, -w, gamma)
         f = p0 * y - pf
         step = f * x / (p0 * e * y * 2.0 * k * w + z * x)
         w = min(max(w + step, 0.0), w_max)
@@ -169,7 +169,7 @@ def turned(index, e, other):
 
 @folded
 def _joining(d, v, p, q, h, gamma):
-    """What an end passes to a joint of a pressure, per area, and how that grows as it falls.
+    """Mass flux from a pipe's end into a joint of a given pressure, and its slope.
 
     Args:
         d: Density in the pipe's end, kg/m^3.

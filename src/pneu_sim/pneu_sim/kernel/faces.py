@@ -5,12 +5,12 @@ import math
 
 from pneu_sim import layout as L
 from pneu_sim.compiling import branching, each, folded, inlined, sequence, vectorised
-from pneu_sim.kernel.waves import end_curve, fastest, pushed
+from pneu_sim.kernel.waves import end_curve, fastest, wave_state
 from pneu_sim.riemann import exact_flux, hllc
 
 STEP_STEPS, STEP_FOUND = 30, 1e-9
-"""Of Newton's method for the flow over a step of area, at most; the share of the pressure to which
-that is found."""
+"""Iteration limit of Newton's method for the flow over a step of area, and its tolerance, relative
+to the pressure."""
 EXACT = 6
 """Steps of Newton's method for an exact Riemann problem, whose error falls by squares."""
 TINY = 1e-90
@@ -333,7 +333,7 @@ def _widened(density, velocity, pressure, area, wide, h0, gamma):
 
 @branching
 def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, gamma):
-    """What flows from a cell over a step of area into another: a Riemann problem with a jump.
+    """Flow between two cells over a step of area: a Riemann problem with an area jump.
 
     A wave runs into each cell; between them the flow is steady over the step: it contracts to the
     face without loss, at most until it is sonic there, and fills what lies behind as a jet does.
@@ -355,8 +355,8 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, gamma):
     """
     k = gamma / (gamma - 1.0)
     most = fastest(d1, v1, p1, gamma)
-    q1, z1 = pushed(d1, v1, p1, 0.0, gamma)
-    q2, z2 = pushed(d2, v2, p2, 0.0, gamma)
+    _, q1, z1 = wave_state(d1, v1, p1, 0.0, gamma)
+    _, q2, z2 = wave_state(d2, v2, p2, 0.0, gamma)
     u = min((q1 - q2) / (z1 + z2 * a1 / a2), most)
     m = h0 = push = thrust = behind = 0.0
     low, high = 0.0, most
@@ -367,7 +367,7 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, gamma):
         m = face * dn * un
         over = a1 * flux / max(m, 1e-300)
         dw, uw, pw = _widened(dn, un, pn, face, a2, h0, gamma)
-        q2, z2 = pushed(d2, v2, p2, -uw, gamma)
+        _, q2, z2 = wave_state(d2, v2, p2, -uw, gamma)
         push, thrust, behind = q1 + flux * u, pn + dn * un * un, pw + dw * uw * uw
         left = pw - q2
         if over > 1.0 + 1e-6:  # more comes than the face passes when sonic
@@ -442,8 +442,8 @@ def cross_steps(gas, scheme, dt, cells, steps):
             else:
                 dl, ul, pl = X[L.W_RR, i], X[L.W_UR, i], X[L.W_PR, i]
                 dr, ur, pr = X[L.W_RL, k], X[L.W_UL, k], X[L.W_PL, k]
-            held_l, _ = pushed(dl, ul, pl, 0.0, gamma)
-            held_r, _ = pushed(dr, -ur, pr, 0.0, gamma)
+            _, held_l, _ = wave_state(dl, ul, pl, 0.0, gamma)
+            _, held_r, _ = wave_state(dr, -ur, pr, 0.0, gamma)
             if held_l >= held_r:
                 m, h0, gl, fp, gr = _passed(dl, ul, pl, al, dr, -ur, pr, ar, af, gamma)
             else:

@@ -13,31 +13,12 @@ from pneu_sim import layout as L
 from pneu_sim.compiling import branching, entry, folded
 from pneu_sim.kernel.faces import limited
 from pneu_sim.kernel.orifices import orifice_flow
+from pneu_sim.kernel.waves import wave_state
 
 LONGEST = 2.1
 """The last cell is cut in two when it is so many times as long as the others, and joined with its
 neighbour when it is shorter than they are: no cell asks for a shorter step, and one that is cut is
 not joined at once."""
-
-
-@folded
-def wall_pressure(d, u, p, wall, gamma):
-    """Pressure on a wall that moves, exact (half a Riemann problem; Toro 2009, section 4.2).
-
-    Args:
-        d: Density of the gas at the wall, kg/m^3.
-        u: Its velocity, m/s.
-        p: Its pressure, Pa.
-        wall: Velocity of the wall, m/s; the gas lies towards lower positions.
-        gamma: Ratio of specific heats.
-    """
-    c = math.sqrt(gamma * p / d)
-    w = u - wall
-    if w >= 0.0:  # a shock that runs into the gas
-        g = 0.25 * (gamma + 1.0) * w
-        return p + d * w * (g + math.sqrt(g * g + c * c))
-    x = 1.0 + 0.5 * (gamma - 1.0) * w / c
-    return p * max(x, 0.01) ** (2.0 * gamma / (gamma - 1.0))
 
 
 @folded
@@ -340,13 +321,14 @@ def _face(k, side, j, gas, order, dt, cells, chambers, cylinders):
     i, sign = _last(k, side, j, cells, cylinders)
     wall = sign * cylinders.work[k, L.WY_SPEED, j]
     if order == 1:
-        return wall_pressure(S[L.RHO, i], X[L.W_U, i], X[L.W_P, i], wall, gas.gamma)
+        return wave_state(S[L.RHO, i], X[L.W_U, i], X[L.W_P, i], wall, gas.gamma)[1]
     # the face of the cell stands where the piston was; half a step later it is elsewhere
     on = 0.5 * dt * wall / cells.par[L.LENGTH, i]
     d = X[L.W_RR, i] + on * (X[L.W_RR, i] - X[L.W_RL, i])
     u = X[L.W_UR, i] + on * (X[L.W_UR, i] - X[L.W_UL, i])
     p = X[L.W_PR, i] + on * (X[L.W_PR, i] - X[L.W_PL, i])
-    return wall_pressure(max(d, 0.05 * S[L.RHO, i]), u, max(p, 0.05 * X[L.W_P, i]), wall, gas.gamma)
+    d, p = max(d, 0.05 * S[L.RHO, i]), max(p, 0.05 * X[L.W_P, i])
+    return wave_state(d, u, p, wall, gas.gamma)[1]
 
 
 @branching

@@ -11,10 +11,10 @@ from pneu_sim.kernel.waves import end_curve, fastest, met, power
 from pneu_sim.riemann import hllc_flux
 
 PORT_STEPS = 30
-"""How often the tangents of a port's sides are laid anew, at most."""
+"""Iteration limit of the linearisation of a port's sides."""
 TANGENT = 3e-4
-"""How far from where it touches a tangent is taken for the curve, of the speed of sound: pressures
-are then wrong by their square, 1e-7."""
+"""Tolerance of that linearisation: change of the end velocity over the speed of sound. The relative
+error of the pressure is of its square, 1e-7."""
 
 
 @folded
@@ -68,7 +68,7 @@ def warmth(j, kind, ref, gas, cells, ends, reservoirs, chambers):
 
 @folded
 def _at_end(k, j, end, vf, least, far_t, others, gas, order, cells, ends, ports):
-    """What a port sees in a pipe whose gas leaves with a velocity, or enters: a tangent there.
+    """Pressure at a pipe's end as a linear function of a port's flow, about a given velocity.
 
     The stagnation pressure of the line it leaves (ISO 6358-1) drives the port, against the static
     pressure of the line it enters plus the velocity heads its jet does not recover.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chambers that fill and empty within a step: their pressure is found with all that flows.
+"""Stiff chambers, whose time constant is shorter than a step: pressure implicit in all flows.
 
 Beside a port that is wide for it, or a pipe's end, a small chamber takes its new pressure in less
 than a step. With the pressure of the step's beginning its ports would then swing, so the one at its
@@ -21,7 +21,7 @@ well above rounding, and what is left is made up for in the next step."""
 
 @branching
 def _gain(c, j, leaving, gas, order, cells, ends, ports, reservoirs, chambers, leaks):
-    """What a chamber of the pressure and temperature in its work takes in, or gives.
+    """Sum of the flows into a chamber, or out of it, at the pressure and temperature in its work.
 
     Args:
         c: The chamber.
@@ -87,7 +87,7 @@ def _gain(c, j, leaving, gas, order, cells, ends, ports, reservoirs, chambers, l
 
 @branching
 def _excess(c, j, p, dt, gas, order, cells, ends, ports, reservoirs, chambers, leaks):
-    """Mass that a chamber would hold at a pressure beyond what it then gets; sets its temperature.
+    """Residual of a chamber's mass balance at a pressure, kg; sets the temperature of its energy.
 
     Energy gives the temperature: E' = E + dt cp (sum m T - out T'), and what is out is what was
     there, and came in, and is not there in the end.

@@ -39,37 +39,41 @@ def power(x, a):
 
 
 @folded
-def pushed(d, v, p, out, gamma):
-    """Pressure at a pipe's end where its gas leaves with a velocity of its own.
+def wave_state(d, v, p, out, gamma):
+    """State at a pipe's end whose gas is given an outflow velocity, behind the exact wave.
 
-    Exact: behind a shock where the gas is pushed back, in a rarefaction where it is drawn out
-    (Toro 2009, eq. 4.6-4.9).
+    A shock where the gas is pushed back, a rarefaction where it is drawn out (Toro 2009,
+    eq. 4.6-4.9).
 
     Args:
         d: Density in the pipe's end, kg/m^3.
         v: Velocity there, positive out of the pipe, m/s.
         p: Pressure there, Pa.
-        out: Velocity at the end, m/s.
+        out: Outflow velocity at the end, m/s.
         gamma: Ratio of specific heats.
 
     Returns:
-        Pressure, and by how much it falls per velocity, kg/(m^2 s).
+        Density, pressure, and decrease of the pressure per velocity in kg/(m^2 s).
     """
     c2 = gamma * p / d
     back = v - out
     if back >= 0.0:
         k = 0.25 * (gamma + 1.0) * back
         s = math.sqrt(k * k + c2)
-        return p + d * back * (k + s), d * (2.0 * k + s + k * k / s)
+        q = p + d * back * (k + s)
+        above, below = gamma + 1.0, gamma - 1.0
+        behind = d * (above * q + below * p) / (below * q + above * p)
+        return behind, q, d * (2.0 * k + s + k * k / s)
     c = math.sqrt(c2)
-    r = max(1.0 + 0.5 * (gamma - 1.0) * back / c, 0.05)
-    q = p * power(r, 2.0 / (gamma - 1.0)) * r * r
-    return q, gamma * q / (c * r)
+    r = max(1.0 + 0.5 * (gamma - 1.0) * back / c, 0.01)
+    y = power(r, 2.0 / (gamma - 1.0))
+    q = p * y * r * r
+    return d * y, q, gamma * q / (c * r)
 
 
 @folded
 def leaving(d, v, p, q, gamma):
-    """Velocity and density at a pipe's end on which there is a pressure; turns `pushed` round.
+    """Outflow velocity and density at a pipe's end of a given pressure; inverse of `wave_state`.
 
     Args:
         d: Density in the pipe's end, kg/m^3.
@@ -89,9 +93,9 @@ def leaving(d, v, p, q, gamma):
 
 @folded
 def swept(d, v, p, q, gamma):
-    """Whether gas leaves so fast that what a pressure at the end sends into the pipe is swept out.
+    """Whether outflow is supersonic and carries off the shock that the end's pressure would send.
 
-    It is a shock then that is no stronger than one at rest in that flow.
+    That shock is no stronger than the normal shock of the flow, which stands still.
 
     Args:
         d: Density in the pipe's end, kg/m^3.
@@ -122,10 +126,10 @@ def fastest(d, v, p, gamma):
 
 @folded
 def met(d, v, p, out, h0, gamma):
-    """Velocity of the gas that meets what enters a pipe: as fast as its flow makes what enters.
+    """Interior velocity that inflow is compared with: of the same mass flux at its density.
 
-    Along a line that is warmed or drags, gas at its end and in the middle of its cell differ in
-    density and velocity, not in flow; a difference of velocities would be taken for a wave.
+    In steady flow with friction or heat the density at the end and in the cell's middle differ, and
+    so do the velocities, but not the mass flux; their difference is no wave.
 
     Args:
         d: Density in the pipe's end, kg/m^3.
@@ -142,7 +146,7 @@ def met(d, v, p, out, h0, gamma):
 
 @folded
 def end_curve(d, v, p, out, h0, gamma):
-    """State and flow at a pipe's end whose gas leaves with a velocity, or enters.
+    """State and mass flux at a pipe's end of a given outflow velocity; negative is inflow.
 
     Args:
         d: Density in the pipe's end, kg/m^3.
@@ -153,24 +157,10 @@ def end_curve(d, v, p, out, h0, gamma):
         gamma: Ratio of specific heats.
 
     Returns:
-        Density and pressure at the end, by how much the pressure falls per velocity, the flow per
-        area in kg/(m^2 s), and by how much that grows per velocity; it no longer does where the
-        gas leaves at its own speed of sound.
+        Density and pressure at the end, decrease of the pressure per velocity, mass flux in
+        kg/(m^2 s), and its increase per velocity, which is zero where the outflow is sonic.
     """
-    c2 = gamma * p / d
-    back = v - out
-    if back >= 0.0:  # as in `pushed`, but with the density
-        k = 0.25 * (gamma + 1.0) * back
-        s = math.sqrt(k * k + c2)
-        q, z = p + d * back * (k + s), d * (2.0 * k + s + k * k / s)
-        above, below = gamma + 1.0, gamma - 1.0
-        df = d * (above * q + below * p) / (below * q + above * p)
-    else:
-        c = math.sqrt(c2)
-        r = max(1.0 + 0.5 * (gamma - 1.0) * back / c, 0.05)
-        y = power(r, 2.0 / (gamma - 1.0))
-        q = p * y * r * r
-        df, z = d * y, gamma * q / (c * r)
+    df, q, z = wave_state(d, v, p, out, gamma)
     if out < 0.0:
         h = h0 - 0.5 * out * out
         df = gamma / (gamma - 1.0) * q / h
