@@ -224,13 +224,17 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
     button(page, "Find what is missing").click()
     expect(button(page, "Cancel")).to_be_visible()
     page.reload()
-    expect(page.get_by_role("status").filter(has_text="what is missing")).to_be_visible()
+    named = "Missing: leak of a line to the room"
+
+    def runs_or_has_run(one):  # a busy machine may show a page only after the search has ended
+        runs = one.get_by_role("status").filter(has_text="what is missing")
+        expect(runs.or_(one.get_by_text(named)).first).to_be_visible()
+
+    runs_or_has_run(page)
     other, other_watch = open_page(browser, server, 420, color_scheme="dark")
-    expect(other.get_by_role("status").filter(has_text="what is missing")).to_be_visible()
+    runs_or_has_run(other)
     for one in (page, other):
-        expect(one.get_by_text("Missing: leak of a line to the room")).to_be_visible(
-            timeout=LONG_MS
-        )
+        expect(one.get_by_text(named)).to_be_visible(timeout=LONG_MS)
     # what it would explain, drawn before it is added; added, undone, done again
     before = _drawn(page)
     button(page, "Draw 1").click()
@@ -253,7 +257,7 @@ def test_from_nothing_to_a_leak_named_added_and_exported(
     # the model run at another strength, as the slider moves
     button(page, "Try other strengths").click()
     expect(page.get_by_role("slider")).to_be_visible(timeout=LONG_MS)
-    for _ in range(8):  # down to no leak at all
+    for _ in range(20):  # of ten notches of 200 each: down to no leak at all
         page.locator(".q-slider [tabindex]").press("PageDown")
     expect(page.get_by_text(re.compile(r"^0: .*end 4\d\.\d"))).to_be_visible(timeout=LONG_MS)
     button(page, "Keep this strength").click()
