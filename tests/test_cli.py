@@ -268,3 +268,13 @@ def test_what_needs_no_numerics_does_not_wait_for_them(words: list[str], tmp_pat
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_a_plant_is_imported_without_what_it_does_not_compute_with() -> None:
+    """Every node of a plant waits for that: SciPy's optimisers alone take as long as the rest."""
+    code = (
+        "import sys, pneu_sim.simulator\n"
+        "print({'scipy.optimize', 'mujoco', 'torch', 'matplotlib'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"

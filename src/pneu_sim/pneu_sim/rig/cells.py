@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is at a place along a pipe, as its cells and faces feel it."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import bisect
 
 from pneu_sim.rig.schema import Pipe
 
@@ -123,7 +123,11 @@ def narrowed_by(pipe: Pipe, faces: Floats) -> Narrowed:
 
     part = 1.0
     if lost(part) > wanted:
-        part = bisect(lambda x: lost(x) - wanted, 0.0, 1.0) if lost(0.0) < wanted else 0.0
+        # what is lost is a quadratic function of the part
+        t, w = throat[1:-1], widest[1:-1]
+        rise, less = float(np.sum(t * (2.0 * w - slow[1:] - slow[:-1]))), wanted - lost(0.0)
+        root = math.sqrt(rise**2 + 4.0 * float(np.sum(t**2)) * max(less, 0.0))
+        part = 2.0 * less / (rise + root) if less > 0.0 else 0.0
     missing = max(wanted - lost(part), 0.0) / max(wanted, 1e-300)
     centres, heads = 0.5 * (faces[1:] + faces[:-1]), np.zeros(n)
     for x, head in zip(where, edge + missing * jet, strict=True):
