@@ -220,6 +220,34 @@ def test_a_port_that_opens_at_once_sends_a_shock(supply: float, conductance: flo
     assert np.median(state["velocity"][near]) == pytest.approx(speed(p), rel=0.01)
 
 
+@pytest.mark.parametrize("supply", [1.5e5, 3e5, 5e5])
+@pytest.mark.parametrize("conductance", [1e-7, 1e-6])
+def test_a_port_wider_than_a_line_lets_in_what_the_mouth_of_the_line_does(
+    supply: float, conductance: float
+) -> None:
+    """Isentropic from rest in the supply, to the shock that runs into the line."""
+    density = P0 / (R * T0)
+    line = simulator(
+        {"b": pipe("v", "closed", 2.0, 6e-6)},
+        {"dx_m": 0.02, "wave_speed_m_s": 900.0},
+        reservoirs={"s": {"pressure_pa": supply}},
+        orifices={"o": {"from": "s", "to": "v", "conductance_m3_s_pa": conductance}},
+    )
+    line.run(1.5e-3, sample_s=1.5e-5)
+    state = line.state("b")
+    near = slice(2, state["x_m"].size // 12)
+
+    def speed(p: float) -> float:
+        return float((p - P0) * np.sqrt(2.0 / (2.4 * density) / (p + 0.4 / 2.4 * P0)))
+
+    def over(p: float) -> float:
+        return supply * (1.0 - speed(p) ** 2 / (2.0 * CP * T0)) ** 3.5 - p
+
+    p = brentq(over, P0 * 1.001, supply)
+    assert np.median(state["pressure"][near]) == pytest.approx(p, rel=0.01)
+    assert np.median(state["velocity"][near]) == pytest.approx(speed(p), rel=0.01)
+
+
 @pytest.mark.parametrize("conductance", [2e-8, 1e-7])
 def test_what_enters_a_line_is_sonic_at_most(conductance: float) -> None:
     """From 21 bar, until what came faster has gone: its speed of sound, and all of its enthalpy."""

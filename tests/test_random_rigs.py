@@ -14,7 +14,9 @@ from pneu_sim.simulator import Simulator
 
 pytestmark = pytest.mark.takes(20)
 
-QUICK, ALL = 40, 500
+QUICK, ALL = 36, 500
+HARD = (111, 193, 378, 381)
+"""Ports wider than a line that together pass gas by its end; jets into wide, nearly empty lines."""
 ADIABATIC = {"nusselt": 0.0, "heat_turbulent": 0.0, "heat_unsteady": 0.0, "unsteady": 0.0}
 
 
@@ -118,8 +120,9 @@ def check_closed(seed: int) -> None:
         assert simulator.mass_kg() == pytest.approx(mass, rel=1e-9), seed
         assert simulator.energy_j() == pytest.approx(energy, rel=1e-9), seed
         after = entropy(simulator, seen, rig)
-        # (slopes within cells let it fall by a little where waves are strong)
-        assert after > before - 2e-3 * mass * AIR.r_specific, (seed, after - before)
+        # (joints, whose pipes meet at one static pressure, and slopes within cells let it fall by a
+        # little where waves are strong: by 3.4e-4 of this at most in all of these rigs)
+        assert after > before - 1e-3 * mass * AIR.r_specific, (seed, after - before)
         before = after
 
 
@@ -135,7 +138,7 @@ def check_open(seed: int) -> None:
         assert seen.chambers[name].max() < 3.0 * max(*first.values(), *supplies), seed
 
 
-@pytest.mark.parametrize("seed", range(QUICK))
+@pytest.mark.parametrize("seed", [*range(QUICK), *HARD])
 def test_a_network_drawn_at_random_is_sound(seed: int) -> None:
     check_closed(seed)
     check_open(seed)

@@ -408,7 +408,9 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, gamma):
         # flow contracts at a supersonic speed.
         dn, un, pn = _squeezed(d1, v1, p1, a1 / face, gamma)
         m, h0, push = d1 * v1 * a1, k * p1 / d1 + 0.5 * v1 * v1, p1 + d1 * v1 * v1
-        thrust, behind = pn + dn * un * un, pn + face / a2 * dn * un * un
+        # around the jet, the wall of the step bears the pressure of the gas that is there
+        thrust = pn + dn * un * un
+        behind = p2 + face / a2 * (thrust - p2)
     return m, h0, push, thrust, behind
 
 

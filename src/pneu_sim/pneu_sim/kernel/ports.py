@@ -6,7 +6,7 @@ import math
 from pneu_sim import layout as L
 from pneu_sim.compiling import branching, folded
 from pneu_sim.kernel.ends import face_state
-from pneu_sim.kernel.orifices import iso6358_flow
+from pneu_sim.kernel.orifices import ANR_DENSITY, ANR_TEMPERATURE, iso6358_flow
 from pneu_sim.kernel.waves import end_curve, fastest, met, power
 from pneu_sim.riemann import hllc_flux
 
@@ -67,7 +67,7 @@ def warmth(j, kind, ref, gas, cells, ends, reservoirs, chambers):
 
 
 @folded
-def _at_end(k, j, end, vf, least, far_t, others, gas, order, cells, ends, ports):
+def _at_end(k, j, end, vf, least, far_t, others, c, gas, order, cells, ends, ports):
     """Pressure at a pipe's end as a linear function of a port's flow, about a given velocity.
 
     The stagnation pressure of the line it leaves (ISO 6358-1) drives the port, against the static
@@ -82,6 +82,7 @@ def _at_end(k, j, end, vf, least, far_t, others, gas, order, cells, ends, ports)
             pressure goes with the flow.
         far_t: Stagnation temperature of what enters, K.
         others: What other ports take from the pipe's end, kg/s.
+        c: Sonic conductance of the port as it is opened, m^3/(s Pa).
         gas: The gas.
         order: 1 Godunov, 2 MUSCL-Hancock.
         cells: All slots.
@@ -90,7 +91,8 @@ def _at_end(k, j, end, vf, least, far_t, others, gas, order, cells, ends, ports)
 
     Returns:
         Pressure that there would be with no flow of this port, by how much it falls per flow;
-        flow at which the tangent lies, and the velocity's growth per flow.
+        flow at which the tangent lies, and the velocity's growth per flow; stagnation temperature
+        of what leaves.
     """
     gamma = gas.gamma
     d, v, p = face_state(end, j, order, cells, ends)
@@ -108,8 +110,8 @@ def _at_end(k, j, end, vf, least, far_t, others, gas, order, cells, ends, ports)
     if at > 0.0 and vf > 0.0:
         # One head is the stagnation pressure, along an isentrope; two are the momentum that
         # arrives; each falls with the velocity up to that of sound, the former by rho0 (c - v), the
-        # latter by rho (c - v)^2 / c.
-        heads = ports.par[k, L.Q_HEAD, j]
+        # latter by rho (c - v)^2 / c. What other ports bring has none.
+        heads = ports.par[k, L.Q_HEAD, j] * min(max(at + others, 0.0) / at, 1.0)
         dynamic = 0.5 * df * vf * vf
         share = min(max(2.0 - heads, 0.0), 1.0)
         more = (1.0 - share) * dynamic
@@ -120,11 +122,24 @@ def _at_end(k, j, end, vf, least, far_t, others, gas, order, cells, ends, ports)
             less += share * (rest / (gas.r * t0) * (z / df - vf) - z)
         falls = max(z + heads * less, 0.0) / grow
         q += heads * more
-    elif at < 0.0:
-        x = ports.par[k, L.Q_JET, j] * abs(at) / (df * area * area)
-        falls += x
-        q += 0.5 * x * abs(at)
-    return q + falls * at, falls, at, 1.0 / grow
+    elif vf < 0.0:
+        # A port that is wider than the line is no nozzle of its own: what it lets in is set in
+        # motion by the line's mouth, and no less drives it than the stagnation pressure there.
+        share = 0.0
+        wide = c * ANR_DENSITY * math.sqrt(ANR_TEMPERATURE * gas.r / gamma) / area
+        if wide > 0.5:
+            wide *= (0.5 * (gamma + 1.0)) ** (0.5 * (gamma + 1.0) / (gamma - 1.0))
+            share = max(1.0 - 1.0 / (wide * wide), 0.0)
+        if share > 0.0:
+            rest = q * power(t0 * gas.r * df / q, gamma / (gamma - 1.0))
+            rises = rest / q * ((z - df * vf) / grow if vf > least else falls)
+            falls += share * (rises - falls)
+            q += share * (rest - q)
+        if at < 0.0:
+            x = (1.0 - share) * ports.par[k, L.Q_JET, j] * abs(at) / (df * area * area)
+            falls += x
+            q += 0.5 * x * abs(at)
+    return q + falls * at, falls, at, 1.0 / grow, t0
 
 
 @folded
@@ -140,7 +155,7 @@ def _conductance(j, end, ports):
 
 @folded
 def solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
-    """Flow of an ISO 6358 port from what is on its sides, kg/s.
+    """Flow of an ISO 6358 port from what is on its sides, and its stagnation temperature.
 
     Args:
         k: The port.
@@ -152,6 +167,10 @@ def solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
         ports: Ports.
         reservoirs: Reservoirs.
         chambers: Chambers.
+
+    Returns:
+        Mass flow, kg/s, and the temperature, K: of a line it is that behind the wave by which its
+        gas is set in motion.
     """
     ported = ends.ported
     ka = ports.table[k, L.P_A]
@@ -162,7 +181,7 @@ def solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
     opening = ports.opening[k, j]
     c = opening * ports.par[k, L.Q_CONDUCTANCE, j]
     if c <= 0.0:
-        return 0.0
+        return 0.0, 1.0
     width = 1.0 - ports.par[k, L.Q_LAMINAR, j]
     if ports.par[k, L.Q_WIDENING, j] != 0.0:
         width *= min(opening, 1.0) ** ports.par[k, L.Q_WIDENING, j]
@@ -196,14 +215,16 @@ def solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
         part = 1.0 if attempt < 4 else 0.5
         if ka == L.SIDE_END:
             va = min(max(va, lowest_a), highest_a)
-            pa, za, at_a, grow_a = _at_end(
-                k, j, ia, va, lowest_a, tb, others_a, gas, order, cells, ends, ports
+            pa, za, at_a, grow_a, t0 = _at_end(
+                k, j, ia, va, lowest_a, tb, others_a, c, gas, order, cells, ends, ports
             )
+            ta = t0 if va > 0.0 else ta
         if kb == L.SIDE_END:
             vb = min(max(vb, lowest_b), highest_b)
-            pb, zb, at_b, grow_b = _at_end(
-                k, j, ib, vb, lowest_b, ta, others_b, gas, order, cells, ends, ports
+            pb, zb, at_b, grow_b, t0 = _at_end(
+                k, j, ib, vb, lowest_b, ta, others_b, c, gas, order, cells, ends, ports
             )
+            tb = t0 if vb > 0.0 else tb
         m = iso6358_flow(
             pa,
             za,
@@ -239,7 +260,7 @@ def solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
         ends.velocity[ia, j] = float(ends.table[ia, L.E_SIGN]) * va
     if kb == L.SIDE_END:
         ends.velocity[ib, j] = float(ends.table[ib, L.E_SIGN]) * vb
-    return m
+    return m, ta if m >= 0.0 else tb
 
 
 @folded
@@ -259,17 +280,7 @@ def through_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
     """
     ka, ia = ports.table[k, L.P_A], ports.table[k, L.P_AI]
     kb, ib = ports.table[k, L.P_B], ports.table[k, L.P_BI]
-    m = solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers)
-    t = warmth(
-        j,
-        ka if m >= 0.0 else kb,
-        ia if m >= 0.0 else ib,
-        gas,
-        cells,
-        ends,
-        reservoirs,
-        chambers,
-    )
+    m, t = solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers)
     heat = m * gas.gamma * gas.r / (gas.gamma - 1.0) * t
     if ka == L.SIDE_END:
         ends.ported[ia, L.N_MASS, j] += m - ports.flow[k, 0, j]

@@ -11,7 +11,7 @@ from pneu_sim import layout as L
 from pneu_sim.compiling import branching
 from pneu_sim.kernel.ends import cushioned_state, face_state
 from pneu_sim.kernel.leaks import leak_flow
-from pneu_sim.kernel.ports import at_small, is_small, solve_port, through_port, warmth
+from pneu_sim.kernel.ports import at_small, is_small, solve_port, through_port
 
 SWEEPS, STEPS = 60, 80
 FOUND = 1e-10
@@ -47,13 +47,10 @@ def _gain(c, j, leaving, gas, order, cells, ends, ports, reservoirs, chambers, l
         at_b = ports.table[k, L.P_B] == L.SIDE_CHAMBER and ports.table[k, L.P_BI] == c
         if at_a == at_b:
             continue
-        m = solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers)
+        m, warm = solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers)
         if at_a:
             m = -m
         if (m < 0.0) == leaving:
-            kind = ports.table[k, L.P_B if at_a else L.P_A]
-            ref = ports.table[k, L.P_BI if at_a else L.P_AI]
-            warm = t if leaving else warmth(j, kind, ref, gas, cells, ends, reservoirs, chambers)
             mass += abs(m)
             heat += abs(m) * warm
     for e in range(ends.table.shape[0]):
