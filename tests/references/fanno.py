@@ -93,3 +93,25 @@ def choked_tube(
 def air_viscosity(temperature: float) -> float:
     """Returns the viscosity of air, Pa s (U.S. Standard Atmosphere 1976, eq. 51)."""
     return float(1.458e-6 * temperature**1.5 / (temperature + 110.4))
+
+
+def mass_flux(
+    p0: float, t0: float, back: float, heads: float, gamma: float = 1.4, r_specific: float = 287.05
+) -> float:
+    """Returns the mass flux from rest, through velocity heads of loss, to a pressure behind.
+
+    In kg/(m^2 s); choked behind the loss where the pressure there would be higher.
+    """
+
+    def behind(mach: float) -> float:
+        """Pressure behind the loss, from the Mach number before it."""
+        after = subsonic_mach(friction_length(mach, gamma) - heads, gamma)
+        before = p0 * nozzle.pressure_ratio(mach, gamma)
+        return before * pressure_ratio(after, gamma) / pressure_ratio(mach, gamma)
+
+    mach = subsonic_mach(heads, gamma) * (1.0 - 1e-9)
+    if behind(mach) < back:
+        mach = float(brentq(lambda m: behind(m) - back, 1e-3, mach))
+    t = t0 * nozzle.temperature_ratio(mach, gamma)
+    p = p0 * nozzle.pressure_ratio(mach, gamma)
+    return float(mach * p * np.sqrt(gamma / (r_specific * t)))

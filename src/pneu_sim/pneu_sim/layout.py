@@ -28,17 +28,18 @@ RELAX: Final = 6  # pi mu N1 / A: decay of the slowest memory state, times densi
 REYNOLDS: Final = 7  # D / mu, so that Re = rho |u| D / mu
 ROUGH: Final = 8  # (epsilon / (3.7 D))^1.11 of Haaland's formula
 TURBULENT: Final = 9  # gain on the turbulent excess of the drag, 1 = Haaland
-LOSS: Final = 10  # local losses, K / length, 1/m
-HEAT: Final = 11  # quasi-steady wall heat in laminar flow, W/(m^3 K)
-HEAT_UNSTEADY: Final = 12  # unsteady wall heat 4 pi k / A times the chosen factor, W/(m^3 K)
-HEAT_TURBULENT: Final = 13  # gain on the turbulent excess of the wall heat, 1 = Gnielinski
-WALL_T: Final = 14  # wall temperature, K
-COMPLIANCE: Final = 15  # relative growth of the area per pascal, 1/Pa
-REST_P: Final = 16  # pressure at which the wall has its nominal area, Pa
-TAPER: Final = 17  # relative growth of the area along the pipe, where it tapers smoothly, 1/m
-ONSET: Final = 18  # 1 / Reynolds number at which turbulence sets in
-QUICKEN: Final = 19  # gain on how much faster memory fades in turbulent flow
-PARAM_ROWS: Final = 20
+LOSS: Final = 10  # velocity heads lost at the face between this slot and the next, K / A^2, 1/m^4
+SIEVE: Final = 11  # pressure lost there per velocity, R / A, Pa s/m^3
+HEAT: Final = 12  # quasi-steady wall heat in laminar flow, W/(m^3 K)
+HEAT_UNSTEADY: Final = 13  # unsteady wall heat 4 pi k / A times the chosen factor, W/(m^3 K)
+HEAT_TURBULENT: Final = 14  # gain on the turbulent excess of the wall heat, 1 = Gnielinski
+WALL_T: Final = 15  # wall temperature, K
+COMPLIANCE: Final = 16  # relative growth of the area per pascal, 1/Pa
+REST_P: Final = 17  # pressure at which the wall has its nominal area, Pa
+TAPER: Final = 18  # relative growth of the area along the pipe, where it tapers smoothly, 1/m
+ONSET: Final = 19  # 1 / Reynolds number at which turbulence sets in
+QUICKEN: Final = 20  # gain on how much faster memory fades in turbulent flow
+PARAM_ROWS: Final = 21
 
 # --- work rows ------------------------------------------------------------------------------------
 W_U: Final = 0

@@ -45,7 +45,7 @@ def rows(count: int) -> UniTuple:
             faces._slopes,
             (NUMBER, boolean, NUMBER, int64, rows(3), rows(5), rows(4), rows(4)),
         ),
-        (walls._drag, (NUMBER, rows(6), rows(4), rows(3), ROW, rows(6))),
+        (walls._drag, (NUMBER, rows(6), rows(3), rows(3), ROW, rows(6))),
     ],
     ids=lambda given: getattr(given, "__name__", ""),
 )

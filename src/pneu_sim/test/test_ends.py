@@ -121,11 +121,15 @@ def test_steady_flow_over_a_step_of_area_stays(wide: float, narrow: float) -> No
     d2, v2, p2 = at_face(d1, v1, p1, wide, narrow, GAMMA)
     heat = GAMMA / (GAMMA - 1.0) * p1 / d1 + 0.5 * v1 * v1
     mass = d1 * v1 * wide
-    m, h, before, _, behind = _passed(d1, v1, p1, wide, d2, -v2, p2, narrow, narrow, GAMMA)
+    m, h, before, _, behind = _passed(
+        d1, v1, p1, wide, d2, -v2, p2, narrow, narrow, 0.0, 0.0, GAMMA
+    )
     assert (m, h) == pytest.approx((mass, heat), rel=1e-7)
     assert (before, behind) == pytest.approx((p1 + d1 * v1**2, p2 + d2 * v2**2), rel=1e-7)
     d3, v3, p3 = _widened(d2, v2, p2, narrow, wide, heat, GAMMA)
-    m, h, before, _, behind = _passed(d2, v2, p2, narrow, d3, -v3, p3, wide, narrow, GAMMA)
+    m, h, before, _, behind = _passed(
+        d2, v2, p2, narrow, d3, -v3, p3, wide, narrow, 0.0, 0.0, GAMMA
+    )
     assert (m, h) == pytest.approx((mass, heat), rel=1e-7)
     assert (before, behind) == pytest.approx((p2 + d2 * v2**2, p3 + d3 * v3**2), rel=1e-7)
 
@@ -133,7 +137,7 @@ def test_steady_flow_over_a_step_of_area_stays(wide: float, narrow: float) -> No
 def test_a_step_that_chokes_passes_what_its_face_does() -> None:
     """A wide line at 7 bar into a tenth of its area: sonic flow from rest but for the wave."""
     d, p = 7e5 / (R * 293.0), 7e5
-    m, h, *_ = _passed(d, 0.0, p, 6e-6, 1e5 / (R * 293.0), 0.0, 1e5, 6e-7, 6e-7, GAMMA)
+    m, h, *_ = _passed(d, 0.0, p, 6e-6, 1e5 / (R * 293.0), 0.0, 1e5, 6e-7, 6e-7, 0.0, 0.0, GAMMA)
     assert h < GAMMA * R * 293.0 / (GAMMA - 1.0)  # expanded by the wave
 
     def over(out: float) -> float:

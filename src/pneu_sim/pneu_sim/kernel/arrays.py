@@ -73,10 +73,11 @@ class Cells(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """Faces at which the area jumps.
+    """Faces at which the area jumps or a fitting takes pressure.
 
     Attributes:
-        table: (n_steps, 5) face, then the cell and its direction on the left and on the right.
+        table: (n_steps, 5) face, then the cell and its direction on the left and on the right; the
+            same cell twice where it is the only one of its pipe.
         area: (n_steps, 2, lanes) areas left and right, m2.
     """
 

@@ -8,9 +8,13 @@ from pneu_sim.compiling import branching, each, folded, inlined, sequence, vecto
 from pneu_sim.kernel.waves import end_curve, fastest, wave_state
 from pneu_sim.riemann import exact_flux, hllc
 
-STEP_STEPS, STEP_FOUND = 30, 1e-9
+STEP_STEPS, STEP_FOUND = 40, 1e-9
 """Iteration limit of Newton's method for the flow over a step of area, and its tolerance, relative
 to the pressure."""
+CHOKED = 1e-7
+"""Relative tolerance of the flow with which a fitting chokes."""
+LOSS_STEPS = 20
+"""Iteration limit of the search for the state behind a fitting."""
 EXACT = 6
 """Steps of Newton's method for an exact Riemann problem, whose error falls by squares."""
 TINY = 1e-90
@@ -331,12 +335,52 @@ def _widened(density, velocity, pressure, area, wide, h0, gamma):
     return 1.0 / y, g * y, push - g * g * y
 
 
+@folded
+def _lost(d, u, p, heads, sieve, gamma):
+    """State behind a fitting without length, of the same area: Fanno flow, whose entropy grows.
+
+    Per unit of the loss the momentum flux falls by ``rho u^2 / 2`` per head and by ``u`` per
+    resistance, with the velocity there (Shapiro 1953, chapter 6; integrated in closed form).
+
+    Args:
+        d: Density before it, kg/m^3.
+        u: Velocity, not negative, m/s.
+        p: Pressure, Pa.
+        heads: Velocity heads lost.
+        sieve: Pressure lost per velocity besides, Pa s/m.
+        gamma: Ratio of specific heats.
+
+    Returns:
+        Density, velocity and pressure behind it, and whether the gas passes: what would be faster
+        than sound behind it does not.
+    """
+    s = d * u * u / p
+    lost = heads * s + 2.0 * sieve * u / p
+    k = (gamma - 1.0) / gamma
+    whole, bend = 1.0 + 0.5 * k * s, (1.0 - 0.5 * k) * s
+    if lost <= 0.0:
+        return d, u, p, True
+    if whole <= bend or whole - bend + bend * math.log(bend / whole) <= lost:
+        return d, u, p, False
+    x = 1.0 - lost / (whole - bend)  # density behind, squared, over that before
+    for _ in range(LOSS_STEPS):
+        x = max(x, bend / whole * (1.0 + 1e-9))
+        step = (whole * (1.0 - x) + bend * math.log(x) - lost) / (whole - bend / x)
+        x += step
+        if abs(step) < 1e-12:
+            break
+    x = max(x, bend / whole)
+    r = math.sqrt(x)
+    return d * r, u / r, p * r * (1.0 + 0.5 * k * s * (1.0 - 1.0 / x)), True
+
+
 @branching
-def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, gamma):
-    """Flow between two cells over a step of area: a Riemann problem with an area jump.
+def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, heads, sieve, gamma):
+    """Flow between two cells over a step of area and a fitting: a Riemann problem with both.
 
     A wave runs into each cell; between them the flow is steady over the step: it contracts to the
-    face without loss, at most until it is sonic there, and fills what lies behind as a jet does.
+    face without loss, at most until it is sonic there, fills what lies behind as a jet does, and
+    loses what the fitting takes.
 
     Args:
         d1: Density in the cell it comes from, kg/m^3.
@@ -348,6 +392,8 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, gamma):
         p2: Pressure there.
         a2: Area there.
         face: Area of the face, at most these.
+        heads: Heads of the velocity in the other cell that are lost.
+        sieve: Pressure lost per velocity there, Pa s/m.
         gamma: Ratio of specific heats.
 
     Returns:
@@ -357,9 +403,13 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, gamma):
     most = fastest(d1, v1, p1, gamma)
     _, q1, z1 = wave_state(d1, v1, p1, 0.0, gamma)
     _, q2, z2 = wave_state(d2, v2, p2, 0.0, gamma)
-    u = min((q1 - q2) / (z1 + z2 * a1 / a2), most)
+    wide = a1 / a2
+    half, drive = z1 + (z2 + sieve) * wide, q1 - q2
+    u = 2.0 * drive / (half + math.sqrt(half * half + 2.0 * heads * d1 * wide * wide * drive))
+    u = min(u, most)
     m = h0 = push = thrust = behind = 0.0
     low, high = 0.0, most
+    choked = False  # behind the fitting
     for _ in range(STEP_STEPS):
         df, q1, z1, flux, slope = end_curve(d1, v1, p1, u, 0.0, gamma)
         h0 = k * q1 / df + 0.5 * u * u
@@ -367,6 +417,11 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, gamma):
         m = face * dn * un
         over = a1 * flux / max(m, 1e-300)
         dw, uw, pw = _widened(dn, un, pn, face, a2, h0, gamma)
+        dw, uw, pw, fine = _lost(dw, uw, pw, heads, sieve, gamma)
+        if not fine and over <= 1.0 + 1e-6:
+            choked, high = True, u
+            u = 0.5 * (low + high)
+            continue
         _, q2, z2 = wave_state(d2, v2, p2, -uw, gamma)
         push, thrust, behind = q1 + flux * u, pn + dn * un * un, pw + dw * uw * uw
         left = pw - q2
@@ -374,9 +429,10 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, gamma):
             high = u
             u /= over
             continue
-        if left >= 0.0 and (over > 1.0 + 1e-9 or u >= most):
-            # Sonic at the face, or in the cell before it: what lies behind takes what is passed,
-            # and is sonic at most.
+        stuck = choked and high - low <= CHOKED * high
+        if left >= 0.0 and (over > 1.0 + 1e-9 or u >= most or stuck):
+            # Sonic at the face, before or behind it: what lies behind takes what is passed, and is
+            # sonic at most.
             g = m / a2
             sonic = math.sqrt(2.0 * (gamma - 1.0) / (gamma + 1.0) * h0)
             uw = min(g * h0 / (k * q2), sonic)
@@ -394,16 +450,17 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, gamma):
             low = u
         else:
             high = u
-        step = left / (z1 + z2 * a1 * max(slope, 0.05 * df) / (a2 * dw))
+        resists = z2 + heads * dw * uw + sieve
+        step = left / (z1 + resists * a1 * max(slope, 0.05 * df) / (a2 * dw))
         was = u
         u += step
         if u > high:
             u = most if high >= most else 0.5 * (low + high)
         elif u < low:
             u = 0.5 * (low + high)
-        if abs(u - was) * z1 <= STEP_FOUND * q1:
+        if abs(u - was) * z1 <= STEP_FOUND * q1 and not choked:
             break
-    if v1 * v1 * d1 > gamma * p1 and m > d1 * v1 * a1:
+    if heads + sieve == 0.0 and v1 * v1 * d1 > gamma * p1 and m > d1 * v1 * a1:
         # A shock that brings more than comes would run with the flow: it is swept through, and the
         # flow contracts at a supersonic speed.
         dn, un, pn = _squeezed(d1, v1, p1, a1 / face, gamma)
@@ -416,7 +473,7 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, gamma):
 
 @branching
 def cross_steps(gas, scheme, dt, cells, steps):
-    """Fluxes through faces where the area jumps, and the force on the wall of the jump.
+    """Fluxes through faces where the area jumps or a fitting is, and the force on its wall.
 
     What flows is that of `_passed`, by which steady flow across the step stays steady. The momentum
     that this takes is what the step's wall reacts with, in place of the cell's pressure.
@@ -426,7 +483,7 @@ def cross_steps(gas, scheme, dt, cells, steps):
         scheme: How the equations are solved.
         dt: Step, s.
         cells: All slots.
-        steps: Faces at which the area jumps.
+        steps: Those faces.
     """
     w, P, S, X, gamma = cells.lanes, cells.par, cells.state, cells.work, gas.gamma
     for q in range(steps.table.shape[0]):
@@ -436,7 +493,12 @@ def cross_steps(gas, scheme, dt, cells, steps):
             af = P[L.FACE, i]
             al = steps.area[q, 0, j]
             ar = steps.area[q, 1, j]
-            if al == af and ar == af:
+            heads, sieve = P[L.LOSS, i], P[L.SIEVE, i]
+            if al == af and ar == af and heads + sieve <= 0.0:
+                continue
+            if steps.table[q, 1] == steps.table[q, 3]:  # the only cell of its pipe
+                drag = 0.5 * heads * al * al * abs(X[L.W_U, i]) + sieve * al / S[L.RHO, i]
+                S[L.MOM, i] /= 1.0 + dt * drag / P[L.LENGTH, i]
                 continue
             if scheme.order == 1:
                 dl, ul, pl = S[L.RHO, i], X[L.W_U, i], X[L.W_P, i]
@@ -447,14 +509,20 @@ def cross_steps(gas, scheme, dt, cells, steps):
             _, held_l, _ = wave_state(dl, ul, pl, 0.0, gamma)
             _, held_r, _ = wave_state(dr, -ur, pr, 0.0, gamma)
             if held_l >= held_r:
-                m, h0, gl, fp, gr = _passed(dl, ul, pl, al, dr, -ur, pr, ar, af, gamma)
+                m, h0, gl, fp, gr = _passed(
+                    dl, ul, pl, al, dr, -ur, pr, ar, af, heads * ar * ar, sieve * ar, gamma
+                )
             else:
-                m, h0, gr, fp, gl = _passed(dr, -ur, pr, ar, dl, ul, pl, al, af, gamma)
+                m, h0, gr, fp, gl = _passed(
+                    dr, -ur, pr, ar, dl, ul, pl, al, af, heads * al * al, sieve * al, gamma
+                )
                 m = -m
             fm, fe = m / af, m * h0 / af
             keep = max(1.0 - 4.0 * (1.0 - af / max(al, ar)), 0.0)
+            lost = heads * af * af + sieve * af / math.sqrt(gamma * pl * dl)
+            keep *= max(1.0 - lost, 0.0)
             if keep > 0.0:
-                # a small step changes the flux of other faces a little
+                # a small step, or loss, changes the flux of other faces a little
                 em, ep, ee = exact_flux(dl, ul, pl, dr, ur, pr, gamma, EXACT)
                 fm += keep * (X[L.W_FM, i] - em)
                 fe += keep * (X[L.W_FE, i] - ee)

@@ -97,48 +97,23 @@ def find_decay(gas, dt, cells):
     _decay(gas.prandtl, dt, P[L.RELAX], P[L.QUICKEN], X[L.W_RI], D[L.D_PHI], a_u, a_t, fade)
 
 
-@inlined
-def _slowed(u, v0, il, ir, viscous, loss, dt):
-    """How far drag that goes with the velocity gets in a step, and what a quadratic law adds.
-
-    The velocity at the middle of the step is foreseen from both of its ends without that drag; it
-    lies between them, however strong the drag is.
-
-    Args:
-        u: Velocity at the step's beginning, m/s.
-        v0: What it would be at its end without drag, m/s.
-        il: One over the density at one side of the cell, m^3/kg.
-        ir: The same at the other.
-        viscous: Drag per velocity and volume, Pa s/m^2.
-        loss: Velocity heads lost per length, 1/m.
-        dt: Step, s.
-
-    Returns:
-        Step over the time in which the drag takes the velocity away.
-    """
-    x = 0.5 * dt * viscous * (il + ir)
-    now = x + 0.5 * dt * loss * abs(u)
-    most = max(abs(u), abs(v0))
-    middle = min(abs(u + 0.5 * (v0 - u - now * u)), most)
-    return x + 0.5 * dt * loss * middle
-
-
 @vectorised
 def _steadily(gas, dt, gas_is, was, wall, drag, warm):
     """See `act_steadily`."""
     rho, mom, ene, ri = gas_is
     u, t_old, il, ir = was
-    visc, loss, wall_t, phi, film = wall
+    visc, wall_t, phi, film = wall
     cv = gas.r / (gas.gamma - 1.0)
     recovered = gas.prandtl ** (1.0 / 3.0) / (2.0 * gas.gamma * cv)
     i_cv = 1.0 / cv
     i_dt = 1.0 / dt
+    half = 0.5 * dt
     for i in each(rho.size):
         k = ri[i]
         v0 = mom[i] * k
         t0 = (ene[i] * k - 0.5 * v0 * v0) * i_cv
-        x = _slowed(u[i], v0, il[i], ir[i], visc[i] * phi[i], loss[i], dt)
-        h = 0.5 * dt * film[i] * (il[i] + ir[i]) * i_cv
+        x = half * (il[i] + ir[i]) * visc[i] * phi[i]
+        h = half * (il[i] + ir[i]) * film[i] * i_cv
         hold = 1.0 + x + 0.5 * x * x
         keep = 1.0 + h + 0.5 * h * h
         q = 1.0 / (hold * keep)
@@ -177,7 +152,7 @@ def act_steadily(gas, order, dt, cells):
         dt,
         (S[L.RHO], S[L.MOM], S[L.ENE], X[L.W_RI]),
         (X[L.W_U], X[L.W_T], il, ir),
-        (P[L.VISCOUS], P[L.LOSS], P[L.WALL_T], D[L.D_PHI], D[L.D_FILM]),
+        (P[L.VISCOUS], P[L.WALL_T], D[L.D_PHI], D[L.D_FILM]),
         D[L.D_DRAG],
         D[L.D_WARM],
     )
@@ -254,14 +229,14 @@ def _remember(given, hold, tie, before, xi, a, f, x0, x1, x2, x3, x4, x5):
 def _drag(dt, gas_is, wall, fading, drag, y):
     """See `drag_with_memory`."""
     rho, mom, ri, u, il, ir = gas_is
-    phi, visc, loss, unst = wall
+    phi, visc, unst = wall
     decay, fade, stay = fading
     y0, y1, y2, y3, y4, y5 = y
     i_dt = 1.0 / dt
     half = 0.5 * dt
     for i in each(rho.size):
         v0 = mom[i] * ri[i]
-        x = _slowed(u[i], v0, il[i], ir[i], visc[i] * phi[i], loss[i], dt)
+        x = half * (il[i] + ir[i]) * visc[i] * phi[i]
         g = 1.0 + 0.5 * x
         v, y0[i], y1[i], y2[i], y3[i], y4[i], y5[i] = _remember(
             u[i] + g * (v0 - u[i]),
@@ -298,7 +273,7 @@ def drag_with_memory(order, dt, cells):
     _drag(
         dt,
         (S[L.RHO], S[L.MOM], X[L.W_RI], X[L.W_U], il, ir),
-        (D[L.D_PHI], P[L.VISCOUS], P[L.LOSS], P[L.UNSTEADY]),
+        (D[L.D_PHI], P[L.VISCOUS], P[L.UNSTEADY]),
         (D[L.D_AU], D[L.D_FADE], D[L.D_STAY]),
         D[L.D_DRAG],
         (S[L.Y0], S[L.Y0 + 1], S[L.Y0 + 2], S[L.Y0 + 3], S[L.Y0 + 4], S[L.Y0 + 5]),

@@ -311,7 +311,7 @@ def spool_row(spool: Spool, switch: Switch | None = None) -> Floats:
 
 
 def area_steps(models: Sequence[Model]) -> tuple[Ints, Floats]:
-    """Faces at which the area jumps in any of some models on one plan.
+    """Faces at which the area jumps, or a fitting is, in any of some models on one plan.
 
     Args:
         models: The models.
@@ -321,21 +321,27 @@ def area_steps(models: Sequence[Model]) -> tuple[Ints, Floats]:
         (n_steps, 2, n_models).
     """
     plan = models[0].plan
-    if models[0].thesis_joints:
-        return np.zeros((0, 5), dtype=np.int64), np.zeros((0, 2, len(models)))
     index: list[tuple[int, int, int, int, int]] = []
     area: list[Floats] = []
     here = np.stack([m.cell[L.AREA] for m in models], axis=-1)
     smooth = np.stack([m.cell[L.TAPER] != 0.0 for m in models], axis=-1)
     narrow = np.stack([m.cell[L.FACE] for m in models], axis=-1)[:-1]
+    lossy = np.stack([m.cell[L.LOSS] + m.cell[L.SIEVE] > 0.0 for m in models], axis=-1)[:-1]
     jump = (here[:-1] != here[1:]) | (narrow < np.minimum(here[:-1], here[1:]))
     jump &= ~(smooth[:-1] | smooth[1:])
+    if models[0].thesis_joints:
+        jump[:] = False
     for first, n in plan.pipes.values():
-        for f in (first + np.flatnonzero(jump[first : first + n - 1].any(axis=1))).tolist():
+        if n == 1 and lossy[first].any():  # on the gas of the cell: it has no face to a next one
+            index.append((first, first, 1, first, 1))
+            area.append(np.array([[m.cell[L.FACE, first] for m in models]] * 2))
+        there = (jump | lossy)[first : first + n - 1].any(axis=1)
+        for f in (first + np.flatnonzero(there)).tolist():
             face = np.array([m.cell[L.FACE, f] for m in models])
             index.append((f, f, 1, f + 1, 1))
             area.append(np.where(jump[f], here[f : f + 2], face))
-    for e, (cell, _, face, sign, kind, other) in enumerate(plan.ends.tolist()):
+    links = [] if models[0].thesis_joints else plan.ends.tolist()
+    for e, (cell, _, face, sign, kind, other) in enumerate(links):
         if kind != L.LINK or e > other:
             continue  # the first of two linked ends carries the face
         own = np.array([m.end_area[e] for m in models])

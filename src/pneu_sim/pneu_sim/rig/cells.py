@@ -49,7 +49,7 @@ class Narrowed:
         face: (n + 1,) area of each face, relative to the pipe's there.
         viscous: (n,) factor on its laminar drag per volume.
         turbulent: (n,) factor on its turbulent drag per volume.
-        heads: (n,) heads of the velocity in the cell that are lost besides.
+        heads: (n + 1,) heads of the pipe's own velocity that are lost at each face besides.
     """
 
     area: Floats
@@ -67,8 +67,8 @@ def narrowed_by(pipe: Pipe, faces: Floats) -> Narrowed:
     inertance, the integrals of A and of 1 / A, are those of the parts: it reflects waves as the
     narrowing does. The faces next to its middle have its own area, at which the flow chokes. The
     jet behind it loses what Borda and Carnot say, whatever the cells: what the steps from cell to
-    cell and to those faces do not lose is lost along the cells. The flow into it loses what a sharp
-    edge does (Idelchik 2007, diagram 4-9).
+    cell and to those faces do not lose is lost at a face besides. The flow into it loses what a
+    sharp edge does (Idelchik 2007, diagram 4-9).
 
     Args:
         pipe: The pipe with its narrowings.
@@ -129,20 +129,31 @@ def narrowed_by(pipe: Pipe, faces: Floats) -> Narrowed:
         root = math.sqrt(rise**2 + 4.0 * float(np.sum(t**2)) * max(less, 0.0))
         part = 2.0 * less / (rise + root) if less > 0.0 else 0.0
     missing = max(wanted - lost(part), 0.0) / max(wanted, 1e-300)
-    centres, heads = 0.5 * (faces[1:] + faces[:-1]), np.zeros(n)
+    heads = np.zeros(n + 1)
     for x, head in zip(where, edge + missing * jet, strict=True):
-        for i, share in spread(x, centres) if head > 0.0 else ():
-            heads[i] += share * head * area[i] ** 2
+        for f, share in faces_near(x, faces) if head > 0.0 else ():
+            heads[f] += share * head
     face = 1.0 / (widest + part * throat)
     return Narrowed(area, length, face, viscous, turbulent, heads)
 
 
-def spread(x: float, centres: Floats) -> list[tuple[int, float]]:
-    """Shares of a point between the two cells around it, so that it can move smoothly.
+def faces_near(x: float, faces: Floats) -> list[tuple[int, float]]:
+    """Shares of a fitting between the two faces around it that lie between cells of its pipe.
 
     Args:
         x: Where it is, m.
-        centres: (n,) middles of the cells, m.
+        faces: (n + 1,) where the cells end, m; of a single cell it is the last one.
+    """
+    inner = faces[1:-1] if faces.size > 2 else faces[1:]
+    return [(f + 1, share) for f, share in spread(x, inner)]
+
+
+def spread(x: float, centres: Floats) -> list[tuple[int, float]]:
+    """Shares of a point between the two around it, so that it can move smoothly.
+
+    Args:
+        x: Where it is, m.
+        centres: (n,) middles of cells, or faces between them, m.
     """
     if centres.size == 1:
         return [(0, 1.0)]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pneu_sim import layout as L
 from pneu_sim.gas import Gas
-from pneu_sim.rig.cells import Narrowed, areas, narrowed_by, spread
+from pneu_sim.rig.cells import Narrowed, areas, faces_near, narrowed_by, spread
 from pneu_sim.rig.plan import Plan
 from pneu_sim.rig.schema import Pipe, Rig
 
@@ -37,7 +37,7 @@ def cells_of(rig: Rig, plan: Plan, gas: Gas) -> Floats:
         narrowed = narrowed_by(pipe, faces)
         cell[L.FACE, first - 1 : first + n] = _shape(cell[:, span], pipe, faces, narrowed)
         _walls(cell[:, span], pipe, narrowed, gas, room.temperature_k)
-        _losses(cell[:, span], pipe, faces, narrowed)
+        cell[[L.LOSS, L.SIEVE], first - 1 : first + n] = _losses(pipe, faces, narrowed)
     if not rig.grid.memory:
         # One rig of a batch may have memory where the others have none.
         cell[[L.UNSTEADY, L.HEAT_UNSTEADY]] = 0.0
@@ -97,21 +97,17 @@ def _walls(cell: Floats, pipe: Pipe, narrowed: Narrowed, gas: Gas, room_k: float
     cell[L.COMPLIANCE] = wall.compliance_per_pa * area * cell[L.LENGTH] / volume
 
 
-def _losses(cell: Floats, pipe: Pipe, faces: Floats, narrowed: Narrowed) -> None:
-    """Local losses of a pipe whose walls have their drag."""
-    dx = pipe.length_m / (faces.size - 1)
-    centres = 0.5 * (faces[1:] + faces[:-1])
-    cell[L.LOSS] += narrowed.heads / (narrowed.length * dx)
-    # heads and drops of pressure of the pipe's velocity, which in a narrowed cell is higher
-    long, wide = narrowed.length * dx, narrowed.area
-    for loss in pipe.losses:
-        for i, share in spread(loss.position_m, centres):
-            cell[L.LOSS, i] += share * loss.k * wide[i] ** 2 / long[i]
-            if loss.resistance_pa_s_m > 0.0:
-                # A viscous part that turbulence does not raise: taken out of the gain on it.
-                own = cell[L.VISCOUS, i]
-                total = own + share * loss.resistance_pa_s_m * wide[i] / long[i]
-                cell[L.VISCOUS, i] = total
-                cell[L.TURBULENT, i] *= own / total
-    cell[L.LOSS, 0] += pipe.loss_from * wide[0] ** 2 / long[0]
-    cell[L.LOSS, -1] += pipe.loss_to * wide[-1] ** 2 / long[-1]
+def _losses(pipe: Pipe, faces: Floats, narrowed: Narrowed) -> Floats:
+    """(2, n + 1) what is lost at the faces of a pipe: velocity heads over A^2, and R over A.
+
+    Losses at an end are those of the face next to it.
+    """
+    lost = np.zeros((2, faces.size))
+    lost[0] = narrowed.heads
+    ends = ((0.0, pipe.loss_from, 0.0), (pipe.length_m, pipe.loss_to, 0.0))
+    along = [(loss.position_m, loss.k, loss.resistance_pa_s_m) for loss in pipe.losses]
+    for x, heads, resistance in (*ends, *along):
+        for f, share in faces_near(x, faces):
+            lost[:, f] += share * heads, share * resistance
+    plain = areas(pipe, faces)[1]
+    return np.array([lost[0] / plain**2, lost[1] / plain])
