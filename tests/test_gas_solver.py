@@ -264,7 +264,7 @@ def test_darcy_factor_over_all_reynolds_numbers(roughness: float) -> None:
     cells.state[L.MOM] = reynolds
     cells.par[L.ROUGH] = (roughness / 3.7) ** 1.11
     cells.par[L.ONSET] = 1.0 / 2300.0
-    cells.par[[L.REYNOLDS, L.TURBULENT]] = 1.0
+    cells.par[[L.REYNOLDS, L.LAMINAR, L.TURBULENT]] = 1.0
     walls.find_coefficients(kernel.Gas(1.4, 287.05, 0.7), cells)
     factor = 64.0 / reynolds * cells.wall[L.D_PHI]
     for re, f in zip(reynolds, factor, strict=True):

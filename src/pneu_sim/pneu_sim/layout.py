@@ -22,7 +22,7 @@ AREA: Final = 0  # cross-section of the cell, m^2
 FACE: Final = 1  # area of the face between this slot and the next, m^2
 INV_VOLUME: Final = 2  # 1 / volume, 1/m^3; zero marks a ghost
 LENGTH: Final = 3  # cell length, m; negative marks a ghost
-VISCOUS: Final = 4  # laminar drag 8 pi mu / A times the chosen factor, Pa s/m^2
+VISCOUS: Final = 4  # drag of Poiseuille's flow, 8 pi mu / A, Pa s/m^2
 UNSTEADY: Final = 5  # unsteady drag 4 pi mu / A times the chosen factor, Pa s/m^2
 RELAX: Final = 6  # pi mu N1 / A: decay of the slowest memory state, times density, kg/(m^3 s)
 REYNOLDS: Final = 7  # D / mu, so that Re = rho |u| D / mu
@@ -39,7 +39,8 @@ REST_P: Final = 17  # pressure at which the wall has its nominal area, Pa
 TAPER: Final = 18  # relative growth of the area along the pipe, where it tapers smoothly, 1/m
 ONSET: Final = 19  # 1 / Reynolds number at which turbulence sets in
 QUICKEN: Final = 20  # gain on how much faster memory fades in turbulent flow
-PARAM_ROWS: Final = 21
+LAMINAR: Final = 21  # gain on the laminar drag, 1 = Poiseuille
+PARAM_ROWS: Final = 22
 
 # --- work rows ------------------------------------------------------------------------------------
 W_U: Final = 0
@@ -62,7 +63,7 @@ W_IR: Final = 15
 WORK_ROWS_OF_SECOND: Final = 16
 
 # --- rows of what walls do ------------------------------------------------------------------------
-D_PHI: Final = 0  # wall drag relative to laminar
+D_PHI: Final = 0  # wall drag relative to Poiseuille's
 D_AU: Final = 1  # decay factor of the slowest memory state of drag
 D_AT: Final = 2  # decay factor of the slowest memory state of heat
 D_FADE: Final = 3  # additional decay of all memory in turbulent flow
@@ -70,7 +71,10 @@ D_FILM: Final = 4  # quasi-steady wall heat, W/(m^3 K)
 D_STAY: Final = 5  # inverse of the slowest decay rate times density, m^3 s/kg
 D_DRAG: Final = 6  # momentum that the wall gave in the last step, per volume and time, N/m^3
 D_WARM: Final = 7  # heat that the wall gave in the last step, W/m^3
-WALL_ROWS: Final = 8
+D_EXCESS: Final = (
+    8  # what turbulence adds to that at the Reynolds number, in a smooth tube's gain of 1
+)
+WALL_ROWS: Final = 9
 
 # --- rows of what yielding walls hold -------------------------------------------------------------
 SOFT_STRETCH: Final = 0  # area relative to the nominal one
@@ -205,7 +209,8 @@ C_HEIGHT: Final = 6  # height of its gas, m
 C_INLET: Final = 7  # diameter of the jet that enters, m; 0 stirs nothing
 C_VISCOUS: Final = 8  # Sutherland's law mu = C_VISCOUS T^1.5 / (T + C_SUTHERLAND), kg/(m s K^0.5)
 C_SUTHERLAND: Final = 9  # K
-CHAMBER_PARAMS: Final = 10
+C_STIRRED: Final = 10  # share of that area which the jet stirs
+CHAMBER_PARAMS: Final = 11
 
 # --- chamber rows ---------------------------------------------------------------------------------
 H_PRESSURE: Final = 0  # Pa
@@ -260,7 +265,11 @@ PY_START: Final = 26  # extension at the start, m
 PY_MASS: Final = 27  # of what moves by itself where a joint has play, kg
 PY_SOFT: Final = 28  # deflection of the seals per force before they slide, m/N
 PY_SOFT_DAMPING: Final = 29  # force per rate of that, N s/m
-CYLINDER_PARAMS: Final = 30
+PY_THROTTLE: Final = 30  # length of a throttle besides the cushion, m; of the rod side the next
+PY_THROTTLE_ROD: Final = 31
+PY_HEADS: Final = 32  # velocity heads that it costs at the end; of the rod side the next
+PY_HEADS_ROD: Final = 33
+CYLINDER_PARAMS: Final = 34
 
 # --- cylinder state rows --------------------------------------------------------------------------
 SY_EXTENSION: Final = 0  # m, or rad of a rotary one

@@ -19,6 +19,7 @@ from pneu_sim import layout as L
 from pneu_sim.gas import AIR, Gas
 from pneu_sim.models import kind_of
 from pneu_sim.rig.expand import gas_of_sides, with_cylinders
+from pneu_sim.rig.model import S_OFFSET
 from pneu_sim.rig.network import reservoir_of_pipes
 from pneu_sim.rig.plan import common_plan
 from pneu_sim.rig.schema import Rig
@@ -148,6 +149,25 @@ class Plant:
         self._encoders = Sensors.of_encoders(self.solver.models)
         self.encoder_of = self._places_of_encoders()
         self.reset()
+
+    def refuse_early_clocks(self) -> None:
+        """Refuses sensors whose clock is ahead, where the plant is asked sample by sample.
+
+        They show what is still to come, which only a run of known length has.
+
+        Raises:
+            InputError: There is one.
+        """
+        for model in self.solver.models:
+            offsets = [*model.sensor[:, S_OFFSET], *model.encoder[:, S_OFFSET]]
+            names = [*self.plan.taps, *self.plan.encoders]
+            for name, offset_s in zip(names, offsets, strict=True):
+                if offset_s < 0.0:
+                    raise InputError(
+                        f"rig {self.rigs[0].name!r}: clock of {name!r}: found"
+                        f" {-offset_s * 1e3:g} ms early; a plant that is stepped cannot show what"
+                        " is to come; give the other sensors a late clock instead"
+                    )
 
     @property
     def lanes(self) -> int:

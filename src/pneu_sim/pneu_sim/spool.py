@@ -260,11 +260,13 @@ def _lagging(
     memory: Floats,
     out: Floats,
 ) -> int:
-    """A spool with a bandwidth, over one interval: its positions at the knots.
+    """A spool with a bandwidth, over one interval: its means about the knots.
+
+    As its bandwidth grows it comes to one that follows at once, whatever the length of intervals.
 
     Every command begins at its own time: while the acceleration is at its limit a command counts by
     how long it lasts and not by its size, so its mean over a while would act for all of it. Without
-    limits and integral the steps are exact.
+    limits and integral the steps are exact, and so are the means.
 
     Args:
         time: Times of the commands, s.
@@ -287,12 +289,14 @@ def _lagging(
     linear = row[V_INTEGRAL] == 0.0 and limit == math.inf and speed == math.inf
     target, x, v, acc = memory
     target = _played(target, volts[i], half)
-    usual = h if linear else h / max(1, math.ceil(h * w / FINEST))
+    part = 0.5 * h
+    usual = part if linear else part / max(1, math.ceil(part * w / FINEST))
     u11, u12, u21, u22 = _response(w, zeta, usual)
-    out[0] = x
-    for k in range(1, out.size):
-        t = (k - 1) * h
-        end = k * h
+    before = 0.0
+    for m in range(2 * (out.size - 1)):
+        t = m * part
+        end = (m + 1) * part
+        area, start = 0.0, x  # of the way from there, in this half of a knot's distance
         while True:
             event = i + 1 < time.size and time[i + 1] - base < end - SAME_S
             span = (max(time[i + 1] - base, t) if event else end) - t
@@ -304,10 +308,14 @@ def _lagging(
                 a11, a12, a21, a22 = _response(w, zeta, hs)
             gain = 0.5 * row[V_INTEGRAL] * w * w * hs
             for _ in range(sub):
+                x0, v0 = x, v
                 if linear:
                     d = x - target
                     x = target + a11 * d + a12 * v
                     v = a21 * d + a22 * v
+                    # its equation of motion, integrated over the step
+                    faster = v - v0
+                    area += (target - start) * hs - (faster + 2.0 * zeta * w * (x - x0)) / (w * w)
                     continue
                 # The exact step without limits, of which these let a share happen: all of it
                 # where none is reached, so that the step is continuous in them.
@@ -319,6 +327,9 @@ def _lagging(
                 if abs(v + allowed) > speed:
                     allowed = math.copysign(speed, v + allowed) - v
                 share = 1.0 if allowed == faster else allowed / faster
+                evenly = (x0 - start + 0.5 * v0 * hs) * hs
+                whole = (goal - start) * hs - (faster + 2.0 * zeta * w * moved) / (w * w)
+                area += evenly + share * (whole - evenly)
                 x += v * hs + share * (moved - v * hs)
                 v += allowed
                 # What the spool cannot follow must not wind up.
@@ -328,7 +339,12 @@ def _lagging(
             t += span
             i += 1
             target = _played(target, volts[i], half)
-        out[k] = x
+        mean = start + area / part
+        if m % 2 == 1:
+            before = mean
+        else:
+            out[m // 2] = mean if m == 0 else 0.5 * (before + mean)
+    out[out.size - 1] = before
     memory[0] = target
     memory[1] = x
     memory[2] = v

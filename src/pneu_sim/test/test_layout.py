@@ -8,10 +8,10 @@ from pneu_sim import layout as L
 pytestmark = pytest.mark.kernel_free
 
 TABLES = {
-    "PARAM_ROWS": ("AREA", "QUICKEN"),
+    "PARAM_ROWS": ("AREA", "LAMINAR"),
     "WORK_ROWS": ("W_U", "W_FE"),
     "WORK_ROWS_OF_SECOND": ("W_U", "W_IR"),
-    "WALL_ROWS": ("D_PHI", "D_WARM"),
+    "WALL_ROWS": ("D_PHI", "D_EXCESS"),
     "SOFT_ROWS": ("SOFT_STRETCH", "SOFT_FACE"),
     "END_COLUMNS": ("E_CELL", "E_REF"),
     "SIDE_COLUMNS": ("D_SLOT", "D_END"),
@@ -26,9 +26,9 @@ TABLES = {
     "RIPPLE_PARAMS": ("RIPPLE_AMPLITUDE", "RIPPLE_PHASE"),
     "TERM_COLUMNS": ("K_SLOT", "K_KIND"),
     "LEAK_PARAMS": ("LEAK_SIZE", "LEAK_RANGE"),
-    "CHAMBER_PARAMS": ("C_VOLUME", "C_SUTHERLAND"),
+    "CHAMBER_PARAMS": ("C_VOLUME", "C_STIRRED"),
     "CHAMBER_ROWS": ("H_PRESSURE", "H_SHUT"),
-    "CYLINDER_PARAMS": ("PY_AREA", "PY_SOFT_DAMPING"),
+    "CYLINDER_PARAMS": ("PY_AREA", "PY_HEADS_ROD"),
     "CYLINDER_STATE": ("SY_EXTENSION", "SY_BENT"),
     "CYLINDER_WORK": ("WY_SPEED", "WY_HEAT_ROD"),
     "BODY_COLUMNS": ("B_KIND", "B_PLACES"),

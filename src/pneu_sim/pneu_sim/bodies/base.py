@@ -83,6 +83,8 @@ class Body(Part, ABC):
 
     loaded: ClassVar[tuple[str, ...]] = ()
     """Fields of the joints that may carry something, see `carry`."""
+    same_anywhere: ClassVar[tuple[str, ...]] = ()
+    """Those of them whose load acts alike wherever it lies: slides, and a torso's middle."""
     off_centre: ClassVar[tuple[str, ...]] = ()
     """Fields of the joints whose link's centre of mass may be elsewhere, see `shift_centre`."""
     cranks: ClassVar[dict[str, str]] = {}
@@ -99,7 +101,7 @@ class Body(Part, ABC):
         raise ValueError(f"nothing that {field} moves can be loaded")
 
     def shift_centre(self, field: str, offset_m: float) -> None:
-        """Moves the centre of mass of the link of a joint along it, its inertia about that kept.
+        """Moves the centre of mass of all that a joint's link has, its inertia about that kept.
 
         Args:
             field: One of `off_centre`.

@@ -91,14 +91,15 @@ class Kokoro(Body):
         self.theta_inertia_kg_m2 += mass_kg * distance_m**2
 
     def shift_centre(self, field: str, offset_m: float) -> None:
-        """See `Body.shift_centre`; kept is the inertia about the joint, which is what it has.
+        """See `Body.shift_centre`.
 
         Args:
             field: The joint's field.
             offset_m: Away from the joint.
         """
         del field
-        self.centre_m += offset_m
+        before, self.centre_m = self.centre_m, self.centre_m + offset_m
+        self.theta_inertia_kg_m2 += self.mass_kg * (self.centre_m**2 - before**2)
 
     @property
     def driven_by(self) -> list[str]:

@@ -48,13 +48,15 @@ class Link(Part):
         self.mass_kg, self.centre_m, self.inertia_kg_m2 = whole, centre, max(rod, 0.0)
 
     def shift_centre(self, offset_m: float) -> None:
-        """Moves the rod's centre of mass.
+        """Moves the centre of mass of rod and tip, which become one rod of their inertia.
 
         Args:
             offset_m: Away from the joint, m.
         """
-        self.inertia_kg_m2 = self._rod_inertia_kg_m2()
-        self.centre_m = self._rod_centre_m() + offset_m
+        whole, centre = self.total_kg, self.first_moment_kg_m / self.total_kg
+        inertia = self.second_moment_kg_m2 - whole * centre**2
+        self.tip_kg, self.mass_kg, self.centre_m = 0.0, whole, centre + offset_m
+        self.inertia_kg_m2 = max(inertia, 0.0)
 
     @property
     def total_kg(self) -> float:

@@ -11,7 +11,9 @@ from pneu_sim.rig.schema import Rig
 class Backlash(Effect):
     """Width of the play, added to the rig's, and the mass of what is loose in it.
 
-    That mass, of piston, rod and clevis, is part of the joint's inertia while both touch.
+    That mass, of piston, rod and clevis, is part of the joint's inertia while both touch. Of a
+    joint that has play already it is the mean of the rig's and the effect's, weighted by their
+    plays.
     """
 
     name: ClassVar[str] = "backlash"
@@ -42,8 +44,11 @@ class Backlash(Effect):
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
         if values["width"] <= 0.0:
             return
-        joint_at(rig, place).play += values["width"]
+        joint = joint_at(rig, place)
+        share = values["width"] / (joint.play + values["width"])
+        joint.play += values["width"]
         body, _ = joints(rig)[place]
         for name in body.driven_by:
             if rig.cylinders[name].rotary is None:
-                rig.cylinders[name].loose_kg = values["loose_kg"]
+                own = rig.cylinders[name].loose_kg
+                rig.cylinders[name].loose_kg = own + share * (values["loose_kg"] - own)

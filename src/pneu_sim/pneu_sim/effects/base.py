@@ -90,6 +90,8 @@ class Effect(ABC):
             effect vanishes at strength zero.
         contains: Name of an effect that is a special case of this one; it is named instead, unless
             this one explains more.
+        last: Whether it is worked in after all others, of whatever order they were attached: it
+            moves what they put in place.
         next_experiment: Recording that shows this effect apart from its look-alikes.
     """
 
@@ -105,6 +107,7 @@ class Effect(ABC):
     traded: ClassVar[bool] = False
     arm: ClassVar[str] = ""
     contains: ClassVar[str | None] = None
+    last: ClassVar[bool] = False
     next_experiment: ClassVar[str]
 
     @property

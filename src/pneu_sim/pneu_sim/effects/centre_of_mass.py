@@ -9,12 +9,12 @@ from pneu_sim.rig.schema import Rig
 
 
 class CentreOfMass(Effect):
-    """Offset of a link's centre of mass, its inertia kept."""
+    """Offset of the centre of mass of all that a link has, its inertia about that kept."""
 
     name: ClassVar[str] = "centre_of_mass"
     title: ClassVar[str] = "centre of mass elsewhere"
     where: ClassVar[str] = "joint"
-    formula: ClassVar[str] = "l = l_rig + offset_m"
+    formula: ClassVar[str] = "l = l_rig + offset_m, I = I_rig + M (l^2 - l_rig^2) about the joint"
     source: ClassVar[str] = "statics of a link"
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("offset_m", "m", 0.0, -0.5, 1.0, 0.02, 5e-4),

@@ -3,7 +3,9 @@
 
 from typing import ClassVar
 
+from pneu_sim import layout as L
 from pneu_sim.effects.base import Effect, EffectParameter
+from pneu_sim.rig.model import Model
 from pneu_sim.rig.schema import Rig
 
 
@@ -12,7 +14,7 @@ class ChamberConvection(Effect):
 
     Its conductance grows with the gas's density, with the difference of temperatures, and with what
     enters. Height of the gas and diameter of the inlet are the rig's (`height_m`, `inlet_m` of the
-    chamber); where it has no inlet, the effect's is taken.
+    chamber); where it has no inlet, the effect's is taken, and stirs what the effect adds.
     """
 
     name: ClassVar[str] = "chamber_convection"
@@ -42,6 +44,10 @@ class ChamberConvection(Effect):
         return list(rig.chambers)
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
-        chamber = rig.chambers[place]
-        chamber.convection_m2 += values["area_m2"]
-        chamber.inlet_m = chamber.inlet_m or values["inlet_m"]
+        rig.chambers[place].convection_m2 += values["area_m2"]
+
+    def on_model(self, model: Model, rig: Rig, place: str, values: dict[str, float]) -> None:
+        row = model.chamber[model.plan.chambers.index(place)]
+        if rig.chambers[place].inlet_m is None and values["area_m2"] > 0.0:
+            row[L.C_INLET] = values["inlet_m"]
+            row[L.C_STIRRED] += values["area_m2"] / row[L.C_CONVECTION]

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """End cushion: gas leaves a cylinder through a narrow way while its piston comes to that end."""
 
-import math
 from typing import ClassVar
 
+from pneu_sim import layout as L
 from pneu_sim.effects.base import Effect, EffectParameter
-from pneu_sim.effects.places import cylinder_sides, ways_in
-from pneu_sim.rig.cylinder import Cushion
+from pneu_sim.effects.places import ways_in
+from pneu_sim.rig.mechanics import SIDES
+from pneu_sim.rig.model import Model
 from pneu_sim.rig.schema import Rig
 
 
@@ -17,8 +18,8 @@ class EndCushion(Effect):
     title: ClassVar[str] = "cushion at the end of a stroke"
     where: ClassVar[str] = "side of a cylinder"
     formula: ClassVar[str] = (
-        "1 / A^2 = 1 / A_rig^2 + K / A_whole^2 for gas that leaves while the piston stands at the"
-        " end; over length_m A grows linearly to the whole way in"
+        "1 / A^2 = 1 / A_rig^2 + 1 / A_x^2 - 1 / A_whole^2 for gas that leaves; A_x grows linearly"
+        " from A_whole / sqrt(1 + K) at the end of the stroke to A_whole at length_m from it"
     )
     source: ClassVar[str] = (
         "cushioned cylinders: Beater, Pneumatic Drives, Springer 2007, ch. 5; minor loss of an"
@@ -46,10 +47,10 @@ class EndCushion(Effect):
         return min(low, high), high
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
-        if values["K"] <= 0.0:
-            return
-        side = cylinder_sides(rig)[place]
-        left = 1.0 if side.cushion is None else side.cushion.opening
-        side.cushion = Cushion(
-            length_m=values["length_m"], opening=1.0 / math.sqrt(1.0 / left**2 + values["K"])
-        )
+        """Leaves the rig's own cushion, of another length, as it is; see `on_model`."""
+
+    def on_model(self, model: Model, rig: Rig, place: str, values: dict[str, float]) -> None:
+        cylinder, side = place.rsplit(".", 1)
+        row, s = model.cylinder[model.plan.cylinders.index(cylinder)], SIDES.index(side)
+        row[L.PY_THROTTLE + s] = values["length_m"]
+        row[L.PY_HEADS + s] += values["K"]

@@ -9,13 +9,14 @@ from pneu_sim.rig.schema import Rig
 
 
 class Payload(Effect):
-    """A point mass on what a joint moves."""
+    """A point mass on what a joint moves; on what slides it acts alike at any distance."""
 
     name: ClassVar[str] = "payload"
     title: ClassVar[str] = "load that a link carries"
     where: ClassVar[str] = "joint"
     formula: ClassVar[str] = (
-        "M = M_rig + mass_kg distance_m^2, and its weight at that distance from a rotary joint"
+        "about a rotary joint I = I_rig + mass_kg distance_m^2, and its weight at that distance;"
+        " on a slide M = M_rig + mass_kg"
     )
     source: ClassVar[str] = "Newton's second law"
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
@@ -31,6 +32,10 @@ class Payload(Effect):
 
     def places(self, rig: Rig) -> list[str]:
         return [name for name, (body, field) in joints(rig).items() if field in body.loaded]
+
+    def fitted(self, rig: Rig, place: str) -> tuple[EffectParameter, ...]:
+        body, field = joints(rig)[place]
+        return () if field in body.same_anywhere else super().fitted(rig, place)
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
         body, field = joints(rig)[place]

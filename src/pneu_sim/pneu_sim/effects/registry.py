@@ -310,7 +310,7 @@ def apply_to_rig(rig: Rig) -> Rig:
     if not rig.effects:
         return rig
     copy = rig.model_copy(deep=True)
-    for attached in rig.effects:
+    for attached in sorted(rig.effects, key=lambda one: find_effect(one.effect).last):
         effect = find_effect(attached.effect)
         places = effect.places(rig)
         if attached.place not in places:

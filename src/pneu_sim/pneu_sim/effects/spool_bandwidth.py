@@ -8,7 +8,8 @@ from pneu_sim.effects.base import Effect, EffectParameter
 from pneu_sim.rig.schema import Rig
 
 HIGHEST_HZ = 1e5
-"""Natural frequency given to an instant spool by a vanishing lag; far above any sample rate."""
+"""Highest natural frequency given to an instant spool with limits, whose motion is stepped through;
+far above any sample rate."""
 
 
 class SpoolBandwidth(Effect):
@@ -48,4 +49,8 @@ class SpoolBandwidth(Effect):
         spool = rig.valves[place].spool
         if spool.bandwidth_hz is not None:
             lag += spool.damping / (math.pi * spool.bandwidth_hz)
-        spool.bandwidth_hz = min(spool.damping / (math.pi * lag), HIGHEST_HZ)
+        stepped = spool.integral > 0.0 or not (
+            spool.max_acceleration_v_s2 is None and spool.max_speed_v_s is None
+        )
+        highest = HIGHEST_HZ if stepped else math.inf
+        spool.bandwidth_hz = min(spool.damping / (math.pi * lag), highest)

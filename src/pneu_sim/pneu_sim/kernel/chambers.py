@@ -100,7 +100,7 @@ def convection(c, j, gas, chambers):
     Nu = 0.56 Re_d^0.67 + 0.104 Ra_H^0.352: Woodfield, Monde and Mitsutake 2007, J. Therm. Sci.
     Technol. 2(2), 180, of vessels being charged, as quoted in HydDown's manual. While nothing
     enters the second term is left. Re is of the jet where it enters, Ra and Nu are of the gas's
-    height.
+    height. The jet stirs its share of the wall.
 
     Args:
         c: The chamber.
@@ -117,7 +117,8 @@ def convection(c, j, gas, chambers):
     rayleigh = gas.prandtl * GRAVITY_M_S2 * abs(t - wall) / film * height**3 / (nu * nu)
     nusselt = 0.104 * rayleigh**0.352
     if d > 0.0:
-        nusselt += 0.56 * (4.0 * work[c, L.H_INFLOW, j] / (math.pi * d * mu)) ** 0.67
+        stirred = 0.56 * (4.0 * work[c, L.H_INFLOW, j] / (math.pi * d * mu)) ** 0.67
+        nusselt += par[c, L.C_STIRRED, j] * stirred
     cp = gas.gamma * gas.r / (gas.gamma - 1.0)
     return par[c, L.C_CONVECTION, j] * nusselt * mu * cp / gas.prandtl / height
 

@@ -153,6 +153,11 @@ def open_cushions(ports, chambers, cylinders):
                 if length > 0.0 and way < length:
                     left = cylinders.par[k, L.PY_LEFT + side, j]
                     share = left + (1.0 - left) * max(way, 0.0) / length
+                length = cylinders.par[k, L.PY_THROTTLE + side, j]
+                if length > 0.0 and way < length:
+                    left = 1.0 / math.sqrt(1.0 + cylinders.par[k, L.PY_HEADS + side, j])
+                    left += (1.0 - left) * max(way, 0.0) / length
+                    share = 1.0 / math.sqrt(1.0 / (share * share) + 1.0 / (left * left) - 1.0)
                 if q < 0:
                     c = cylinders.table[k, L.COLUMNS_PER_SIDE * side + L.Y_REF]
                     chambers.work[c, L.H_SHUT, j] = 1.0 - share

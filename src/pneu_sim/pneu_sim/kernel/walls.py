@@ -13,8 +13,9 @@ TURNING = math.sqrt(12.0)
 
 @vectorised
 def _coefficients(
-    gamma, r_gas, prandtl, mom, re_coef, rough, turb, onset, relax, heat, heat_turb, phi, film
-):
+    gamma, r_gas, prandtl, mom, re_coef, rough, lam, turb, onset, relax, heat, heat_turb,
+    phi, excess, film
+):  # fmt: skip
     """See `find_coefficients`."""
     # wall heat of a Nusselt number of 1, pi k / A, over RELAX: k / mu is cp / Pr
     per_relax = gamma * r_gas / ((gamma - 1.0) * prandtl * L.UNSTEADY_RATE)
@@ -34,7 +35,8 @@ def _coefficients(
         # f / 8 = 1 / (8 g^2); both quotients by one division
         h = g + gnielinski
         q = 1.0 / (8.0 * g * g * h)
-        phi[i] = 1.0 + blend * turb[i] * max(0.125 * re * h * q - 1.0, 0.0)
+        excess[i] = blend * max(0.125 * re * h * q - 1.0, 0.0)
+        phi[i] = lam[i] + turb[i] * excess[i]
         nusselt = (re - 1000.0) * prandtl * g * q
         more = max(nusselt - L.NUSSELT_LAMINAR, 0.0) * per_relax * relax[i]
         film[i] = heat[i] + blend * heat_turb[i] * more
@@ -42,7 +44,7 @@ def _coefficients(
 
 @sequence
 def find_coefficients(gas, cells):
-    """Steady wall drag relative to laminar, phi = f Re / 64, and wall heat, at any Reynolds number.
+    """Steady wall drag over Poiseuille's, phi = f Re / 64, and wall heat, at any Reynolds number.
 
     Laminar below the onset (Re 2300), Haaland's friction factor and with it Gnielinski's (1976)
     Nusselt number above 1.74 times that (4000), a smooth blend between. Haaland's logarithm is
@@ -56,13 +58,13 @@ def find_coefficients(gas, cells):
     P, D = cells.par, cells.wall
     _coefficients(
         gas.gamma, gas.r, gas.prandtl, cells.state[L.MOM],
-        P[L.REYNOLDS], P[L.ROUGH], P[L.TURBULENT], P[L.ONSET], P[L.RELAX],
-        P[L.HEAT], P[L.HEAT_TURBULENT], D[L.D_PHI], D[L.D_FILM],
+        P[L.REYNOLDS], P[L.ROUGH], P[L.LAMINAR], P[L.TURBULENT], P[L.ONSET], P[L.RELAX],
+        P[L.HEAT], P[L.HEAT_TURBULENT], D[L.D_PHI], D[L.D_EXCESS], D[L.D_FILM],
     )  # fmt: skip
 
 
 @vectorised
-def _decay(prandtl, dt, relax, quicken, ri, phi, a_u, a_t, fade):
+def _decay(prandtl, dt, relax, quicken, ri, excess, a_u, a_t, fade):
     """See `find_decay`."""
     i_pr = 1.0 / prandtl
     for i in each(ri.size):
@@ -71,7 +73,7 @@ def _decay(prandtl, dt, relax, quicken, ri, phi, a_u, a_t, fade):
         x = min(x, TURNING)
         even_x, even_y = 12.0 + x * x, 12.0 + y * y
         below_x, below_y = even_x + 6.0 * x, even_y + 6.0 * y
-        more = 1.0 + quicken[i] * (110.0 / 28.0) * x * (phi[i] - 1.0)
+        more = 1.0 + quicken[i] * (110.0 / 28.0) * x * excess[i]
         both = below_x * below_y
         q = 1.0 / (both * more)  # all quotients by one division
         a_u[i] = (even_x - 6.0 * x) * (below_y * more * q)
@@ -85,7 +87,7 @@ def find_decay(gas, dt, cells):
 
     ``exp(-x)`` as a Pade quotient; each faster state decays by the fourth power of the one before.
     In turbulent flow every memory fades faster (after Vardy and Brown 2003, with their decay tied
-    to the drag ratio; QUICKEN is the gain on that).
+    to what turbulence adds to the drag; QUICKEN is the gain on that).
 
     Args:
         gas: The gas.
@@ -94,7 +96,7 @@ def find_decay(gas, dt, cells):
     """
     P, X, D = cells.par, cells.work, cells.wall
     a_u, a_t, fade = D[L.D_AU], D[L.D_AT], D[L.D_FADE]
-    _decay(gas.prandtl, dt, P[L.RELAX], P[L.QUICKEN], X[L.W_RI], D[L.D_PHI], a_u, a_t, fade)
+    _decay(gas.prandtl, dt, P[L.RELAX], P[L.QUICKEN], X[L.W_RI], D[L.D_EXCESS], a_u, a_t, fade)
 
 
 @vectorised

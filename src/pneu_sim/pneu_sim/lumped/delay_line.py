@@ -89,7 +89,8 @@ def _resistance(full: Model, pipe: str) -> np.ndarray:
     k = list(full.plan.pipes).index(pipe)
     plain = full.end_area[2 * k : 2 * k + 2].mean()
     # 8 pi mu / A = 32 mu / D^2, for the velocity where the pipe is not narrowed
-    laminar = cell[L.VISCOUS] * cell[L.LENGTH] * (plain / cell[L.AREA])
+    poiseuille = cell[L.VISCOUS] * cell[L.LENGTH] * (plain / cell[L.AREA])
     reynolds = cell[L.REYNOLDS] / cell[L.AREA]  # per kg/s
-    turbulent = laminar * cell[L.TURBULENT] * BLASIUS * reynolds**0.75
+    laminar = poiseuille * cell[L.LAMINAR]
+    turbulent = poiseuille * cell[L.TURBULENT] * BLASIUS * reynolds**0.75
     return np.array([laminar.sum(), turbulent.sum()])

@@ -338,6 +338,7 @@ class Stepper:
         self.time_s = 0.0
         self.failure = ""
         self._simulator = Simulator(rig, dx_m)
+        self._simulator.plant.refuse_early_clocks()
         self._inputs = inputs
         self._period_s = period_s
         self._periods = 0

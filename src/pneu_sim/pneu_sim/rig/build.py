@@ -220,6 +220,7 @@ def _chambers(rig: Rig, gas: Gas) -> Floats:
         row[L.C_CONVECTION] = c.convection_m2
         row[L.C_HEIGHT] = c.height_m or math.cbrt(c.volume_m3)
         row[L.C_INLET] = c.inlet_m or 0.0
+        row[L.C_STIRRED] = 0.0 if c.inlet_m is None else 1.0
         row[L.C_VISCOUS] = gas.mu_ref * (gas.t_ref + gas.sutherland_k) / gas.t_ref**1.5
         row[L.C_SUTHERLAND] = gas.sutherland_k
     return rows

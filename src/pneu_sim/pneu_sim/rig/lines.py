@@ -72,14 +72,13 @@ def _walls(cell: Floats, pipe: Pipe, narrowed: Narrowed, gas: Gas, room_k: float
     wall, area = pipe.wall, cell[L.AREA]
     diameter = np.sqrt(4.0 * area / math.pi)
     plain = area / narrowed.area
-    cell[L.VISCOUS] = wall.laminar * 8.0 * math.pi * mu / plain * narrowed.viscous
+    cell[L.VISCOUS] = 8.0 * math.pi * mu / plain * narrowed.viscous
+    cell[L.LAMINAR] = wall.laminar
     cell[L.UNSTEADY] = wall.unsteady * 4.0 * math.pi * mu / area
     cell[L.RELAX] = L.UNSTEADY_RATE * math.pi * mu / area
     cell[L.REYNOLDS] = diameter / mu
     cell[L.ROUGH] = (wall.roughness_m / (3.7 * diameter)) ** 1.11
-    # the kernel multiplies the laminar drag, so its factor is taken out of the turbulent part
-    drag = narrowed.turbulent / narrowed.viscous
-    cell[L.TURBULENT] = wall.turbulent / max(wall.laminar, 1e-9) * drag
+    cell[L.TURBULENT] = wall.turbulent * narrowed.turbulent / narrowed.viscous
     cell[L.ONSET] = 1.0 / wall.onset_reynolds
     cell[L.QUICKEN] = wall.turbulent_fade
     if wall.heat_kappa is None:

@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects at the edges of their strengths: none is the rig unchanged, and order does not count."""
+
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pneu_common.errors import InputError
+from pneu_sim.bodies.kokoro import Kokoro
+from pneu_sim.bodies.link import Link
+from pneu_sim.effects import apply_to_rig, registry
+from pneu_sim.plant import Plant
+from pneu_sim.rig import load_rig
+from pneu_sim.rig.cylinder import Cushion
+from pneu_sim.rig.schema import AttachedEffect, Rig
+from pneu_sim.run import run_from_rest
+
+RIGS = Path(__file__).parents[1] / "rigs"
+ROOM = 101325.0
+
+
+def rig_of(name: str) -> Rig:
+    return load_rig(RIGS / f"{name}.yaml")
+
+
+def with_effects(rig: Rig, *effects: tuple[str, str, dict[str, float]]) -> Rig:
+    attached = [AttachedEffect(effect=e, place=p, parameters=v) for e, p, v in effects]
+    return rig.model_copy(update={"effects": attached})
+
+
+def with_effect(rig: Rig, effect: str, place: str, **values: float) -> Rig:
+    return with_effects(rig, (effect, place, values))
+
+
+def seen(
+    rig: Rig, commands: dict[str, NDArray[np.float64]], dt: float = 5e-3
+) -> NDArray[np.float64]:
+    out = run_from_rest(rig, commands, dt)
+    return np.array(list(out.taps.values()))
+
+
+def strokes() -> dict[str, NDArray[np.float64]]:
+    head = np.r_[np.full(10, 5.0), np.full(70, 9.0), np.full(60, 1.0)]
+    return {"head": head, "rod": 10.0 - head}
+
+
+def steps() -> dict[str, NDArray[np.float64]]:
+    levels = np.random.default_rng(1).choice([2.0, 3.5, 5.0, 6.5, 8.0], 12)
+    return {"voltage": np.repeat(levels, 8)}
+
+
+@pytest.mark.parametrize("length", [0.06, 0.01])
+def test_a_cushion_that_vanishes_leaves_that_of_the_rig(length: float) -> None:
+    rig = rig_of("rail")
+    rig.cylinders["cart"].rod.cushion = Cushion(length_m=0.06, opening=0.05)
+    slight = with_effect(rig, "end_cushion", "cart.rod", K=1e-9, length_m=length)
+    assert np.abs(seen(slight, strokes()) - seen(rig, strokes())).max() < 0.1
+
+
+def test_a_cushion_throttles_the_more_the_stronger_it_is_and_adds_to_that_of_the_rig() -> None:
+    """In series: the throttles' heads add up where both are at their ends."""
+    rig = rig_of("rail")
+    plain = seen(rig, strokes())
+    felt = [
+        np.abs(
+            seen(with_effect(rig, "end_cushion", "cart.rod", K=k, length_m=0.05), strokes()) - plain
+        ).max()
+        for k in (10.0, 100.0, 1000.0)
+    ]
+    assert 0.0 < felt[0] < felt[1] < felt[2]
+    # an opening of 1 / sqrt(1 + K) at the end, as a cushion of the rig and as an effect
+    cushioned = rig.model_copy(deep=True)
+    cushioned.cylinders["cart"].rod.cushion = Cushion(length_m=0.05, opening=1.0 / 101.0**0.5)
+    effect = with_effect(rig, "end_cushion", "cart.rod", K=100.0, length_m=0.05)
+    assert np.abs(seen(effect, strokes()) - seen(cushioned, strokes())).max() < 1.0
+
+
+@pytest.mark.parametrize("loose", [0.1, 0.3])
+def test_play_that_vanishes_leaves_the_loose_mass_of_the_rig(loose: float) -> None:
+    rig = rig_of("rail")
+    rig.bodies["cart"].slide.play, rig.cylinders["cart"].loose_kg = 0.004, 0.1  # type: ignore
+    wave = 3.0 * np.sign(np.sin(2.0 * np.pi * 6.0 * 5e-3 * np.arange(120) + 0.1))
+    fro = {"head": 5.0 + wave, "rod": 5.0 - wave}
+    slight = with_effect(rig, "backlash", "cart", width=1e-9, loose_kg=loose)
+    assert np.abs(seen(slight, fro) - seen(rig, fro)).max() < 50.0
+
+
+def test_convection_that_vanishes_stirs_nothing() -> None:
+    rig = Rig.model_validate(
+        {
+            "name": "tank",
+            "reservoirs": {"supply": {"pressure_pa": 7e5}, "room": {"pressure_pa": ROOM}},
+            "chambers": {"tank": {"volume_m3": 2e-4, "convection_m2": 0.03}},
+            "valves": {
+                "v": {
+                    **{"kind": "3/3", "command": "u", "supply": "supply", "outlet": "tank"},
+                    **{"exhaust": "room", "conductance_m3_s_pa": 2e-8},
+                }
+            },
+            "commands": {"u": {}},
+            "taps": {"t": {"chamber": "tank"}},
+        }
+    )
+    fill = {"u": np.r_[np.full(10, 5.0), np.full(40, 9.0), np.full(50, 5.0)]}
+    plain = seen(rig, fill)
+    for area, most in ((0.0, 0.0), (1e-9, 0.1)):
+        slight = with_effect(rig, "chamber_convection", "tank", area_m2=area, inlet_m=5e-3)
+        assert np.abs(seen(slight, fill) - plain).max() <= most
+    clear = with_effect(rig, "chamber_convection", "tank", area_m2=0.03, inlet_m=5e-3)
+    assert np.abs(seen(clear, fill) - plain).max() > 1e3
+
+
+def test_laminar_drag_can_be_taken_away_and_turbulent_drag_stays() -> None:
+    rig = rig_of("rig_a")
+    nearly, wholly = (
+        seen(with_effect(rig, "laminar_friction", "tube", gain=g), steps()) for g in (-0.99999, -1)
+    )
+    assert np.abs(nearly - wholly).max() < 10.0
+    smooth = rig.model_copy(deep=True)
+    smooth.pipes["tube"].wall.laminar = 0.0
+    plain = seen(smooth, steps())
+    for effect, values in (
+        ("turbulent_friction", {"gain": 1.0}),
+        ("roughness", {"height_m": 1e-4}),
+    ):
+        assert (
+            np.abs(seen(with_effect(smooth, effect, "tube", **values), steps()) - plain).max() > 1e3
+        )
+
+
+@pytest.mark.parametrize("lag", [1e-9, 2e-5, 1e-4])
+def test_a_slower_spool_comes_from_one_that_follows_at_once(lag: float) -> None:
+    """A short lag acts as a delay of the same length does."""
+    rig = rig_of("rig_a")
+    rig.valves["valve"].spool.bandwidth_hz = None
+    plain = seen(rig, steps())
+    slow = seen(with_effect(rig, "spool_bandwidth", "valve", lag_s=lag), steps()) - plain
+    late = seen(with_effect(rig, "valve_delay", "valve", delay_s=1e-4), steps()) - plain
+    acts = 1e-4 * float((slow * late).sum() / (late * late).sum())
+    assert acts == pytest.approx(lag, rel=0.05, abs=1e-7)
+
+
+def test_a_length_counts_whatever_else_is_attached_before_or_after() -> None:
+    rig = rig_of("rig_a")
+    effects = (
+        ("length_error", "tube", {"error": 0.2}),
+        ("leak", "tube", {"area_m2": 2e-8, "position_m": 1.5}),
+        ("local_loss", "tube", {"K": 30.0, "position_m": 0.5}),
+    )
+    first, *others = (seen(with_effects(rig, *order), steps()) for order in permutations(effects))
+    for other in others:
+        np.testing.assert_array_equal(first, other)
+    (leak,) = apply_to_rig(with_effects(rig, *effects)).pipes["tube"].leaks
+    assert leak.position_m == pytest.approx(1.2 * 1.5)
+
+
+def test_an_early_clock_is_refused_where_a_plant_is_stepped() -> None:
+    late, early = (
+        with_effect(rig_of("rig_a"), "clock_offset", "end", offset_s=s) for s in (3e-3, -3e-3)
+    )
+    Plant([late]).refuse_early_clocks()
+    with pytest.raises(InputError, match=r"clock of 'end': found 3 ms early; .* give the other"):
+        Plant([early]).refuse_early_clocks()
+
+
+@pytest.mark.parametrize("tip", [0.0, 0.2])
+@pytest.mark.parametrize("rod", [0.0, 0.3])
+def test_the_centre_of_a_link_moves_as_far_as_is_asked_and_its_inertia_stays(
+    tip: float, rod: float
+) -> None:
+    if tip + rod == 0.0:
+        return
+    link = Link(length_m=0.3, tip_kg=tip, mass_kg=rod)
+    mass, centre = link.total_kg, link.first_moment_kg_m / link.total_kg
+    own = link.second_moment_kg_m2 - mass * centre**2
+    link.shift_centre(0.02)
+    assert link.total_kg == pytest.approx(mass)
+    assert link.first_moment_kg_m / mass == pytest.approx(centre + 0.02)
+    assert link.second_moment_kg_m2 == pytest.approx(own + mass * (centre + 0.02) ** 2)
+
+
+def test_a_joint_with_its_own_inertia_keeps_that_about_its_centre() -> None:
+    body = rig_of("kokoro").bodies
+    (joint,) = (b for b in body.values() if isinstance(b, Kokoro))
+    mass, centre, inertia = joint.mass_kg, joint.centre_m, joint.theta_inertia_kg_m2
+    joint.shift_centre("theta", 0.03)
+    assert joint.centre_m == pytest.approx(centre + 0.03)
+    own = inertia - mass * centre**2
+    assert joint.theta_inertia_kg_m2 == pytest.approx(own + mass * (centre + 0.03) ** 2)
+
+
+def test_a_load_on_a_slide_has_no_distance_to_fit() -> None:
+    effect = registry()["payload"]
+    assert effect.fitted(rig_of("rail"), "cart") == ()
+    assert [p.name for p in effect.fitted(rig_of("kokoro"), "elbow")] == ["distance_m"]
