@@ -196,3 +196,30 @@ def test_a_load_on_a_slide_has_no_distance_to_fit() -> None:
     effect = registry()["payload"]
     assert effect.fitted(rig_of("rail"), "cart") == ()
     assert [p.name for p in effect.fitted(rig_of("kokoro"), "elbow")] == ["distance_m"]
+
+
+def test_a_blower_little_above_the_room_is_a_source() -> None:
+    """The room is the reservoir of its pressure as the file is read, or the one that says so."""
+    rig = rig_of("ventilator")
+    assert {name: r.room for name, r in rig.reservoirs.items()} == {"blower": False, "room": True}
+    assert registry()["supply_level"].places(rig) == ["blower"]
+    assert registry()["regulator_droop"].places(rig) == ["blower"]
+    moved = apply_to_rig(with_effect(rig, "ambient_pressure", "room", offset_pa=-2e3))
+    pressures = {name: r.pressure_pa for name, r in moved.reservoirs.items()}
+    assert pressures == {"blower": 105800.0, "room": 99325.0}
+    low = {s["set_pa"] for _, s in registry()["relief_valve"].sites(rig)}
+    assert all(ROOM < pressure < 105800.0 for pressure in low)
+    # a fit that moves the room's own pressure does not make a source of it
+    rig.reservoirs["room"].pressure_pa += 1e4
+    assert registry()["supply_level"].places(rig) == ["blower"]
+    assert load_rig_of(rig).reservoirs["room"].room
+
+
+def load_rig_of(rig: Rig) -> Rig:
+    return Rig.model_validate(rig.dump())
+
+
+@pytest.mark.parametrize("name", ["rig_a", "ventilator"])
+def test_a_file_says_nothing_of_the_room_that_its_pressure_says(name: str) -> None:
+    for reservoir in rig_of(name).dump()["reservoirs"].values():
+        assert "room" not in reservoir

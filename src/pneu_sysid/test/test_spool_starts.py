@@ -98,7 +98,7 @@ def test_while_much_else_is_wrong_a_limit_has_to_explain_much_of_it(
     wrong = rig.model_copy(deep=True)
     wrong.valves["valve"].spool.bandwidth_hz = 1.1 * spool.bandwidth_hz
     for pipe in wrong.pipes.values():
-        pipe.area_m2 *= 1.02
+        pipe.area_m2 *= 1.03
     if limited:
         spool.max_speed_v_s = 0.3 * 10.0 * 2.0 * math.pi * spool.bandwidth_hz
     recording = synthetic(rig, 3.0, 5, "much else")

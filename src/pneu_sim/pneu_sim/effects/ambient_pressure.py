@@ -4,7 +4,7 @@
 from typing import ClassVar
 
 from pneu_sim.effects.base import Effect, EffectParameter
-from pneu_sim.effects.places import ROOM, is_room
+from pneu_sim.effects.places import ROOM
 from pneu_sim.rig.schema import Rig
 
 
@@ -29,7 +29,7 @@ class AmbientPressure(Effect):
         return [ROOM]
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
-        open_to_room = [r for r in rig.reservoirs.values() if is_room(rig, r)]
         rig.ambient.pressure_pa += values["offset_pa"]
-        for reservoir in open_to_room:
-            reservoir.pressure_pa += values["offset_pa"]
+        for reservoir in rig.reservoirs.values():
+            if reservoir.room:
+                reservoir.pressure_pa += values["offset_pa"]

@@ -47,7 +47,7 @@ class EndCushion(Effect):
         return min(low, high), high
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
-        """Leaves the rig's own cushion, of another length, as it is; see `on_model`."""
+        del rig, place, values  # the rig's own cushion, of another length, stays as it is
 
     def on_model(self, model: Model, rig: Rig, place: str, values: dict[str, float]) -> None:
         cylinder, side = place.rsplit(".", 1)

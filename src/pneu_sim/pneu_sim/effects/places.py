@@ -3,16 +3,13 @@
 
 from pneu_sim.bodies.base import Body, Joint
 from pneu_sim.rig.cylinder import Side
-from pneu_sim.rig.schema import CLOSED, Orifice, Pipe, Port, Reservoir, Rig, joint_names
+from pneu_sim.rig.schema import CLOSED, Orifice, Pipe, Port, Rig, joint_names
 
 ROOM = "room"
 """Place of effects that act on the surroundings of the whole rig."""
 
 TAPS = "taps"
 """Place of effects that act on all taps of a rig alike."""
-
-SOURCE_MARGIN = 0.05
-"""A reservoir whose pressure is this close to the room's (relative) is the room itself."""
 
 FILLED = 10.0
 """Pressure over the room's up to which gas is taken to have been filled in, where no source is."""
@@ -31,22 +28,11 @@ def reached_pa(rig: Rig, lower: float, upper: float) -> tuple[float, float]:
         upper: They are at most this, Pa.
     """
     room = rig.ambient.pressure_pa
-    highest = max((r.pressure_pa for r in rig.reservoirs.values()), default=room)
+    highest = max((rig.reservoirs[name].pressure_pa for name in sources(rig)), default=room)
     # gas that is shut in was once filled from somewhere
-    high = highest if highest > (1.0 + SOURCE_MARGIN) * room else FILLED * room
+    high = highest if highest > room else FILLED * room
     # what opens from the room's pressure on is a leak
     return max(room + SELDOM * (high - room), lower), min(high, upper)
-
-
-def is_room(rig: Rig, reservoir: Reservoir) -> bool:
-    """Whether a reservoir is open to the room rather than a source or a vacuum.
-
-    Args:
-        rig: The rig.
-        reservoir: One of its reservoirs.
-    """
-    room = rig.ambient.pressure_pa
-    return abs(reservoir.pressure_pa - room) <= SOURCE_MARGIN * room
 
 
 def sources(rig: Rig) -> list[str]:
@@ -55,7 +41,7 @@ def sources(rig: Rig) -> list[str]:
     Args:
         rig: The rig.
     """
-    return [name for name, reservoir in rig.reservoirs.items() if not is_room(rig, reservoir)]
+    return [name for name, reservoir in rig.reservoirs.items() if not reservoir.room]
 
 
 def valve_ports(rig: Rig) -> dict[str, Port]:
@@ -89,7 +75,7 @@ def open_to_room(rig: Rig) -> list[str]:
     Args:
         rig: The rig.
     """
-    room = {name for name, reservoir in rig.reservoirs.items() if is_room(rig, reservoir)}
+    room = {name for name, reservoir in rig.reservoirs.items() if reservoir.room}
     return [name for name, pipe in rig.pipes.items() if {pipe.from_node, pipe.to_node} & room]
 
 
@@ -119,8 +105,7 @@ def fill_and_exhaust(rig: Rig, valve: str) -> tuple[list[Port], list[Port]]:
     for port in rig.valves[valve].ports.values():
         reached = _reservoirs_behind(rig, port.from_node) | _reservoirs_behind(rig, port.to_node)
         above = [
-            not is_room(rig, rig.reservoirs[r])
-            and rig.reservoirs[r].pressure_pa > rig.ambient.pressure_pa
+            not rig.reservoirs[r].room and rig.reservoirs[r].pressure_pa > rig.ambient.pressure_pa
             for r in reached
         ]
         if any(above):

@@ -330,6 +330,9 @@ class Rig(Part):
     @model_validator(mode="after")
     def _connected(self) -> "Rig":
         check_network(self)
+        for reservoir in self.reservoirs.values():
+            if reservoir.room is None:
+                reservoir.room = reservoir.pressure_pa == self.ambient.pressure_pa
         if self.moves and "horizon_s" not in self.fit.model_fields_set:
             self.fit = self.fit.model_copy(update={"horizon_s": HORIZON_MOVING_S})
         return self
@@ -349,6 +352,9 @@ class Rig(Part):
                 del data["fit"]["horizon_s"]
                 if not data["fit"]:
                     del data["fit"]
+        for name, reservoir in self.reservoirs.items():
+            if reservoir.room == (reservoir.pressure_pa == self.ambient.pressure_pa):
+                del data["reservoirs"][name]["room"]  # as it would be read
         return {"pneu_rig": SCHEMA_VERSION, **data}
 
 

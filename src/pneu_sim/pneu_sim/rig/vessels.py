@@ -188,6 +188,8 @@ class Reservoir(Part):
         droop_tau_s: Time constant of the sag.
         inlet_loss: Velocity heads lost where gas enters a pipe (0 rounded, 0.5 sharp).
         ripples: Pulsations of its pressure, added up. Lumped models have none.
+        room: Whether it is the room, rather than a source or a vacuum; not given, it is where its
+            pressure is that of `ambient` as the file is read.
     """
 
     pressure_pa: Positive
@@ -196,6 +198,7 @@ class Reservoir(Part):
     droop_tau_s: NonNegative = 0.002
     inlet_loss: NonNegative = 0.0
     ripples: list[Ripple] = []
+    room: bool | None = None
 
 
 class Chamber(Part):
