@@ -223,3 +223,102 @@ def load_rig_of(rig: Rig) -> Rig:
 def test_a_file_says_nothing_of_the_room_that_its_pressure_says(name: str) -> None:
     for reservoir in rig_of(name).dump()["reservoirs"].values():
         assert "room" not in reservoir
+
+
+def valve_of(**more: object) -> Rig:
+    """A tank filled and emptied through one valve."""
+    return Rig.model_validate(
+        {
+            "name": "tank",
+            "reservoirs": {"supply": {"pressure_pa": 7e5}, "room": {"pressure_pa": ROOM}},
+            "chambers": {"tank": {"volume_m3": 2e-4}},
+            "valves": {
+                "v": {
+                    **{"command": "u", "supply": "supply", "outlet": "tank", "exhaust": "room"},
+                    **{"conductance_m3_s_pa": 2e-8, **more},
+                }
+            },
+            "commands": {"u": {}},
+            "taps": {"t": {"chamber": "tank"}},
+        }
+    )
+
+
+def opening(rig: Rig, port: str, volts: float) -> float:
+    """Opening of a path where the spool stands."""
+    spool, curve = rig.valves["v"].spool, rig.valves["v"].ports[port].opening
+    away = volts - spool.null_v
+    x = spool.null_v + np.sign(away) * max(abs(away) - spool.dead_band_v, 0.0)
+    return float(np.interp(x, curve.voltage_v, curve.fraction))
+
+
+def test_an_overlap_of_a_closed_centre_takes_its_width_on_both_sides() -> None:
+    rig = valve_of(kind="3/3", command_v=[0.0, 10.0])
+    rig.valves["v"].ports["exhaust"].opening = type(rig.valves["v"].ports["supply"].opening)(
+        voltage_v=[0.0, 5.0], fraction=[1.0, 0.0]
+    )
+    wide = apply_to_rig(with_effect(rig, "dead_band", "v", width_v=1.0))
+    for volts in (2.0, 3.9, 4.5, 5.0, 5.5, 6.1, 8.0):
+        assert opening(wide, "supply", volts) == pytest.approx(max(volts - 6.0, 0.0) / 5.0)
+        assert opening(wide, "exhaust", volts) == pytest.approx(max(4.0 - volts, 0.0) / 5.0)
+
+
+def test_an_overlap_closes_a_path_that_is_open_at_the_centre_sooner() -> None:
+    rig = valve_of(kind="3/3", command_v=[0.0, 10.0], centre="exhausted", overlap_v=2.0)
+    wide = apply_to_rig(with_effect(rig, "dead_band", "v", width_v=0.5))
+    for volts in np.linspace(0.0, 10.0, 41):
+        assert opening(wide, "exhaust", volts) == pytest.approx(
+            opening(rig, "exhaust", volts + 0.5)
+        )
+        assert opening(wide, "supply", volts) == pytest.approx(opening(rig, "supply", volts - 0.5))
+
+
+def test_an_overlap_of_a_switched_valve_leaves_no_path_open_for_ever() -> None:
+    rig = valve_of(kind="3/2")
+    switch = rig.valves["v"].switch
+    assert switch is not None
+    wide = apply_to_rig(with_effect(rig, "dead_band", "v", width_v=1.0))
+    between = np.linspace(switch.off_v, switch.on_v, 97)
+    for one in (rig, wide):
+        ways = [[opening(one, port, v) for v in between] for port in one.valves["v"].ports]
+        for way in ways:
+            assert min(way) == 0.0 and max(way) > 0.8
+    both = [
+        sum(min(opening(one, port, v) for port in one.valves["v"].ports) for v in between)
+        for one in (rig, wide)
+    ]
+    assert both[1] <= both[0]  # never more open to both sides
+
+
+def test_a_valve_that_regulates_has_no_overlap_and_a_duty_has_bounds_of_its_own() -> None:
+    from pneu_sim.rig.valve_kinds import KINDS
+
+    assert "regulator" in KINDS
+    effect = registry()["null_offset"]
+    rig = rig_of("ventilator")
+    for valve in rig.valves:
+        low, high = effect.limits(effect.strength, rig, valve)
+        assert -0.25 < low < 0.0 < high < 0.25
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("leak", {"area_m2": 1e-7}),
+        ("porous_leak", {"porous_m3": 1e-15}),
+        ("relief_valve", {"area_m2": 1e-7, "set_pa": 3e5, "range_pa": 2e4}),
+        ("wall_compliance", {"compliance_per_pa": 1e-7}),
+    ],
+)
+def test_lines_that_are_part_of_a_vessel_act_on_it(effect: str, values: dict[str, float]) -> None:
+    """As they do at the vessel itself: the thin-plate model has no pressure drop along them."""
+    rig = rig_of("rail").model_copy(update={"model": "thin_plate"})
+    found = registry()[effect]
+    pipe = next(iter(found.places(rig)))
+    names = {p.name for p in found.parameters}
+    given = {k: v for k, v in values.items() if k in names}
+    assert len(given) == len(values), names
+    if found.has_position:
+        given["position_m"] = 0.5 * rig.pipes[pipe].length_m
+    plain = seen(rig, strokes())
+    assert np.abs(seen(with_effect(rig, effect, pipe, **given), strokes()) - plain).max() > 200.0

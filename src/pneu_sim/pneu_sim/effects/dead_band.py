@@ -4,6 +4,8 @@
 import math
 from typing import ClassVar
 
+import numpy as np
+
 from pneu_sim.effects.base import Effect, EffectParameter
 from pneu_sim.rig.schema import Port, Rig
 
@@ -16,6 +18,8 @@ class DeadBand(Effect):
 
     An overlap of the lands alone takes its width from the stroke, and the port no longer opens
     wholly; where the driver's gain was set with the overlap there, all of it opens nevertheless.
+    A path that is open at null, or of a switched valve, opens later by the width and closes as much
+    sooner. A valve that regulates pressure has a dead zone of its own and no such overlap.
     """
 
     name: ClassVar[str] = "dead_band"
@@ -41,7 +45,7 @@ class DeadBand(Effect):
     )
 
     def places(self, rig: Rig) -> list[str]:
-        return list(rig.valves)
+        return [name for name, valve in rig.valves.items() if valve.regulator is None]
 
     def limits(self, parameter: EffectParameter, rig: Rig, place: str) -> tuple[float, float]:
         if parameter.name != "width_v":
@@ -54,14 +58,20 @@ class DeadBand(Effect):
         width_v = values["width_v"]
         valve = rig.valves[place]
         null_v = valve.spool.null_v
-        valve.spool.dead_band_v += width_v
+        own = [port.opening for port in valve.ports.values() if port.opening.mirror is None]
+        closed = valve.switch is None and not any(
+            np.interp(null_v, curve.voltage_v, curve.fraction) > 0.0 for curve in own
+        )
+        if closed:
+            valve.spool.dead_band_v += width_v
         for port in valve.ports.values():
-            reach_v = _reach_v(port, null_v)
-            if port.opening.mirror is None and width_v > 0.0:
-                left = 1.0 - values["recovered"] * width_v / reach_v
-                port.opening.voltage_v = [
-                    null_v + left * (v - null_v) for v in port.opening.voltage_v
-                ]
+            curve = port.opening
+            if curve.mirror is not None or width_v <= 0.0:
+                continue
+            left = 1.0 - values["recovered"] * width_v / _reach_v(port, null_v)
+            opens = 1.0 if curve.fraction[-1] > curve.fraction[0] else -1.0
+            shift = 0.0 if closed else opens * width_v
+            curve.voltage_v = [null_v + left * (v - null_v) + shift for v in curve.voltage_v]
 
 
 def _reach_v(port: Port, null_v: float) -> float:

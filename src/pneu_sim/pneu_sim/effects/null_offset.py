@@ -6,6 +6,9 @@ from typing import ClassVar
 from pneu_sim.effects.base import Effect, EffectParameter
 from pneu_sim.rig.schema import Rig
 
+MOST = 0.2
+"""Of the travel of a spool: what a shift of its null is at most."""
+
 
 class NullOffset(Effect):
     """Shift of the command at which the spool sits at null, added to the rig's."""
@@ -27,6 +30,19 @@ class NullOffset(Effect):
 
     def places(self, rig: Rig) -> list[str]:
         return list(rig.valves)
+
+    def limits(self, parameter: EffectParameter, rig: Rig, place: str) -> tuple[float, float]:
+        """No more than a fifth of the travel of the valve's spool, which may be a duty from 0 to 1.
+
+        Args:
+            parameter: One of ``parameters``.
+            rig: The rig.
+            place: One of ``places``.
+        """
+        low, high = super().limits(parameter, rig, place)
+        volts = [v for port in rig.valves[place].ports.values() for v in port.opening.voltage_v]
+        most = max(high, low) if not volts else MOST * (max(volts) - min(volts))
+        return max(low, -most), min(high, most)
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
         rig.valves[place].spool.null_offset_v += values["offset_v"]

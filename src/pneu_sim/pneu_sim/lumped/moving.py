@@ -21,9 +21,10 @@ from pneu_sim.coupled import CoupledSolver
 from pneu_sim.effects import apply_to_rig
 from pneu_sim.full_solver import FullSolver
 from pneu_sim.gas import AIR, Gas
-from pneu_sim.rig.build import build
+from pneu_sim.rig.build import build, vents
 from pneu_sim.rig.expand import with_cylinders
 from pneu_sim.rig.lines import cells_of
+from pneu_sim.rig.model import Model
 from pneu_sim.rig.network import joined
 from pneu_sim.rig.plan import common_plan, plan_grid
 from pneu_sim.rig.schema import Port, Rig
@@ -178,7 +179,38 @@ def moving_solver(rigs: Sequence[Rig], gas: Gas = AIR) -> FullSolver:
     reduced = [without_lines(rig, gas) for rig in rigs]
     plan = common_plan(reduced)
     models = [build(rig, plan, gas) for rig in reduced]
+    for model, rig in zip(models, rigs, strict=True):
+        _give_to_vessels(model, apply_to_rig(rig), gas)
     return Lineless(models) if rigs[0].mechanism is None else LinelessMechanism(models, reduced)
+
+
+def _give_to_vessels(model: Model, rig: Rig, gas: Gas) -> None:
+    """Has vessels leak, blow off and yield as the lines do that are part of them.
+
+    Args:
+        model: Of the vessels alone; changed.
+        rig: The rig with its lines, its effects worked in.
+        gas: The gas.
+    """
+    whole = with_cylinders(rig)
+    plan, vessel = plan_grid(whole), _vessels(rig)
+    cell = cells_of(whole, plan, gas)
+    leaks, porous, reliefs = vents(whole, plan, gas)
+    for name in rig.pipes:
+        there = vessel[f"pipe:{name}"]
+        if there in rig.reservoirs:
+            continue
+        c = model.plan.chambers.index(there)
+        first, n = plan.pipes[name]
+        span = range(first, first + n)
+        yields = cell[L.COMPLIANCE, span] / cell[L.INV_VOLUME, span]
+        model.chamber[c, L.C_COMPLIANCE] += float(yields.sum())
+        for slot in span:
+            for of_lines, of_vessels in ((leaks, model.leaks), (porous, model.porous)):
+                if slot in of_lines:
+                    of_vessels[-1 - c] = of_vessels.get(-1 - c, 0.0) + of_lines[slot]
+            if slot in reliefs:
+                model.reliefs.setdefault(-1 - c, []).extend(reliefs[slot])
 
 
 class Lineless(FullSolver):

@@ -72,7 +72,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         if kind in (L.LINK, L.BRANCH):
             other = plan.ends[e, L.E_REF]
             cell[L.FACE, plan.ends[e, L.E_FACE]] = min(end_area[e], end_area[other])
-    leaks, porous, reliefs = _vents(rig, plan, gas)
+    leaks, porous, reliefs = vents(rig, plan, gas)
     port, curve, curve_v, spool = _ports(rig, plan)
     tap_slot, tap_weight, sensor = _taps(rig, plan)
     body, joint = body_rows(rig)
@@ -119,10 +119,19 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
     return model
 
 
-def _vents(
+def vents(
     rig: Rig, plan: Plan, gas: Gas
 ) -> tuple[dict[int, float], dict[int, float], dict[int, list[tuple[float, float, float]]]]:
-    """Leaks, porous leaks and relief valves by slot; of chamber c at ``-1 - c``."""
+    """Leaks, porous leaks and relief valves by slot; of chamber c at ``-1 - c``.
+
+    Args:
+        rig: The rig, its effects applied.
+        plan: Its grid plan.
+        gas: The gas.
+
+    Returns:
+        As `Model.leaks`, `Model.porous` and `Model.reliefs` have them.
+    """
     leaks: dict[int, float] = {}
     porous: dict[int, float] = {}
     reliefs: dict[int, list[tuple[float, float, float]]] = {}
