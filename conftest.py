@@ -19,7 +19,6 @@ from pathlib import Path
 import hypothesis
 import pytest
 from tests import measured
-from tests.kernels import wait_until_compiled
 
 from pneu_common.errors import InputError
 from pneu_runtime import hook
@@ -78,8 +77,6 @@ def pytest_runtest_setup(item):
     Fixtures start labs and nodes and wait for them; on a busy machine these may be refused as too
     slow, or not be ready in time. That proves as little as a time that was missed in a test.
     """
-    if item.get_closest_marker("kernel_free") is None:
-        wait_until_compiled()
     if item.get_closest_marker("realtime") is None:
         return (yield)
     with contextlib.closing(measured.Stalls(0.005)) as stalls:

@@ -36,13 +36,9 @@ CHECKS = {
 }
 CLOCK = "what runs against the clock"
 NONE_COLLECTED = 5
-COMPILED = "compiled"
-"""File in the folder of a run that is there once kernels are compiled. Nothing begins to compile at
-idle priority: it would hold up, as long as others compute, whoever needs the same kernel."""
 
 sys.path.insert(0, str(ROOT))
 from tests.domains import SHARE  # noqa: E402
-from tests.kernels import WAITS_FOR  # noqa: E402
 from tests.measured import NOT_PROVEN, SAFE_WITHIN_S  # noqa: E402
 
 
@@ -95,7 +91,6 @@ def main():
                 running.append(Running(part, options, Path(folder)))
                 worst = max(worst, running[-1].wait())
                 outcomes += running[-1].outcome()
-                Path(folder, COMPILED).touch()
             at_idle_priority(running[0].process.pid, False)  # nothing is left that it could delay
             worst = max(worst, running[0].wait())
             outcomes += running[0].outcome()
@@ -130,12 +125,11 @@ class Running:
         command = [sys.executable, "-m", "pytest", "-m", marks, f"--outcome={self._path}"]
         command += [f"--numprocesses={part.workers}", "--dist=loadfile", "--no-loadscope-reorder"]
         command += [*part.words, *(options.paths or files_of(part))]
-        waits = {WAITS_FOR: str(folder / COMPILED)} if part.idle else {}
         share = sum(other.workers for other in PARTS[: PARTS.index(part)])
         self.process = subprocess.Popen(
             command,
             # OpenBLAS has a thread for each processor, which keeps it busy while it waits for work.
-            env={"OPENBLAS_NUM_THREADS": "1", **os.environ, SHARE: str(share), **waits},
+            env={"OPENBLAS_NUM_THREADS": "1", **os.environ, SHARE: str(share)},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
