@@ -291,14 +291,14 @@ def test_an_overlap_of_a_switched_valve_leaves_no_path_open_for_ever() -> None:
 
 
 def test_a_valve_that_regulates_has_no_overlap_and_a_duty_has_bounds_of_its_own() -> None:
-    from pneu_sim.rig.valve_kinds import KINDS
-
-    assert "regulator" in KINDS
+    regulated = valve_of(kind="regulator", low_pa=2e5, high_pa=6e5)
+    assert registry()["dead_band"].places(regulated) == []
+    assert registry()["null_offset"].places(regulated) == ["v"]
     effect = registry()["null_offset"]
     rig = rig_of("ventilator")
     for valve in rig.valves:
         low, high = effect.limits(effect.strength, rig, valve)
-        assert -0.25 < low < 0.0 < high < 0.25
+        assert -0.5 < low < 0.0 < high < 0.5
 
 
 @pytest.mark.parametrize(

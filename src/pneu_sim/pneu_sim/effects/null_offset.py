@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Null offset: the spool closes at another voltage than the rig says."""
 
+import math
 from typing import ClassVar
 
 from pneu_sim.effects.base import Effect, EffectParameter
 from pneu_sim.rig.schema import Rig
 
-MOST = 0.2
-"""Of the travel of a spool: what a shift of its null is at most."""
+MOST = 0.4
+"""Of the way of a spool from null to its end: what a shift of its null is at most."""
 
 
 class NullOffset(Effect):
@@ -32,7 +33,7 @@ class NullOffset(Effect):
         return list(rig.valves)
 
     def limits(self, parameter: EffectParameter, rig: Rig, place: str) -> tuple[float, float]:
-        """No more than a fifth of the travel of the valve's spool, which may be a duty from 0 to 1.
+        """No more than two fifths of the way from null to an end, which may be a duty from 0 to 1.
 
         Args:
             parameter: One of ``parameters``.
@@ -40,8 +41,13 @@ class NullOffset(Effect):
             place: One of ``places``.
         """
         low, high = super().limits(parameter, rig, place)
-        volts = [v for port in rig.valves[place].ports.values() for v in port.opening.voltage_v]
-        most = max(high, low) if not volts else MOST * (max(volts) - min(volts))
+        valve = rig.valves[place]
+        away = [
+            abs(v - valve.spool.null_v)
+            for port in valve.ports.values()
+            for v in port.opening.voltage_v
+        ]
+        most = MOST * max(away, default=math.inf)
         return max(low, -most), min(high, most)
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
