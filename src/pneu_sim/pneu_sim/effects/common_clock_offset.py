@@ -13,7 +13,7 @@ class CommonClockOffset(Effect):
 
     A positive one cannot be told from a delay of every valve by pressures alone, and diagnosis
     names the delay first; a negative one can be no delay. Of a rig with one tap, its clock offset
-    says the same.
+    says the same. Encoders keep their clock.
     """
 
     name: ClassVar[str] = "common_clock_offset"

@@ -9,7 +9,10 @@ from pneu_sim.rig.schema import Rig
 
 
 class CylinderHeat(Effect):
-    """Heat transfer from the wall of a cylinder, added to the rig's."""
+    """Heat transfer from the wall of a cylinder, added to the rig's.
+
+    Where the cylinder's gas is held in cells, the end covers are left out.
+    """
 
     name: ClassVar[str] = "cylinder_heat"
     title: ClassVar[str] = "heat from the wall of a cylinder"
