@@ -149,3 +149,40 @@ def test_very_many_networks_drawn_at_random_are_sound() -> None:
     for seed in range(QUICK, ALL):
         check_closed(seed)
         check_open(seed)
+
+
+def differences(seed: int) -> tuple[float, float, float]:
+    """Mean distance of readings from those with cells of 12.5 mm, of 50 and 25 mm; and their range.
+
+    Pa; of the chambers and of a tap, over 30 ms.
+    """
+    rig, first, _ = drawn(seed, closed=False)
+    seen = []
+    for dx in (0.05, 0.025, 0.0125):
+        grid = rig.grid.model_copy(update={"dx_m": dx})
+        simulator = Simulator(rig.model_copy(update={"grid": grid}))
+        simulator.reset(first)
+        series = simulator.run(0.03, sample_s=1e-3)
+        seen.append(np.array([*series.chambers.values(), series.pressures["tap"]]))
+    coarse, fine = (float(np.abs(one - seen[2]).mean()) for one in seen[:2])
+    return coarse, fine, float(np.abs(seen[2]).max())
+
+
+def check_halved(count: int) -> None:
+    """Of first order where waves are strong (Toro 2009, 13.4), what halving leaves is a third.
+
+    Contacts are of an order between a half and one: 0.41 of it.
+    """
+    found = np.array([differences(seed) for seed in range(count)])
+    coarse, fine, top = found.T
+    assert np.median(fine / coarse) < 0.45
+    assert np.mean(fine < 0.6 * coarse + 1e-3 * top) > 0.95
+
+
+def test_halved_cells_come_as_much_nearer_as_the_order_says() -> None:
+    check_halved(16)
+
+
+@pytest.mark.long
+def test_halved_cells_come_nearer_in_very_many_networks() -> None:
+    check_halved(200)
