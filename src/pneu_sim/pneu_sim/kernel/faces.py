@@ -458,7 +458,7 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, heads, sieve, gamma):
             u = most if high >= most else 0.5 * (low + high)
         elif u < low:
             u = 0.5 * (low + high)
-        if abs(u - was) * z1 <= STEP_FOUND * q1 and not choked:
+        if abs(u - was) * z1 <= STEP_FOUND * q1:
             break
     if heads + sieve == 0.0 and v1 * v1 * d1 > gamma * p1 and m > d1 * v1 * a1:
         # A shock that brings more than comes would run with the flow: it is swept through, and the
