@@ -109,8 +109,23 @@ def entropy(simulator: Simulator, seen: Any, rig: Rig) -> float:
     return total
 
 
-def check_closed(seed: int) -> None:
+def with_fittings(rig: Rig, seed: int) -> Rig:
+    """A rig with losses of all sizes along its pipes and at their ends."""
+    rng, data = np.random.default_rng(10_000 + seed), rig.model_dump(mode="json", by_alias=True)
+    for pipe in data["pipes"].values():
+        fitting = {"position_m": rng.uniform(0.0, pipe["length_m"]), "k": even(rng, 1e-2, 500.0)}
+        if rng.random() < 0.3:
+            fitting["resistance_pa_s_m"] = even(rng, 1.0, 1e5)
+        pipe["losses"] = [fitting]
+        for end in ("loss_from", "loss_to"):
+            if rng.random() < 0.5:
+                pipe[end] = even(rng, 0.1, 100.0)
+    return Rig.model_validate(data)
+
+
+def check_closed(seed: int, fittings: bool = False) -> None:
     rig, first, _ = drawn(seed, closed=True)
+    rig = with_fittings(rig, seed) if fittings else rig
     simulator = Simulator(rig)
     simulator.reset(first)
     begun = simulator.run(1e-5, sample_s=1e-5)
@@ -126,8 +141,9 @@ def check_closed(seed: int) -> None:
         before = after
 
 
-def check_open(seed: int) -> None:
+def check_open(seed: int, fittings: bool = False) -> None:
     rig, first, _ = drawn(seed, closed=False)
+    rig = with_fittings(rig, seed) if fittings else rig
     simulator = Simulator(rig)
     simulator.reset(first)
     supplies = [part.pressure_pa for part in rig.reservoirs.values()]
@@ -144,11 +160,18 @@ def test_a_network_drawn_at_random_is_sound(seed: int) -> None:
     check_open(seed)
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_a_network_with_fittings_is_sound(seed: int) -> None:
+    check_closed(seed, fittings=True)
+    check_open(seed, fittings=True)
+
+
 @pytest.mark.long
-def test_very_many_networks_drawn_at_random_are_sound() -> None:
+@pytest.mark.parametrize("fittings", [False, True])
+def test_very_many_networks_drawn_at_random_are_sound(fittings: bool) -> None:
     for seed in range(QUICK, ALL):
-        check_closed(seed)
-        check_open(seed)
+        check_closed(seed, fittings)
+        check_open(seed, fittings)
 
 
 def differences(seed: int) -> tuple[float, float, float]:
