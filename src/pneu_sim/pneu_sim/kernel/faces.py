@@ -11,6 +11,8 @@ from pneu_sim.riemann import exact_flux, hllc
 STEP_STEPS, STEP_FOUND = 40, 1e-9
 """Iteration limit of Newton's method for the flow over a step of area, and its tolerance, relative
 to the pressure."""
+FADE = 50.0
+"""Inverse of the heads of a loss from which on the flux of other faces plays no part."""
 CHOKED = 1e-7
 """Relative tolerance of the flow with which a fitting chokes."""
 LOSS_STEPS = 20
@@ -406,10 +408,13 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, heads, sieve, gamma):
     wide = a1 / a2
     half, drive = z1 + (z2 + sieve) * wide, q1 - q2
     u = 2.0 * drive / (half + math.sqrt(half * half + 2.0 * heads * d1 * wide * wide * drive))
+    if v1 > 0.0 and heads + sieve > 0.0:
+        u = v1  # as in steady flow
     u = min(u, most)
     m = h0 = push = thrust = behind = 0.0
     low, high = 0.0, most
     choked = False  # behind the fitting
+    u_before, left_before = u, 0.0
     for _ in range(STEP_STEPS):
         df, q1, z1, flux, slope = end_curve(d1, v1, p1, u, 0.0, gamma)
         h0 = k * q1 / df + 0.5 * u * u
@@ -451,7 +456,12 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, heads, sieve, gamma):
         else:
             high = u
         resists = z2 + heads * dw * uw + sieve
-        step = left / (z1 + resists * a1 * max(slope, 0.05 * df) / (a2 * dw))
+        falls = z1 + resists * a1 * max(slope, 0.05 * df) / (a2 * dw)
+        if u != u_before and left_before != 0.0:  # a secant, which knows what that slope leaves out
+            secant = (left_before - left) / (u - u_before)
+            falls = secant if secant > 0.3 * falls else falls
+        u_before, left_before = u, left
+        step = left / falls
         was = u
         u += step
         if u > high:
@@ -520,7 +530,7 @@ def cross_steps(gas, scheme, dt, cells, steps):
             fm, fe = m / af, m * h0 / af
             keep = max(1.0 - 4.0 * (1.0 - af / max(al, ar)), 0.0)
             lost = heads * af * af + sieve * af / math.sqrt(gamma * pl * dl)
-            keep *= max(1.0 - lost, 0.0)
+            keep *= max(1.0 - FADE * lost, 0.0)
             if keep > 0.0:
                 # a small step, or loss, changes the flux of other faces a little
                 em, ep, ee = exact_flux(dl, ul, pl, dr, ur, pr, gamma, EXACT)
