@@ -13,6 +13,8 @@ STEP_STEPS, STEP_FOUND = 40, 1e-9
 to the pressure."""
 FADE = 50.0
 """Inverse of the heads of a loss from which on the flux of other faces plays no part."""
+SECANT = 1e-5
+"""Change of the pressure, relative, from which on its secant is no rounding in single precision."""
 CHOKED = 1e-7
 """Relative tolerance of the flow with which a fitting chokes."""
 LOSS_STEPS = 20
@@ -408,8 +410,6 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, heads, sieve, gamma):
     wide = a1 / a2
     half, drive = z1 + (z2 + sieve) * wide, q1 - q2
     u = 2.0 * drive / (half + math.sqrt(half * half + 2.0 * heads * d1 * wide * wide * drive))
-    if v1 > 0.0 and heads + sieve > 0.0:
-        u = v1  # as in steady flow
     u = min(u, most)
     m = h0 = push = thrust = behind = 0.0
     low, high = 0.0, most
@@ -457,7 +457,8 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, heads, sieve, gamma):
             high = u
         resists = z2 + heads * dw * uw + sieve
         falls = z1 + resists * a1 * max(slope, 0.05 * df) / (a2 * dw)
-        if u != u_before and left_before != 0.0:  # a secant, which knows what that slope leaves out
+        if left_before != 0.0 and abs(u - u_before) * z1 > SECANT * q1:
+            # a secant, which knows what that slope leaves out
             secant = (left_before - left) / (u - u_before)
             falls = secant if secant > 0.3 * falls else falls
         u_before, left_before = u, left
