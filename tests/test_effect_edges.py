@@ -166,13 +166,10 @@ def test_an_early_clock_is_refused_where_a_plant_is_stepped() -> None:
         Plant([early]).refuse_early_clocks()
 
 
-@pytest.mark.parametrize("tip", [0.0, 0.2])
-@pytest.mark.parametrize("rod", [0.0, 0.3])
+@pytest.mark.parametrize(("tip", "rod"), [(0.2, 0.0), (0.0, 0.3), (0.2, 0.3)])
 def test_the_centre_of_a_link_moves_as_far_as_is_asked_and_its_inertia_stays(
     tip: float, rod: float
 ) -> None:
-    if tip + rod == 0.0:
-        return
     link = Link(length_m=0.3, tip_kg=tip, mass_kg=rod)
     mass, centre = link.total_kg, link.first_moment_kg_m / link.total_kg
     own = link.second_moment_kg_m2 - mass * centre**2

@@ -102,10 +102,10 @@ def test_a_junction_loses_them_on_the_way_in_and_on_the_way_out(heads: float) ->
     assert flux(rig, "x") == pytest.approx(mass_flux(1.2e5, T0, ROOM, 2.0 * heads), rel=0.01)
 
 
-def test_a_sieve_takes_pressure_with_the_velocity() -> None:
+def test_a_linear_resistance_takes_pressure_with_the_velocity() -> None:
     """Little of it, so that the density is nearly the same before and behind."""
-    sieve = {"position_m": 1.0, "k": 0.0, "resistance_pa_s_m": 300.0}
-    tube = leg("supply", "room", 2.0, losses=[sieve])
+    fitting = {"position_m": 1.0, "k": 0.0, "resistance_pa_s_m": 300.0}
+    tube = leg("supply", "room", 2.0, losses=[fitting])
     found = flux(line(ROOM + 1e3, {"tube": tube}, {"dx_m": 0.1}), "tube")
     density = (ROOM + 500.0) / (287.05 * T0)
     # 1 kPa = 300 u + (entry) rho u^2 / 2

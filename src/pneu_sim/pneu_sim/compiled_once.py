@@ -48,10 +48,7 @@ def compiles_once(kernel: Any) -> Any:
 
 @contextmanager
 def _nothing_collected() -> Iterator[None]:
-    """Keeps the garbage collector from a tenth of the time that compiling takes.
-
-    What the compiler makes stays referenced, and there is more of it each time it looks.
-    """
+    """Suspends the garbage collector, which takes a tenth of the compile time and finds nothing."""
     if not gc.isenabled():  # also of a kernel that is compiled for another
         yield
         return

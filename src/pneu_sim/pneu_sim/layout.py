@@ -29,7 +29,7 @@ REYNOLDS: Final = 7  # D / mu, so that Re = rho |u| D / mu
 ROUGH: Final = 8  # (epsilon / (3.7 D))^1.11 of Haaland's formula
 TURBULENT: Final = 9  # gain on the turbulent excess of the drag, 1 = Haaland
 LOSS: Final = 10  # velocity heads lost at the face between this slot and the next, K / A^2, 1/m^4
-SIEVE: Final = 11  # pressure lost there per velocity, R / A, Pa s/m^3
+RESISTANCE: Final = 11  # pressure lost there per velocity, R / A, Pa s/m^3
 HEAT: Final = 12  # quasi-steady wall heat in laminar flow, W/(m^3 K)
 HEAT_UNSTEADY: Final = 13  # unsteady wall heat 4 pi k / A times the chosen factor, W/(m^3 K)
 HEAT_TURBULENT: Final = 14  # gain on the turbulent excess of the wall heat, 1 = Gnielinski

@@ -83,8 +83,8 @@ class Body(Part, ABC):
 
     loaded: ClassVar[tuple[str, ...]] = ()
     """Fields of the joints that may carry something, see `carry`."""
-    same_anywhere: ClassVar[tuple[str, ...]] = ()
-    """Those of them whose load acts alike wherever it lies: slides, and a torso's middle."""
+    arm_free: ClassVar[tuple[str, ...]] = ()
+    """Those of them whose load has no lever arm: slides, and the middle of a torso."""
     off_centre: ClassVar[tuple[str, ...]] = ()
     """Fields of the joints whose link's centre of mass may be elsewhere, see `shift_centre`."""
     cranks: ClassVar[dict[str, str]] = {}

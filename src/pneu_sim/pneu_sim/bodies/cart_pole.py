@@ -41,7 +41,7 @@ class CartPole(Body):
         "rod.mass_kg": 0.2,
     }
     loaded: ClassVar[tuple[str, ...]] = ("slide", "pole")
-    same_anywhere: ClassVar[tuple[str, ...]] = ("slide",)
+    arm_free: ClassVar[tuple[str, ...]] = ("slide",)
     off_centre: ClassVar[tuple[str, ...]] = ("pole",)
 
     kind: Literal["cart_pole"]

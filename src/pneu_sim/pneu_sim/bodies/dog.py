@@ -130,7 +130,7 @@ class Dog(Body):
         "ground.damping_s_m": 0.5,
     }
     loaded: ClassVar[tuple[str, ...]] = ("pitch",)
-    same_anywhere: ClassVar[tuple[str, ...]] = ("pitch",)
+    arm_free: ClassVar[tuple[str, ...]] = ("pitch",)
     cranks: ClassVar[dict[str, str]] = {
         "front_hip": "front.hip_crank",
         "front_knee": "front.knee_crank",

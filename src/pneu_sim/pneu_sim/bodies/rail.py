@@ -24,7 +24,7 @@ class Rail(Body):
     slides: ClassVar[tuple[str, ...]] = ("slide",)
     uncertain: ClassVar[dict[str, float]] = {"mass_kg": 0.2}
     loaded: ClassVar[tuple[str, ...]] = ("slide",)
-    same_anywhere: ClassVar[tuple[str, ...]] = ("slide",)
+    arm_free: ClassVar[tuple[str, ...]] = ("slide",)
 
     kind: Literal["rail"]
     cylinder: str

@@ -90,8 +90,8 @@ class Effect(ABC):
             effect vanishes at strength zero.
         contains: Name of an effect that is a special case of this one; it is named instead, unless
             this one explains more.
-        last: Whether it is worked in after all others, of whatever order they were attached: it
-            moves what they put in place.
+        last: Whether it is applied after all other effects, whatever the order of attachment,
+            because it moves what they place.
         next_experiment: Recording that shows this effect apart from its look-alikes.
     """
 

@@ -4,8 +4,6 @@
 import math
 from typing import ClassVar
 
-import numpy as np
-
 from pneu_sim.effects.base import Effect, EffectParameter
 from pneu_sim.rig.schema import Port, Rig
 
@@ -55,22 +53,14 @@ class DeadBand(Effect):
         return parameter.lower, min(parameter.upper, MOST * min(r for r in reach if r > 0.0))
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
-        width_v = values["width_v"]
-        valve = rig.valves[place]
-        null_v = valve.spool.null_v
-        own = [port.opening for port in valve.ports.values() if port.opening.mirror is None]
-        closed = valve.switch is None and not any(
-            np.interp(null_v, curve.voltage_v, curve.fraction) > 0.0 for curve in own
-        )
-        if closed:
-            valve.spool.dead_band_v += width_v
-        for port in valve.ports.values():
+        # every path opens later by the width, and one that is open at null closes as much sooner
+        width_v, null_v = values["width_v"], rig.valves[place].spool.null_v
+        for port in rig.valves[place].ports.values():
             curve = port.opening
             if curve.mirror is not None or width_v <= 0.0:
                 continue
             left = 1.0 - values["recovered"] * width_v / _reach_v(port, null_v)
-            opens = 1.0 if curve.fraction[-1] > curve.fraction[0] else -1.0
-            shift = 0.0 if closed else opens * width_v
+            shift = width_v if curve.fraction[-1] > curve.fraction[0] else -width_v
             curve.voltage_v = [null_v + left * (v - null_v) + shift for v in curve.voltage_v]
 
 

@@ -8,7 +8,7 @@ from pneu_sim.effects.base import Effect, EffectParameter
 from pneu_sim.rig.schema import Rig
 
 MOST = 0.4
-"""Of the way of a spool from null to its end: what a shift of its null is at most."""
+"""Largest null shift, as a share of the travel from null to the end of the stroke."""
 
 
 class NullOffset(Effect):
@@ -33,7 +33,7 @@ class NullOffset(Effect):
         return list(rig.valves)
 
     def limits(self, parameter: EffectParameter, rig: Rig, place: str) -> tuple[float, float]:
-        """No more than two fifths of the way from null to an end, which may be a duty from 0 to 1.
+        """Bounds relative to the stroke: a command may be volts, or a duty from 0 to 1.
 
         Args:
             parameter: One of ``parameters``.

@@ -35,7 +35,7 @@ class Payload(Effect):
 
     def fitted(self, rig: Rig, place: str) -> tuple[EffectParameter, ...]:
         body, field = joints(rig)[place]
-        return () if field in body.same_anywhere else super().fitted(rig, place)
+        return () if field in body.arm_free else super().fitted(rig, place)
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
         body, field = joints(rig)[place]

@@ -49,8 +49,7 @@ class SpoolBandwidth(Effect):
         spool = rig.valves[place].spool
         if spool.bandwidth_hz is not None:
             lag += spool.damping / (math.pi * spool.bandwidth_hz)
-        stepped = spool.integral > 0.0 or not (
-            spool.max_acceleration_v_s2 is None and spool.max_speed_v_s is None
-        )
+        limits = (spool.max_acceleration_v_s2, spool.max_speed_v_s)
+        stepped = spool.integral > 0.0 or limits != (None, None)
         highest = HIGHEST_HZ if stepped else math.inf
         spool.bandwidth_hz = min(spool.damping / (math.pi * lag), highest)

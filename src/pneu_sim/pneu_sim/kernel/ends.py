@@ -6,7 +6,15 @@ import math
 from pneu_sim import layout as L
 from pneu_sim.compiling import apart, branching, folded, sequence
 from pneu_sim.kernel.orifices import orifice_flow
-from pneu_sim.kernel.waves import end_curve, fastest, leaving, met, power, swept, wave_state
+from pneu_sim.kernel.waves import (
+    choked_velocity,
+    end_curve,
+    equal_flux_velocity,
+    leaving,
+    power,
+    shock_swept_out,
+    wave_state,
+)
 
 JET_STEPS, JET_FOUND = 40, 1e-10
 """Of the search for the pressure behind a cushion, at most; the share of the chamber's to which it
@@ -40,13 +48,13 @@ def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
     Returns:
         Density, outward velocity and pressure at the end.
     """
-    if swept(d, v, p, p0, gamma):
+    if shock_swept_out(d, v, p, p0, gamma):
         return d, v, p
     _, stopped, z = wave_state(d, v, p, 0.0, gamma)
     if stopped >= p0:
         out, df = leaving(d, v, p, p0, gamma)
         if out * out * df > gamma * p0:
-            out = fastest(d, v, p, gamma)
+            out = choked_velocity(d, v, p, gamma)
             _, pf, _ = wave_state(d, v, p, out, gamma)
             return gamma * pf / (out * out), out, pf
         return df, out, p0
@@ -182,10 +190,10 @@ def _joining(d, v, p, q, h, gamma):
     Returns:
         Flow, its slope, and the pressure at the end, which is above the joint's where it chokes.
     """
-    if swept(d, v, p, q, gamma):
+    if shock_swept_out(d, v, p, q, gamma):
         return d * v, 0.0, p
     out, _ = leaving(d, v, p, q, gamma)
-    most = fastest(d, v, p, gamma)
+    most = choked_velocity(d, v, p, gamma)
     if out >= most:
         _, q, _, m, _ = end_curve(d, v, p, most, h, gamma)
         return m, 0.0, q
@@ -393,7 +401,7 @@ def _ported_state(e, j, flow, gas, order, cells, ends):
     if flow < 0.0:
         mass = ends.ported[e, L.N_MASS, j]
         h0 = ends.ported[e, L.N_HEAT, j] / mass if ends.ported[e, L.N_HEAT, j] < 0.0 else h0
-    most = fastest(d, v, p, gamma)
+    most = choked_velocity(d, v, p, gamma)
     least = -math.sqrt(2.0 * (gamma - 1.0) / (gamma + 1.0) * h0)
     held = 0.0
     if ends.give[e, j] != 1.0:
@@ -401,7 +409,7 @@ def _ported_state(e, j, flow, gas, order, cells, ends):
     out = min(max(float(ends.table[e, L.E_SIGN]) * ends.velocity[e, j], least), most)
     q, m = p, 0.0
     for _ in range(END_STEPS):
-        before = met(d, v, p, out, h0, gamma)
+        before = equal_flux_velocity(d, v, p, out, h0, gamma)
         df, q, z, m, slope = end_curve(d, before, p, out, h0, gamma)
         step = (flow - m - held * (p - q)) / max(slope + held * z, 0.01 * d)
         step = min(max(step, least - out), most - out)

@@ -5,7 +5,7 @@ import math
 
 from pneu_sim import layout as L
 from pneu_sim.compiling import branching, each, folded, inlined, sequence, vectorised
-from pneu_sim.kernel.waves import end_curve, fastest, wave_state
+from pneu_sim.kernel.waves import choked_velocity, end_curve, wave_state
 from pneu_sim.riemann import exact_flux, hllc
 
 STEP_STEPS, STEP_FOUND = 40, 1e-9
@@ -340,7 +340,7 @@ def _widened(density, velocity, pressure, area, wide, h0, gamma):
 
 
 @folded
-def _lost(d, u, p, heads, sieve, gamma):
+def _fanno_loss(d, u, p, heads, resistance, gamma):
     """State behind a fitting without length, of the same area: Fanno flow, whose entropy grows.
 
     Per unit of the loss the momentum flux falls by ``rho u^2 / 2`` per head and by ``u`` per
@@ -351,7 +351,7 @@ def _lost(d, u, p, heads, sieve, gamma):
         u: Velocity, not negative, m/s.
         p: Pressure, Pa.
         heads: Velocity heads lost.
-        sieve: Pressure lost per velocity besides, Pa s/m.
+        resistance: Pressure lost per velocity besides, Pa s/m.
         gamma: Ratio of specific heats.
 
     Returns:
@@ -359,7 +359,7 @@ def _lost(d, u, p, heads, sieve, gamma):
         than sound behind it does not.
     """
     s = d * u * u / p
-    lost = heads * s + 2.0 * sieve * u / p
+    lost = heads * s + 2.0 * resistance * u / p
     k = (gamma - 1.0) / gamma
     whole, bend = 1.0 + 0.5 * k * s, (1.0 - 0.5 * k) * s
     if lost <= 0.0:
@@ -379,7 +379,7 @@ def _lost(d, u, p, heads, sieve, gamma):
 
 
 @branching
-def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, heads, sieve, gamma):
+def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, heads, resistance, gamma):
     """Flow between two cells over a step of area and a fitting: a Riemann problem with both.
 
     A wave runs into each cell; between them the flow is steady over the step: it contracts to the
@@ -397,18 +397,18 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, heads, sieve, gamma):
         a2: Area there.
         face: Area of the face, at most these.
         heads: Heads of the velocity in the other cell that are lost.
-        sieve: Pressure lost per velocity there, Pa s/m.
+        resistance: Pressure lost per velocity there, Pa s/m.
         gamma: Ratio of specific heats.
 
     Returns:
         Mass flow, total enthalpy, momentum flux per area before the step, at the face, behind it.
     """
     k = gamma / (gamma - 1.0)
-    most = fastest(d1, v1, p1, gamma)
+    most = choked_velocity(d1, v1, p1, gamma)
     _, q1, z1 = wave_state(d1, v1, p1, 0.0, gamma)
     _, q2, z2 = wave_state(d2, v2, p2, 0.0, gamma)
     wide = a1 / a2
-    half, drive = z1 + (z2 + sieve) * wide, q1 - q2
+    half, drive = z1 + (z2 + resistance) * wide, q1 - q2
     u = 2.0 * drive / (half + math.sqrt(half * half + 2.0 * heads * d1 * wide * wide * drive))
     u = min(u, most)
     m = h0 = push = thrust = behind = 0.0
@@ -422,7 +422,7 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, heads, sieve, gamma):
         m = face * dn * un
         over = a1 * flux / max(m, 1e-300)
         dw, uw, pw = _widened(dn, un, pn, face, a2, h0, gamma)
-        dw, uw, pw, fine = _lost(dw, uw, pw, heads, sieve, gamma)
+        dw, uw, pw, fine = _fanno_loss(dw, uw, pw, heads, resistance, gamma)
         if not fine and over <= 1.0 + 1e-6:
             choked, high = True, u
             u = 0.5 * (low + high)
@@ -455,7 +455,7 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, heads, sieve, gamma):
             low = u
         else:
             high = u
-        resists = z2 + heads * dw * uw + sieve
+        resists = z2 + heads * dw * uw + resistance
         falls = z1 + resists * a1 * max(slope, 0.05 * df) / (a2 * dw)
         if left_before != 0.0 and abs(u - u_before) * z1 > SECANT * q1:
             # a secant, which knows what that slope leaves out
@@ -471,7 +471,7 @@ def _passed(d1, v1, p1, a1, d2, v2, p2, a2, face, heads, sieve, gamma):
             u = 0.5 * (low + high)
         if abs(u - was) * z1 <= STEP_FOUND * q1:
             break
-    if heads + sieve == 0.0 and v1 * v1 * d1 > gamma * p1 and m > d1 * v1 * a1:
+    if heads + resistance == 0.0 and v1 * v1 * d1 > gamma * p1 and m > d1 * v1 * a1:
         # A shock that brings more than comes would run with the flow: it is swept through, and the
         # flow contracts at a supersonic speed.
         dn, un, pn = _squeezed(d1, v1, p1, a1 / face, gamma)
@@ -504,11 +504,11 @@ def cross_steps(gas, scheme, dt, cells, steps):
             af = P[L.FACE, i]
             al = steps.area[q, 0, j]
             ar = steps.area[q, 1, j]
-            heads, sieve = P[L.LOSS, i], P[L.SIEVE, i]
-            if al == af and ar == af and heads + sieve <= 0.0:
+            heads, resistance = P[L.LOSS, i], P[L.RESISTANCE, i]
+            if al == af and ar == af and heads + resistance <= 0.0:
                 continue
             if steps.table[q, 1] == steps.table[q, 3]:  # the only cell of its pipe
-                drag = 0.5 * heads * al * al * abs(X[L.W_U, i]) + sieve * al / S[L.RHO, i]
+                drag = 0.5 * heads * al * al * abs(X[L.W_U, i]) + resistance * al / S[L.RHO, i]
                 S[L.MOM, i] /= 1.0 + dt * drag / P[L.LENGTH, i]
                 continue
             if scheme.order == 1:
@@ -521,16 +521,16 @@ def cross_steps(gas, scheme, dt, cells, steps):
             _, held_r, _ = wave_state(dr, -ur, pr, 0.0, gamma)
             if held_l >= held_r:
                 m, h0, gl, fp, gr = _passed(
-                    dl, ul, pl, al, dr, -ur, pr, ar, af, heads * ar * ar, sieve * ar, gamma
+                    dl, ul, pl, al, dr, -ur, pr, ar, af, heads * ar * ar, resistance * ar, gamma
                 )
             else:
                 m, h0, gr, fp, gl = _passed(
-                    dr, -ur, pr, ar, dl, ul, pl, al, af, heads * al * al, sieve * al, gamma
+                    dr, -ur, pr, ar, dl, ul, pl, al, af, heads * al * al, resistance * al, gamma
                 )
                 m = -m
             fm, fe = m / af, m * h0 / af
             keep = max(1.0 - 4.0 * (1.0 - af / max(al, ar)), 0.0)
-            lost = heads * af * af + sieve * af / math.sqrt(gamma * pl * dl)
+            lost = heads * af * af + resistance * af / math.sqrt(gamma * pl * dl)
             keep *= max(1.0 - FADE * lost, 0.0)
             if keep > 0.0:
                 # a small step, or loss, changes the flux of other faces a little

@@ -7,7 +7,7 @@ from pneu_sim import layout as L
 from pneu_sim.compiling import branching, folded
 from pneu_sim.kernel.ends import face_state
 from pneu_sim.kernel.orifices import ANR_DENSITY, ANR_TEMPERATURE, iso6358_flow
-from pneu_sim.kernel.waves import end_curve, fastest, met, power
+from pneu_sim.kernel.waves import choked_velocity, end_curve, equal_flux_velocity, power
 from pneu_sim.riemann import hllc_flux
 
 PORT_STEPS = 30
@@ -98,7 +98,7 @@ def _at_end(k, j, end, vf, least, far_t, others, c, gas, order, cells, ends, por
     d, v, p = face_state(end, j, order, cells, ends)
     area = cells.par[L.FACE, ends.table[end, L.E_FACE] * cells.lanes + j]
     cp = gamma * gas.r / (gamma - 1.0)
-    before = met(d, v, p, vf, cp * far_t, gamma)
+    before = equal_flux_velocity(d, v, p, vf, cp * far_t, gamma)
     df, q, z, m, slope = end_curve(d, before, p, vf, cp * far_t, gamma)
     held = 0.0
     if ends.give[end, j] != 1.0:
@@ -193,7 +193,7 @@ def solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
     if ka == L.SIDE_END:
         va = float(ends.table[ia, L.E_SIGN]) * ends.velocity[ia, j]
         d, v, p = face_state(ia, j, order, cells, ends)
-        lowest_a, highest_a = -math.sqrt(sonic * tb), fastest(d, v, p, gas.gamma)
+        lowest_a, highest_a = -math.sqrt(sonic * tb), choked_velocity(d, v, p, gas.gamma)
         near = TANGENT * math.sqrt(gas.gamma * p / d)
         others_a = ported[ia, L.N_MASS, j] - m
     elif ka == L.SIDE_CHAMBER:
@@ -203,7 +203,7 @@ def solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
     if kb == L.SIDE_END:
         vb = float(ends.table[ib, L.E_SIGN]) * ends.velocity[ib, j]
         d, v, p = face_state(ib, j, order, cells, ends)
-        lowest_b, highest_b = -math.sqrt(sonic * ta), fastest(d, v, p, gas.gamma)
+        lowest_b, highest_b = -math.sqrt(sonic * ta), choked_velocity(d, v, p, gas.gamma)
         near = TANGENT * math.sqrt(gas.gamma * p / d)
         others_b = ported[ib, L.N_MASS, j] + m
     elif kb == L.SIDE_CHAMBER:

@@ -92,7 +92,7 @@ def leaving(d, v, p, q, gamma):
 
 
 @folded
-def swept(d, v, p, q, gamma):
+def shock_swept_out(d, v, p, q, gamma):
     """Whether outflow is supersonic and carries off the shock that the end's pressure would send.
 
     That shock is no stronger than the normal shock of the flow, which stands still.
@@ -111,7 +111,7 @@ def swept(d, v, p, q, gamma):
 
 
 @folded
-def fastest(d, v, p, gamma):
+def choked_velocity(d, v, p, gamma):
     """Highest velocity at which gas leaves a pipe's end: sonic there, or what it has already.
 
     Args:
@@ -125,7 +125,7 @@ def fastest(d, v, p, gamma):
 
 
 @folded
-def met(d, v, p, out, h0, gamma):
+def equal_flux_velocity(d, v, p, out, h0, gamma):
     """Interior velocity that inflow is compared with: of the same mass flux at its density.
 
     In steady flow with friction or heat the density at the end and in the cell's middle differ, and

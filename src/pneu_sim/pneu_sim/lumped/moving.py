@@ -180,11 +180,11 @@ def moving_solver(rigs: Sequence[Rig], gas: Gas = AIR) -> FullSolver:
     plan = common_plan(reduced)
     models = [build(rig, plan, gas) for rig in reduced]
     for model, rig in zip(models, rigs, strict=True):
-        _give_to_vessels(model, apply_to_rig(rig), gas)
+        _add_what_lines_have(model, apply_to_rig(rig), gas)
     return Lineless(models) if rigs[0].mechanism is None else LinelessMechanism(models, reduced)
 
 
-def _give_to_vessels(model: Model, rig: Rig, gas: Gas) -> None:
+def _add_what_lines_have(model: Model, rig: Rig, gas: Gas) -> None:
     """Has vessels leak, blow off and yield as the lines do that are part of them.
 
     Args:

@@ -336,7 +336,7 @@ def area_steps(models: Sequence[Model]) -> tuple[Ints, Floats]:
     here = np.stack([m.cell[L.AREA] for m in models], axis=-1)
     smooth = np.stack([m.cell[L.TAPER] != 0.0 for m in models], axis=-1)
     narrow = np.stack([m.cell[L.FACE] for m in models], axis=-1)[:-1]
-    lossy = np.stack([m.cell[L.LOSS] + m.cell[L.SIEVE] > 0.0 for m in models], axis=-1)[:-1]
+    lossy = np.stack([m.cell[L.LOSS] + m.cell[L.RESISTANCE] > 0.0 for m in models], axis=-1)[:-1]
     jump = (here[:-1] != here[1:]) | (narrow < np.minimum(here[:-1], here[1:]))
     jump &= ~(smooth[:-1] | smooth[1:])
     if models[0].thesis_joints:

@@ -37,7 +37,7 @@ def cells_of(rig: Rig, plan: Plan, gas: Gas) -> Floats:
         narrowed = narrowed_by(pipe, faces)
         cell[L.FACE, first - 1 : first + n] = _shape(cell[:, span], pipe, faces, narrowed)
         _walls(cell[:, span], pipe, narrowed, gas, room.temperature_k)
-        cell[[L.LOSS, L.SIEVE], first - 1 : first + n] = _losses(pipe, faces, narrowed)
+        cell[[L.LOSS, L.RESISTANCE], first - 1 : first + n] = _losses(pipe, faces, narrowed)
     if not rig.grid.memory:
         # One rig of a batch may have memory where the others have none.
         cell[[L.UNSTEADY, L.HEAT_UNSTEADY]] = 0.0
