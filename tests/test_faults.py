@@ -129,9 +129,7 @@ SAYS = {
 @pytest.mark.parametrize(
     "name",
     [
-        name
-        if name in ("drop", "silent", "dead_valve")
-        else pytest.param(name, marks=pytest.mark.long)
+        name if name == "drop" else pytest.param(name, marks=pytest.mark.long)
         for name, kind in KINDS.items()
         if kind.at != "encoder"
     ],

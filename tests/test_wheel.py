@@ -152,7 +152,7 @@ def test_recordings_are_compared_and_the_leak_is_learned(pneu, work):
     """On the beginnings of those that come along, with long cells; `make demo` has them whole."""
     coarsened(work / RIG, work / "rig_a_fitted.yaml")
     for bag in (HEALTHY, LEAK):
-        shorten(next((work / bag).glob("*.mcap")), work / f"{Path(bag).name}.mcap", 4.0)
+        shorten(next((work / bag).glob("*.mcap")), work / f"{Path(bag).name}.mcap", 2.0)
     words = ("a_healthy_2.mcap", "--rig", RIG, "--no-refine", "--json", "compare.json")
     pneu.run("compare", *words, cwd=work)
     assert json.loads((work / "compare.json").read_text())["pneu_version"] == PROJECT["version"]
