@@ -122,6 +122,28 @@ def test_steady_flow_through_a_narrowing_loses_its_heads(fraction: float, dx: fl
     assert 500.0 / head == pytest.approx(wanted, rel=0.02)
 
 
+# -- leaks of a line ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dx", [0.1, 0.02])
+@pytest.mark.parametrize("position", [1.0, 1.01, 2.0])
+def test_a_leak_leaves_the_pressure_beside_it_alone(position: float, dx: float) -> None:
+    """The gas flows towards it from both sides at u; what is no wave has no share of rho c u."""
+    hole = {"area_m2": 2e-8, "position_m": position}
+    line = simulator(
+        {"a": pipe("high", "closed", 2.0, 6e-6)},
+        {"dx_m": dx, "wave_speed_m_s": 400.0},
+        reservoirs={"high": {"pressure_pa": 6e5}},
+        effects=[{"effect": "leak", "place": "a", "parameters": hole}],
+    )
+    line.run(1.0, sample_s=0.01)
+    state = line.state("a")
+    flow = 2e-8 * 0.0404 * 6e5 / np.sqrt(T0) / 6e-6
+    # (waves that go to and fro for want of friction are long)
+    dents = np.diff(state["pressure"], 2)
+    assert np.abs(dents).max() < 0.02 * flow * np.sqrt(GAMMA * R * T0)
+
+
 # -- volumes beside a line -----------------------------------------------------------------------
 
 

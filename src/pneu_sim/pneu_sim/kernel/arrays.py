@@ -272,11 +272,13 @@ class Term(NamedTuple):
         table: (rows, TERM_COLUMNS) which slot, or -1 - chamber, and of which kind.
         par: (rows, columns, lanes) numbers; zeros where a lane does not have the row.
         room: (2, lanes) pressure Pa and temperature K.
+        flow: (rows, lanes) of leaks the mass flow of the last step, kg/s; of other terms no rows.
     """
 
     table: Ints
     par: Floats
     room: Floats
+    flow: Floats
 
 
 class Taps(NamedTuple):

@@ -121,6 +121,38 @@ def _slopes(gamma, van_leer, dt, w, held, cell, left, right):
         ir[i] = i2 if keep else i0
 
 
+@folded
+def part(i, jump, van_leer, dt, cells):
+    """Have the flow jump in the middle of a cell, where gas leaves the line there.
+
+    Before and behind that place the gas has two velocities. The jump belongs to no slope: the one
+    of the momentum is limited by the differences to the neighbours without it. A slope with a part
+    of it would be taken for gas that gathers in the cell, and the pressure there would be off by up
+    to rho c times the jump, however short the cell.
+
+    Args:
+        i: The cell.
+        jump: Half the flow that leaves over the area of the cell, kg/(m^2 s).
+        van_leer: Whether slopes are limited by van Leer's limiter, else by minmod.
+        dt: Step, s.
+        cells: All slots.
+    """
+    w, X, mom = cells.lanes, cells.work, cells.state[L.MOM]
+    a, b = mom[i] - mom[i - w], mom[i + w] - mom[i]
+    more = limited(a + jump, b + jump, van_leer) - limited(a, b, van_leer)
+    # what half a step of the slope's divergence makes of the cell, gas at rest
+    filled = -dt * more / cells.par[L.LENGTH, i]
+    pressed = filled * X[L.W_C, i] ** 2
+    X[L.W_RL, i] += filled
+    X[L.W_RR, i] += filled
+    X[L.W_PL, i] += pressed
+    X[L.W_PR, i] += pressed
+    X[L.W_IL, i] = 1.0 / X[L.W_RL, i]
+    X[L.W_IR, i] = 1.0 / X[L.W_RR, i]
+    X[L.W_UL, i] += (jump - more) * X[L.W_IL, i]
+    X[L.W_UR, i] -= (jump - more) * X[L.W_IR, i]
+
+
 @sequence
 def reconstruct(gas, van_leer, dt, cells):
     """MUSCL-Hancock face states from limited slopes of the conservative variables (thesis 4.6.4).

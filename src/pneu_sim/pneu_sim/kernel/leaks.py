@@ -3,6 +3,7 @@
 
 from pneu_sim import layout as L
 from pneu_sim.compiling import branching, folded
+from pneu_sim.kernel.faces import part
 from pneu_sim.kernel.orifices import orifice_flow
 
 RELIEF_STEPS = 40
@@ -62,6 +63,28 @@ def _relieved(size, opens, span, p, t, p_room, t_room, brought, falls, gamma, r_
 
 
 @branching
+def part_leaks(van_leer, dt, cells, term):
+    """Flow at the faces of cells that leak: it jumps in their middle, by that of the last step.
+
+    Args:
+        van_leer: Whether slopes are limited by van Leer's limiter, else by minmod.
+        dt: Step, s.
+        cells: All slots.
+        term: What leaks, and how.
+    """
+    w = cells.lanes
+    for q in range(term.table.shape[0]):
+        slot = term.table[q, L.K_SLOT]
+        if slot < 0:
+            continue
+        for j in range(w):
+            i = slot * w + j
+            if term.flow[q, j] != 0.0:
+                jump = 0.5 * term.flow[q, j] / cells.par[L.AREA, i]
+                part(i, jump, van_leer, dt, cells)
+
+
+@branching
 def leak(gas, dt, cells, chambers, term):
     """Take from lines and chambers what leaks to the room, or add what enters from there.
 
@@ -108,6 +131,7 @@ def leak(gas, dt, cells, chambers, term):
                         size, opens, span, p, t, pa, ta, brought, falls, gamma, r_gas
                     )  # fmt: skip
                 m = leak_flow(kind, size, opens, span, p, t, pa, ta, gamma, r_gas)
+                term.flow[q, j] = m
                 if p >= pa:
                     v = X[L.W_U, i]
                     h = m * (cp * t + 0.5 * v**2)

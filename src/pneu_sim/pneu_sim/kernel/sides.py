@@ -11,6 +11,7 @@ end.
 
 from pneu_sim import layout as L
 from pneu_sim.compiling import branching
+from pneu_sim.kernel.faces import part
 
 
 @branching
@@ -84,26 +85,26 @@ def soften_ends(dt, cells, sides, ends):
 
 
 @branching
-def part_sides(cells, sides):
+def part_sides(van_leer, dt, cells, sides):
     """Flow at the faces of cells that have a side in their middle: it jumps there.
 
-    By what the side took up in the last step; a slope between neighbours that differ by the jump
-    has half of it already.
+    By what the side took up in the last step.
 
     Args:
+        van_leer: Whether slopes are limited by van Leer's limiter, else by minmod.
+        dt: Step, s.
         cells: All slots.
         sides: Sides of cells.
     """
-    w, X = cells.lanes, cells.work
+    w = cells.lanes
     for q in range(sides.table.shape[0]):
         if sides.table[q, L.D_END] >= 0:
             continue
         for j in range(w):
             i = sides.table[q, L.D_SLOT] * w + j
             more = sides.more[q, j]
-            lost = 0.25 * more / (1.0 + more) * sides.kept[q, 2, j] / cells.par[L.AREA, i]
-            X[L.W_UL, i] += lost * X[L.W_IL, i]
-            X[L.W_UR, i] -= lost * X[L.W_IR, i]
+            lost = more / (1.0 + more) * sides.kept[q, 2, j]
+            part(i, 0.5 * lost / cells.par[L.AREA, i], van_leer, dt, cells)
 
 
 @branching
