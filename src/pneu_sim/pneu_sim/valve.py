@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pneu_sim.compiling import compiled
 from pneu_sim.rig import model as M
 from pneu_sim.rig.model import Model
+from pneu_sim.rig.schema import Rig
 from pneu_sim.rig.valve_kinds import SWITCH_STEP_S
 from pneu_sim.signals import Signal
 from pneu_sim.spool import MEMORY, spool_positions
@@ -295,3 +296,22 @@ def positions_along(
         positions,
     )  # fmt: skip
     return positions[0]
+
+
+def voltage_limits(rig: Rig) -> dict[str, tuple[float, float]]:
+    """Lowest and highest voltage that the opening curves of each command's valves know.
+
+    Args:
+        rig: The rig.
+    """
+    found: dict[str, tuple[float, float]] = {}
+    for valve in rig.valves.values():
+        volts = [valve.spool.null_v]
+        for port in valve.ports.values():
+            volts += port.opening.voltage_v
+            if port.opening.mirror is not None:
+                curve = valve.ports[port.opening.mirror].opening.voltage_v
+                volts += [2.0 * valve.spool.null_v - v for v in curve]
+        low, high = found.get(valve.command, (math.inf, -math.inf))
+        found[valve.command] = (min(low, *volts), max(high, *volts))
+    return {name: found.get(name, (-math.inf, math.inf)) for name in rig.commands}

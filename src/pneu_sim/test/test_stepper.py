@@ -9,9 +9,10 @@ import pytest
 from tests.live_graph import wait_for
 
 from pneu_common.errors import InputError
-from pneu_sim.nodes.stepper import Inputs, Pacing, Stepper, voltage_limits
+from pneu_sim.nodes.stepper import Inputs, Pacing, Stepper
 from pneu_sim.rig import load_rig
 from pneu_sim.simulator import Simulator
+from pneu_sim.valve import voltage_limits
 
 ROOT = Path(__file__).parents[3]
 RIG = load_rig(ROOT / "rigs/lab.yaml")

@@ -18,6 +18,7 @@ from pneu_common.errors import InputError
 from pneu_sim import sensors
 from pneu_sim.rig.schema import Rig
 from pneu_sim.simulator import Simulator
+from pneu_sim.valve import voltage_limits
 
 BACKLOG_S = 0.1
 """Delay behind the clock up to which lost time is made up; beyond it, time is let slip."""
@@ -89,25 +90,6 @@ class InputReport:
     ignored: int
     clamped: int
     volts: dict[str, float]
-
-
-def voltage_limits(rig: Rig) -> dict[str, tuple[float, float]]:
-    """Lowest and highest voltage that the opening curves of each command's valves know.
-
-    Args:
-        rig: The rig.
-    """
-    found: dict[str, tuple[float, float]] = {}
-    for valve in rig.valves.values():
-        volts = [valve.spool.null_v]
-        for port in valve.ports.values():
-            volts += port.opening.voltage_v
-            if port.opening.mirror is not None:
-                curve = valve.ports[port.opening.mirror].opening.voltage_v
-                volts += [2.0 * valve.spool.null_v - v for v in curve]
-        low, high = found.get(valve.command, (math.inf, -math.inf))
-        found[valve.command] = (min(low, *volts), max(high, *volts))
-    return {name: found.get(name, (-math.inf, math.inf)) for name in rig.commands}
 
 
 class Inputs:
