@@ -28,6 +28,7 @@ class HotStretch(Effect):
         EffectParameter("length_m", "m", 0.5, 0.05, 5.0, 0.5, 0.02),
     )
     order = 6
+    along_lines = True  # models that have volumes in place of lines have nothing of it
     next_experiment = "Repeat the run with the hot part switched off and cold."
 
     def places(self, rig: Rig) -> list[str]:

@@ -57,6 +57,14 @@ def effects(
         Path | None,
         typer.Option("--rig", help="List only what this rig can have, and where."),
     ] = None,
+    prove: Annotated[
+        str | None,
+        typer.Option(
+            "--prove",
+            metavar="NAME",
+            help="Hold one effect to what holds of all, where --rig feels it most.",
+        ),
+    ] = None,
 ) -> None:
     """List the physical effects that a rig may have."""
     from pneu_sim.effects import load_effect_file
@@ -65,12 +73,42 @@ def effects(
 
     if effects_file is not None:
         load_effect_file(effects_file)
+    if prove is not None:
+        _prove(prove, rig)
+        return
     rows = as_table(None if rig is None else load_rig(rig))
     _print_table(
         "",
         ("effect", "what", "where" if rig is None else "places", "strength", "unit", "typical"),
         [(r.name, r.title, r.where, r.strength, r.unit, r.typical) for r in rows],
     )
+
+
+def _prove(name: str, rig: Path | None) -> None:
+    """Prints what was found of one effect, and fails where anything does not hold."""
+    from pneu_sim.effects import find_effect, proof, registry
+    from pneu_sim.rig.load import load_rig
+
+    if rig is None:
+        raise InputError("--prove: --rig is missing; it is the rig on which the effect is tried")
+    effect = find_effect(name)
+    bench = proof.bench_of(load_rig(rig))
+    at = proof.strongest(bench, effect)
+    if at is None:
+        raise InputError(f"effect {name!r}: rig {bench.rig.name!r} has no place for it")
+    others = [proof.strongest(bench, one) for one in registry().values()]
+    found = proof.prove(at, [one for one in others if one is not None])
+    found += [one for case in effect.comparisons() for one in proof.compare(effect, case)]
+    _print_table(
+        f"{name} on {at.place}",
+        ("required", "deviation", "allowed", "", "about"),
+        [
+            (f.check, f"{f.deviation:.2g}", f"{f.allowed:g}", "" if f.holds else "FAILED", f.about)
+            for f in found
+        ],
+    )
+    if failed := sum(not f.holds for f in found):
+        raise InputError(f"effect {name!r}: {failed} of {len(found)} do not hold")
 
 
 def check(

@@ -53,6 +53,18 @@ class ModelKind(ABC):
 
     along_lines: ClassVar[bool] = False
 
+    @classmethod
+    def omits(cls, rig: Rig) -> frozenset[str]:
+        """Names of effects that change nothing of a rig that is computed so.
+
+        Those that act along lines are none of a kind that has no gas along them, named or not.
+
+        Args:
+            rig: The rig.
+        """
+        del rig
+        return frozenset()
+
     @abstractmethod
     def predict(
         self,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every effect of the catalogue: what it declares, that zero strength is absence, continuity."""
+"""Every effect of the catalogue: what it declares, how it is refused, how it adds up."""
 
 import math
 import subprocess
@@ -25,23 +25,7 @@ HOUSE = Path(__file__).parents[3]
 DT_S = 0.002
 NOISE_PA = 250.0
 NOISE_RAD = 0.25e-3
-CURVED = {"backlash": 0.4, "end_cushion": 0.6}
-"""Small strengths act in proportion to within this: with its play a face is met at other times; a
-loss in velocity heads acts by the root of its sum with what else the gas meets there."""
-JUMP = 0.2
-"""In deviations of the noise, root mean square."""
 EFFECTS = [kind() for kind in BUILT_IN]
-
-# Where a typical strength stays within the noise of this rig's sensors, and why.
-FAINT = {
-    ("leak", "supply_line"): "the regulator makes up for it",
-    ("leak", "exhaust_tube"): "open to the room at one end",
-    ("porous_leak", "supply_line"): "the regulator makes up for it",
-    ("porous_leak", "exhaust_tube"): "open to the room at one end",
-    ("relief_valve", "supply_line"): "the regulator makes up for it",
-    ("wall_heat", "exhaust_tube"): "short and open to the room",
-    ("wall_compliance", "exhaust_tube"): "at the room's pressure a wall has its nominal area",
-}
 
 
 @pytest.fixture(scope="module")
@@ -177,43 +161,8 @@ def test_names_are_unique_and_every_file_is_registered() -> None:
     names = [e.name for e in EFFECTS]
     assert len(set(names)) == len(names)
     folder = HOUSE / "src" / "pneu_sim" / "pneu_sim" / "effects"
-    helpers = {"__init__", "base", "document", "places", "registry"}
+    helpers = {"__init__", "base", "document", "places", "proof", "registry"}
     assert {path.stem for path in folder.glob("*.py")} - helpers == set(names)
-
-
-@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
-def test_absent_typical_and_small_strengths(effect: Effect, rig: Rig) -> None:
-    """Zero strength changes nothing, a typical one is felt, and a small one acts in proportion."""
-    base = base_for(effect, rig)
-    p = effect.strength
-    sites = list(effect.sites(base, spacing_m=1.25))
-    steps = np.array([0.0, 1e-3, 1.0, 2.0]) * p.step
-    strengths = [*(p.absent + steps), p.typical]
-    rigs = [
-        attach(base, effect.name, place, **{**shape, p.name: value})
-        for place, shape in sites
-        for value in strengths
-    ]
-    alone = readings(base, [base])[0]
-    runs = readings(base, rigs).reshape(len(sites), len(strengths), *alone.shape)
-    strongest: dict[str, float] = {}
-    largest = 0.0
-    mismatch = math.inf
-    for (place, _), (absent, tiny, one, two, typical) in zip(sites, runs, strict=True):
-        np.testing.assert_allclose(absent, alone, rtol=1e-9)
-        # No jump from absence to presence. (What is loose or leans changes at steps of time.)
-        jump = JUMP * math.sqrt(absent.size) if effect.name == "backlash" else 0.0
-        assert np.linalg.norm(tiny - absent) < 0.01 * np.linalg.norm(one - absent) + jump
-        felt = float(np.max(np.abs(typical - alone)))
-        strongest[place] = max(strongest.get(place, 0.0), felt)
-        if felt > largest:
-            largest = felt
-            mismatch = np.linalg.norm(2.0 * (one - absent) - (two - absent)) / np.linalg.norm(
-                two - absent
-            )
-    assert mismatch < CURVED.get(effect.name, 0.1)
-    for place, felt in strongest.items():
-        assert felt > 3.0 or (effect.name, place) in FAINT, (place, felt)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)

@@ -117,9 +117,11 @@ def add_effect(
         InputError: The effect or the place is unknown.
     """
     effect = find_effect(name)
-    places = effect.places(rig)
+    places = effect.places_in(rig)
     if not places:
-        raise InputError(f"effect {name!r}: rig {rig.name!r} has no place for it")
+        raise InputError(
+            f"effect {name!r}: rig {rig.name!r} has no place for it in its model {rig.model!r}"
+        )
     if place is not None and place not in places:
         raise InputError(f"effect {name!r}: place {place!r} is not one of {', '.join(places)}")
     problem = make_problem(rig, recording, workers=workers)

@@ -3,10 +3,13 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
+from numpy.typing import ArrayLike
+
+from pneu_sim.rig.kinds import found
 from pneu_sim.rig.model import Model
 from pneu_sim.rig.schema import Rig
 
@@ -46,6 +49,31 @@ class EffectParameter:
     step: float
     fitted: bool = False
     scanned: int = 0
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """An experiment whose outcome is foretold without the model: in closed form, or by another.
+
+    Attributes:
+        what: What foretells it, in a few words.
+        rig: The rig, without the effect.
+        place: Where the effect sits.
+        strengths: How much of it there is, each; the last is an extreme.
+        measure: What the experiment tells of a rig, any number or series of them.
+        expected: The same of a strength, foretold.
+        shape: The effect's further parameters.
+        allowed: The most by which they may differ, as a share of what the effect changes.
+    """
+
+    what: str
+    rig: Rig
+    place: str
+    strengths: tuple[float, ...]
+    measure: Callable[[Rig], ArrayLike]
+    expected: Callable[[float], ArrayLike]
+    shape: Mapping[str, float] = field(default_factory=dict)
+    allowed: float = 0.01
 
 
 def position_along_pipe() -> EffectParameter:
@@ -90,8 +118,13 @@ class Effect(ABC):
             effect vanishes at strength zero.
         contains: Name of an effect that is a special case of this one; it is named instead, unless
             this one explains more.
-        last: Whether it is applied after all other effects, whatever the order of attachment,
-            because it moves what they place.
+        along_lines: Whether it acts on the gas along lines, cell by cell, so that models that have
+            volumes in place of lines have nothing of it.
+        turn: Effects of a lower turn are applied first, whatever the order of attachment: what is
+            measured from the room comes after the room, what moves places after what sits there.
+        lets_through: What it lets through the walls of a rig: "gas", "heat", or nothing.
+        same_as: Names of effects that change exactly the same on some rigs, where no recording
+            tells them apart: the friction of a slide and that of the piston that moves it.
         next_experiment: Recording that shows this effect apart from its look-alikes.
     """
 
@@ -107,7 +140,10 @@ class Effect(ABC):
     traded: ClassVar[bool] = False
     arm: ClassVar[str] = ""
     contains: ClassVar[str | None] = None
-    last: ClassVar[bool] = False
+    along_lines: ClassVar[bool] = False
+    turn: ClassVar[int] = 0
+    lets_through: ClassVar[tuple[str, ...]] = ()
+    same_as: ClassVar[tuple[str, ...]] = ()
     next_experiment: ClassVar[str]
 
     @property
@@ -140,6 +176,30 @@ class Effect(ABC):
         Args:
             rig: The rig.
         """
+
+    def places_in(self, rig: Rig) -> list[str]:
+        """Where the model of a rig can have this effect: its ``places``, or none at all.
+
+        Args:
+            rig: The rig.
+        """
+        return [] if self.is_omitted(rig) else self.places(rig)
+
+    def is_omitted(self, rig: Rig) -> bool:
+        """Whether the kind of model that a rig names has nothing of this effect.
+
+        Args:
+            rig: The rig.
+        """
+        kind: Any = found(rig.model).load()  # a `pneu_sim.models.ModelKind`, which knows effects
+        return (self.along_lines and not kind.along_lines) or self.name in kind.omits(rig)
+
+    def comparisons(self) -> tuple["Comparison", ...]:
+        """Experiments that foretell what the effect changes; those of the catalogue are its tests'.
+
+        A user's own effect is compared with them by ``pneu effects --prove``.
+        """
+        return ()
 
     @abstractmethod
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
@@ -188,7 +248,7 @@ class Effect(ABC):
         Yields:
             Place and the shape parameters to start from.
         """
-        for place in self.places(rig):
+        for place in self.places_in(rig):
             shape = {p.name: p.typical for p in self.parameters[1:]}
             if not self.has_position:
                 yield place, shape

@@ -27,6 +27,7 @@ class JunctionLoss(Effect):
         EffectParameter("K", "velocity heads", 0.0, 0.0, 50.0, 1.5, 0.05),
     )
     order: ClassVar[int] = 3
+    along_lines: ClassVar[bool] = True
     next_experiment: ClassVar[str] = (
         "Blow through the junction from one branch to each other with a tap in all: a loss at the"
         " junction is met by every flow, a fitting in a branch by the flows through that one."

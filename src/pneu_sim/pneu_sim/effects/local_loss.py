@@ -22,6 +22,7 @@ class LocalLoss(Effect):
         position_along_pipe(),
     )
     order: ClassVar[int] = 3
+    along_lines: ClassVar[bool] = True
     next_experiment: ClassVar[str] = (
         "Blow through at several flows with a tap on either side: the drop at a fitting grows with"
         " flow squared over pressure and does not depend on the distance between the taps."

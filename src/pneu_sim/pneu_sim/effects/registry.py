@@ -310,8 +310,13 @@ def apply_to_rig(rig: Rig) -> Rig:
     if not rig.effects:
         return rig
     copy = rig.model_copy(deep=True)
-    for attached in sorted(rig.effects, key=lambda one: find_effect(one.effect).last):
+    for attached in sorted(rig.effects, key=lambda one: find_effect(one.effect).turn):
         effect = find_effect(attached.effect)
+        if effect.is_omitted(rig):
+            raise InputError(
+                f"effect {effect.name!r} on {attached.place!r}: model {rig.model!r} of rig"
+                f" {rig.name!r} has nothing of it; take it off, or use model 'pde'"
+            )
         places = effect.places(rig)
         if attached.place not in places:
             raise InputError(

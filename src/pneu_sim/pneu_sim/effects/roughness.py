@@ -23,6 +23,7 @@ class Roughness(Effect):
     )
     order: ClassVar[int] = 3
     curved: ClassVar[bool] = True
+    along_lines: ClassVar[bool] = True
     next_experiment: ClassVar[str] = (
         "Blow through at several Reynolds numbers: on a rough wall the friction factor levels off"
         " as the flow grows, a plain friction error keeps its ratio."

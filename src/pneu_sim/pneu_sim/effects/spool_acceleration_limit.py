@@ -27,6 +27,7 @@ class SpoolAccelerationLimit(Effect):
         EffectParameter("inertia_s2_v", "s^2/V", 0.0, 0.0, 1e-3, 1e-5, 3e-7),
     )
     order: ClassVar[int] = 2
+    curved: ClassVar[bool] = True
     next_experiment: ClassVar[str] = (
         "Step the valve by 0.5, 2 and 8 V: with limited acceleration the time to open grows with"
         " the root of the step, with limited speed in proportion, without limits not at all."

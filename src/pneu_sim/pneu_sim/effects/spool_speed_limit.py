@@ -26,6 +26,7 @@ class SpoolSpeedLimit(Effect):
         EffectParameter("slowness_s_v", "s/V", 0.0, 0.0, 0.1, 3e-3, 6e-5),
     )
     order: ClassVar[int] = 2
+    curved: ClassVar[bool] = True
     next_experiment: ClassVar[str] = (
         "Step the valve by a small and by a large voltage: a spool limited in speed takes time in"
         " proportion to the step, a slow linear one the same time for both."

@@ -14,7 +14,7 @@ class SupplyRipple(Effect):
     """A sine on a source's pressure, added to the rig's.
 
     It is on top of what flow makes the source sag. Time counts from the beginning of a simulation,
-    and is that of the recording where there is one. The lumped models have no ripple.
+    and is that of the recording where there is one. Lumped models have it only where pistons move.
     """
 
     name: ClassVar[str] = "supply_ripple"

@@ -24,6 +24,7 @@ class TurbulentFriction(Effect):
         EffectParameter("gain", "1 = Haaland", 0.0, -1.0, 5.0, 0.5, 0.015),
     )
     order: ClassVar[int] = 3
+    along_lines: ClassVar[bool] = True
     next_experiment: ClassVar[str] = (
         "Fill with the valve fully open and with taps along the line: wall friction drops pressure"
         " in proportion to length at Re above 4000, a fitting in one place."

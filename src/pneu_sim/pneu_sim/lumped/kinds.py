@@ -22,8 +22,26 @@ from pneu_sim.solver import Solver
 Floats = NDArray[np.float64]
 
 
+STILL = frozenset(
+    {"regulator_droop", "supply_ripple", "chamber_heat", "chamber_convection", "cylinder_heat"}
+)
+"""Effects that change nothing where no piston moves: volumes keep their temperature, and sources
+their pressure (thesis 3.2)."""
+
+
 class Lumped(ModelKind):
     """A rig reduced to volumes and sources."""
+
+    @classmethod
+    def omits(cls, rig: Rig) -> frozenset[str]:
+        """Names of effects that change nothing; see `ModelKind.omits`.
+
+        Args:
+            rig: The rig.
+        """
+        moving = bool(rig.moves or rig.cylinders)
+        # all ports follow one law, and none of them is a way that a cushion narrows
+        return (frozenset({"end_cushion"}) if moving else STILL) | {"critical_ratio"}
 
     @abstractmethod
     def build(self, rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> LumpedModel:
@@ -72,6 +90,15 @@ class Lumped(ModelKind):
 
 class ThinPlate(Lumped):
     """Volumes filled through orifices (thesis 3.2.1), which move pistons where a rig has any."""
+
+    @classmethod
+    def omits(cls, rig: Rig) -> frozenset[str]:
+        """Names of effects that change nothing; see `ModelKind.omits`.
+
+        Args:
+            rig: The rig.
+        """
+        return super().omits(rig) | {"laminar_friction"}
 
     def build(self, rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> LumpedModel:
         """Reduces a rig; see `Lumped.build`.

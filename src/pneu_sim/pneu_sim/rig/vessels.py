@@ -187,7 +187,8 @@ class Reservoir(Part):
         droop_pa_s_per_kg: Sag of the pressure per flow drawn.
         droop_tau_s: Time constant of the sag.
         inlet_loss: Velocity heads lost where gas enters a pipe (0 rounded, 0.5 sharp).
-        ripples: Pulsations of its pressure, added up. Lumped models have none.
+        ripples: Pulsations of its pressure, added up. Lumped models have them only
+            where pistons move.
         room: Whether it is the room, rather than a source or a vacuum; not given, it is where its
             pressure is that of `ambient` as the file is read.
     """
