@@ -19,7 +19,7 @@ ROS_VENV   := .venv-ros
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-robot test test-long ros-venv test-ros bench lint format gpu bags observer predictive predictive-live tosses experiments hand-force hand-tables pushing kokoro simple-model ablations configurations cell-sizes learning folder-is-named exact calibration thinned \
+.PHONY: help demo demo-robot test test-long ros-venv test-ros bench lint format gpu bags observer predictive predictive-live tosses experiments hand-force hand-tables pushing kokoro effects simple-model ablations configurations cell-sizes learning folder-is-named exact calibration thinned \
 	confusion thresholds moved faults fuzz mutate study-pressure clean clean-kernels
 
 help:  ## list the targets
@@ -84,6 +84,9 @@ pushing: $(VENV)/.ready-dev  ## slow: policies that push a cylinder, trained and
 
 kokoro: $(VENV)/.ready-dev  ## slow: table 9.2, controllers of a joint made and judged; STAGES=names
 	@$(RUN) -m studies.kokoro $(STAGES)
+
+effects: $(VENV)/.ready-dev  ## every effect beside its reference, and what holds of all
+	@$(RUN) -m studies.effects
 
 simple-model: $(VENV)/.ready-dev  ## slow: thesis 7.5, a cart that learns in the full or in the simple model; ARGS=options
 	@$(RUN) -m studies.simple_model $(ARGS)
