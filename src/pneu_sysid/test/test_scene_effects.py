@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every effect of scenes: what it declares, that it is where it says, and does something."""
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from pneu_sysid.contacts.effects.base import SceneEffect, Setup
 from pneu_sysid.contacts.knots import chain_of
 from pneu_sysid.contacts.manifold import manifold_of
 from pneu_sysid.contacts.physics import Physics
-from pneu_sysid.contacts.scene import Loaded, load_scene
+from pneu_sysid.contacts.scene import Loaded, Value, load_scene
 from pneu_sysid.contacts.track import Series, Track, unbroken
 from pneu_sysid.contacts.yielding import yielding_column
 
@@ -109,6 +110,49 @@ def test_it_changes_what_is_seen(effect: SceneEffect, loaded: Loaded, chain: Cha
         effect.put(setup, place, now * 1.5 if effect.logarithmic else now + effect.typical)
         felt.append(np.max(np.abs(rows(chain, setup) - base)))
     assert max(felt) > 1e-6, effect.name
+
+
+def numbers(setup: Setup) -> dict[str, np.ndarray]:
+    """All real numbers of the model that a scene is made into."""
+    model = setup.spec.compile()
+    found = {name: getattr(model, name) for name in dir(model) if not name.startswith("_")}
+    arrays = {n: np.array(a) for n, a in found.items() if isinstance(a, np.ndarray)}
+    return {n: a for n, a in arrays.items() if a.dtype.kind == "f"} | {"g": model.opt.gravity}
+
+
+def test_effects_are_the_same_in_either_order(loaded: Loaded) -> None:
+    base = loaded.setup()
+    sites = [(e, e.places(base)[-1]) for e in EFFECTS if e.in_mjcf and e.name not in WITHOUT]
+    there = {}
+    for effect, place in sites:
+        now = effect.value(loaded.setup(), place)
+        there[effect] = float(now * 1.5 if effect.logarithmic else now + effect.typical)
+    for one, other in itertools.combinations(sites, 2):
+        if one[0].adds_joint and other[0].adds_joint:
+            continue  # a chain of two joints; a scene has them in one order, whichever it lists
+        models = []
+        for pair in ((one, other), (other, one)):
+            setup = loaded.setup()
+            for effect, place in pair:
+                effect.put(setup, place, there[effect])
+            models.append(numbers(setup))
+        for name, array in models[0].items():
+            said = f"{name}: {one[0].name} and {other[0].name}"
+            np.testing.assert_allclose(array, models[1][name], 1e-9, 1e-12, err_msg=said)
+
+
+def test_joints_that_are_added_move_each_other_in_one_order(loaded: Loaded) -> None:
+    values = (
+        Value(effect="springy_tip", at="second.x", value=500.0),
+        Value(effect="link_bend", at="second.z", value=400.0),
+        Value(effect="springy_tip", at="second.y", value=300.0),
+    )
+    one, other = (loaded.setup(order).spec.compile() for order in (values, values[::-1]))
+    assert one.njnt == loaded.setup().spec.compile().njnt + 3
+    assert [one.joint(k).name for k in range(one.njnt)] == [
+        other.joint(k).name for k in range(other.njnt)
+    ]
+    np.testing.assert_array_equal(one.jnt_axis, other.jnt_axis)
 
 
 def test_one_geom_alone_may_differ(loaded: Loaded) -> None:

@@ -15,7 +15,7 @@ from pneu_common.errors import InputError
 from pneu_common.files import write_whole
 from pneu_common.validation import Listed, Settings, sentence
 from pneu_sim.mechanism.loading import mujoco_module
-from pneu_sysid.contacts.effects import find_scene_effect
+from pneu_sysid.contacts.effects import find_scene_effect, scene_effects
 from pneu_sysid.contacts.effects.base import Reading, SceneEffect, Setup
 from pneu_sysid.contacts.norms import Norm
 
@@ -400,12 +400,16 @@ class Loaded:
     def setup(self, values: tuple[Value, ...] = ()) -> Setup:
         """The scene as a model is made from it.
 
+        They act in the catalogue's order, whatever theirs: two joints that are added to one body
+        move each other in the order in which they are there.
+
         Args:
             values: Effects that differ from the MJCF.
         """
+        turns = list(scene_effects())
         readings = {name: Reading() for name in self.names}
         setup = Setup(self._spec.copy(), readings, self.widths, self._messages())
-        for value in values:
+        for value in sorted(values, key=lambda one: (turns.index(one.effect), one.at)):
             if value.value is not None:
                 find_scene_effect(value.effect).put(setup, value.at, value.value)
         return setup

@@ -31,4 +31,11 @@ class GeometryScale(SceneEffect):
                 geom.size = [x * by for x in geom.size]
                 geom.pos = [x * by for x in geom.pos]
                 geom.mass = mass
+        # Of bodies whose inertia an effect has written out the geoms no longer imply it.
+        for name in {*setup.massive, *(body for body, _ in setup.shifted)}:
+            body = setup.spec.body(name)
+            shift = [setup.shifted.get((name, axis), 0.0) for axis in range(3)]
+            body.ipos = [(x - s) * by + s for x, s in zip(body.ipos, shift, strict=True)]
+            body.inertia = [x * by**2 for x in body.inertia]
+            body.fullinertia = [x * by**2 for x in body.fullinertia]
         setup.scaled = 1.0 + value
