@@ -119,3 +119,41 @@ def test_a_loss_that_vanishes_changes_nothing(heads: float) -> None:
     lossy = fitted(plain, "local_loss", "tube", K=heads, position_m=0.4)
     seen = [Simulator(rig).run(0.02, sample_s=1e-4).pressures["tap"] for rig in (plain, lossy)]
     assert np.abs(seen[0] - seen[1]).max() < 1e-2 + 1e5 * heads
+
+
+@pytest.mark.parametrize("dx", [0.1, 0.05, 0.02])
+@pytest.mark.parametrize("above", [400.0, -400.0])
+@pytest.mark.parametrize("end", ["loss_from", "loss_to", "losses"])
+def test_a_tap_beside_a_fitting_at_an_end_is_on_its_own_side(
+    end: str, above: float, dx: float
+) -> None:
+    """Bernoulli without friction: the fitting is at the end, whatever cell the tap is in."""
+    heads = 6.0
+    wall = {"laminar": 0.0, "turbulent": 0.0, "nusselt": 0.0, "heat_turbulent": 0.0}
+    pipe = {"from": "left", "to": "right", "length_m": 1.0, "area_m2": 6e-6, "wall": wall}
+    pipe[end] = [{"position_m": 0.995, "k": heads}] if end == "losses" else heads
+    places = {"first": 0.01, "second": 0.04, "middle": 0.5, "third": 0.96, "fourth": 0.99}
+    rig = Rig.model_validate(
+        {
+            "name": "beside",
+            "grid": {"dx_m": dx, "memory": False, "wave_speed_m_s": 400.0},
+            "ambient": {"pressure_pa": 1e5, "temperature_k": 293.15},
+            "reservoirs": {
+                "left": {"pressure_pa": 1e5 + above},
+                "right": {"pressure_pa": 1e5, "room": True},
+            },
+            "pipes": {"tube": pipe},
+            "taps": {name: {"pipe": "tube", "position_m": x} for name, x in places.items()},
+        }
+    )
+    simulator = Simulator(rig)
+    seen = {name: y[-1] for name, y in simulator.run(2.0, sample_s=0.1).taps.items()}
+    state = simulator.state("tube")
+    speed = float(np.median(state["velocity"]))
+    head = 0.5 * float(np.median(state["density"])) * speed * abs(speed)
+    # one head goes into the flow at the mouth, and none comes back at the outlet
+    assert above == pytest.approx(head * (1.0 + heads), rel=0.01)
+    entered = 1.0 + (heads if (end == "loss_from") == (above > 0.0) else 0.0)
+    inside = 1e5 + max(above, 0.0) - abs(head) * entered
+    for name, pressure in seen.items():
+        assert pressure == pytest.approx(inside, abs=0.02 * abs(head) * heads), name

@@ -88,6 +88,8 @@ class Tile:
         ambient: (2, lanes) room pressure and temperature.
         tap_slot: (n_taps, lanes).
         tap_weight: (n_taps, lanes).
+        tap_cell: (n_taps, lanes).
+        tap_lost: (n_taps, lanes).
         step_index: (n_steps, 5) faces where the area jumps.
         step_area: (n_steps, 2, lanes) areas on both sides of those.
         side_index: (n_sides, SIDE_COLUMNS) cells that have a volume beside them.
@@ -142,6 +144,8 @@ class Tile:
     ambient: Floats
     tap_slot: Ints
     tap_weight: Floats
+    tap_cell: Ints
+    tap_lost: Floats
     step_index: Ints
     step_area: Floats
     side_index: Ints
@@ -330,6 +334,8 @@ def pack(
         ambient=lanes([m.ambient for m in models]),
         tap_slot=np.ascontiguousarray(np.stack([m.tap_slot for m in models], axis=-1)),
         tap_weight=lanes([m.tap_weight for m in models]),
+        tap_cell=np.ascontiguousarray(np.stack([m.tap_cell for m in models], axis=-1)),
+        tap_lost=lanes([m.tap_lost for m in models]),
         step_index=step_index,
         step_area=step_area,
         side_index=side_index,
@@ -682,6 +688,8 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
         kernel.Taps(
             tile.tap_slot,
             tile.tap_weight,
+            tile.tap_cell,
+            tile.tap_lost,
             watch.sensor[taps],
             watch.time_steps[taps],
             watch.measured[taps],

@@ -13,7 +13,7 @@ from pneu_sim.gas import AIR, Gas
 from pneu_sim.kernel.orifices import ANR_DENSITY, ANR_TEMPERATURE
 from pneu_sim.rig.cells import spread
 from pneu_sim.rig.expand import with_cylinders
-from pneu_sim.rig.lines import cells_of
+from pneu_sim.rig.lines import cells_of, lost_beyond
 from pneu_sim.rig.mechanics import body_rows, cylinder_rows
 from pneu_sim.rig.model import CURVE_POINTS, SENSOR_COLUMNS, VALVE_COLUMNS, Model
 from pneu_sim.rig.opening import opening_at
@@ -74,7 +74,7 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
             cell[L.FACE, plan.ends[e, L.E_FACE]] = min(end_area[e], end_area[other])
     leaks, porous, reliefs = vents(rig, plan, gas)
     port, curve, curve_v, spool = _ports(rig, plan)
-    tap_slot, tap_weight, sensor = _taps(rig, plan)
+    tap_slot, tap_weight, tap_cell, tap_lost, sensor = _taps(rig, plan, cell)
     body, joint = body_rows(rig)
     model = Model(
         plan=plan,
@@ -102,6 +102,8 @@ def build(rig: Rig, plan: Plan | None = None, gas: Gas = AIR) -> Model:
         curve_v=curve_v,
         tap_slot=tap_slot,
         tap_weight=tap_weight,
+        tap_cell=tap_cell,
+        tap_lost=tap_lost,
         sensor=sensor,
         encoder=_encoders(rig),
         ambient=np.array([rig.ambient.pressure_pa, rig.ambient.temperature_k]),
@@ -235,10 +237,16 @@ def _chambers(rig: Rig, gas: Gas) -> Floats:
     return rows
 
 
-def _taps(rig: Rig, plan: Plan) -> tuple[Ints, Floats, Floats]:
-    """The slot and the weight of the next one that each tap is read by, and its sensor."""
+def _taps(rig: Rig, plan: Plan, cell: Floats) -> tuple[Ints, Floats, Ints, Floats, Floats]:
+    """The slot and the weight of the next one that each tap is read by, and its sensor.
+
+    Besides the slot whose flow loses pressure between what is read and the tap, and the share of
+    m |m| / rho that it loses, see `lost_beyond`.
+    """
     slot = np.zeros(len(rig.taps), dtype=np.int64)
     weight = np.zeros(len(rig.taps))
+    passed = np.zeros(len(rig.taps), dtype=np.int64)
+    lost = np.zeros(len(rig.taps))
     sensor = np.zeros((len(rig.taps), SENSOR_COLUMNS))
     for t, tap in enumerate(rig.taps.values()):
         sensor[t] = (tap.lag_s, tap.gain, tap.bias_pa, tap.offset_s)
@@ -259,7 +267,15 @@ def _taps(rig: Rig, plan: Plan) -> tuple[Ints, Floats, Floats]:
             left = min(max(math.floor(at), -1), n - 1)
             weight[t] = at - left
         slot[t] = first + left
-    return slot, weight, sensor
+        # how much of what is read lies in each outermost cell, or beyond it
+        outer = (1.0 if left < 0 else 1.0 - weight[t] if left == 0 else 0.0, 0.0)
+        outer = (outer[0], 1.0 if left > n - 2 else weight[t] if left == n - 2 else 0.0)
+        for side, heads in enumerate(lost_beyond(rig.pipes[tap.pipe], n, tap.position_m)):
+            if heads * outer[side] != 0.0:
+                passed[t] = first + (0, n - 1)[side]
+                turn = (-0.5, 0.5)[side]
+                lost[t] = turn * outer[side] * heads * cell[L.AREA, passed[t]] ** 2
+    return slot, weight, passed, lost, sensor
 
 
 def _encoders(rig: Rig) -> Floats:

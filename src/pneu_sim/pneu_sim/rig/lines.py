@@ -96,6 +96,31 @@ def _walls(cell: Floats, pipe: Pipe, narrowed: Narrowed, gas: Gas, room_k: float
     cell[L.COMPLIANCE] = wall.compliance_per_pa * area * cell[L.LENGTH] / volume
 
 
+def lost_beyond(pipe: Pipe, n: int, position_m: float) -> tuple[float, float]:
+    """Velocity heads over A^2 that are lost between a point of a pipe and either of its ends.
+
+    Of fittings in the outermost cells alone: they are lost at the face next to those, on the other
+    side of the point, whose gas then has the pressure behind them.
+
+    Args:
+        pipe: The pipe.
+        n: Its cells.
+        position_m: Where the point is.
+
+    Returns:
+        At the end that it is from, and at the one that it is to, 1/m^4.
+    """
+    if n < 2:
+        return 0.0, 0.0
+    faces = np.linspace(0.0, pipe.length_m, n + 1)
+    plain = areas(pipe, faces)[1]
+    fittings = [(0.0, pipe.loss_from), (pipe.length_m, pipe.loss_to)]
+    fittings += [(loss.position_m, loss.k) for loss in pipe.losses]
+    first = sum(k for x, k in fittings if x < min(position_m, faces[1]))
+    last = sum(k for x, k in fittings if x > max(position_m, faces[-2]))
+    return float(first / plain[1] ** 2), float(last / plain[-2] ** 2)
+
+
 def _losses(pipe: Pipe, faces: Floats, narrowed: Narrowed) -> Floats:
     """(2, n + 1) what is lost at the faces of a pipe: velocity heads over A^2, and R over A.
 

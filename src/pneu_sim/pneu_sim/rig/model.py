@@ -71,6 +71,8 @@ class Model:
         curve_v: (n_ports, 2) voltage range of the table.
         tap_slot: (n_taps,) slot left of the tap, or -1 - chamber.
         tap_weight: (n_taps,) weight of the next slot.
+        tap_cell: (n_taps,) slot whose flow loses pressure on its way to or from the tap ...
+        tap_lost: (n_taps,) ... and what of m |m| / rho it loses; 0 where it is none.
         sensor: (n_taps, 4) lag, gain, bias, clock offset.
         encoder: (n_encoders, 4) likewise.
         ambient: (2,) pressure, temperature.
@@ -98,6 +100,8 @@ class Model:
     curve_v: Floats
     tap_slot: Ints
     tap_weight: Floats
+    tap_cell: Ints
+    tap_lost: Floats
     sensor: Floats
     encoder: Floats
     ambient: Floats
