@@ -3,15 +3,53 @@
 
 The catalogue warms the whole room; this effect warms the wall of one stretch of one line. Try it
 with ``pneu effects --effects examples/my_effect.py``; ``diagnose``, ``add`` and ``learn`` take it
-alike.
+alike. Whether it is what it says, ``pneu effects --effects examples/my_effect.py --prove
+hot_stretch --rig RIG`` tells: what is required of every effect, and what `comparisons` foretells.
 """
+
+import math
 
 import numpy as np
 
 from pneu_sim import layout
-from pneu_sim.effects import Effect, EffectParameter, position_along_pipe
+from pneu_sim.effects import Comparison, Effect, EffectParameter, position_along_pipe
+from pneu_sim.gas import AIR
 from pneu_sim.rig.model import Model
 from pneu_sim.rig.schema import Rig
+from pneu_sim.simulator import Simulator
+
+ROOM_K, PRESSURE_PA = 293.15, 4e5
+SHUT = {
+    "name": "shut",
+    "grid": {"memory": False},
+    "ambient": {"temperature_k": ROOM_K},
+    "pipes": {
+        "line": {
+            "from": "closed",
+            "to": "closed",
+            "length_m": 1.0,
+            "area_m2": 6e-6,
+            "wall": {"nusselt": 4.0, "heat_turbulent": 0.0},
+        }
+    },
+    "taps": {"end": {"pipe": "line", "position_m": 1.0}},
+}
+"""A line that is shut at both ends, all of it beside something hot."""
+
+
+def warmed_pa(rig: Rig) -> float:
+    """Pressure after a tenth of a second."""
+    simulator = Simulator(rig)
+    simulator.set_state("line", PRESSURE_PA / (AIR.r_specific * ROOM_K), 0.0, PRESSURE_PA)
+    return float(simulator.run(0.1).taps["end"][-1])
+
+
+def foretold_pa(excess_k: float) -> float:
+    """The same of gas at rest: m cv dT/dt = Nu pi k L (T_wall - T)."""
+    density = PRESSURE_PA / (AIR.r_specific * ROOM_K)
+    rate = 4.0 * math.pi * float(AIR.conductivity(ROOM_K)) / (density * 6e-6 * AIR.cv)
+    warmer_k = excess_k * (1.0 - math.exp(-0.1 * rate))
+    return PRESSURE_PA * (1.0 + warmer_k / ROOM_K)
 
 
 class HotStretch(Effect):
@@ -29,6 +67,7 @@ class HotStretch(Effect):
     )
     order = 6
     along_lines = True  # models that have volumes in place of lines have nothing of it
+    lets_through = ("heat",)
     next_experiment = "Repeat the run with the hot part switched off and cold."
 
     def places(self, rig: Rig) -> list[str]:
@@ -47,3 +86,19 @@ class HotStretch(Effect):
         covered = np.minimum(faces[1:], high) - np.maximum(faces[:-1], low)
         share = np.clip(covered, 0.0, None) / np.diff(faces)
         model.cell[layout.WALL_T, first : first + cells] += values["excess_k"] * share
+
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """An experiment that a closed form foretells."""
+        everywhere = {"position_m": 0.5, "length_m": 1.0}
+        rig = Rig.model_validate(SHUT)
+        return (
+            Comparison(
+                what="gas at rest beside a warm wall, exponential",
+                rig=rig,
+                place="line",
+                strengths=(5.0, -30.0, 150.0),
+                measure=warmed_pa,
+                expected=foretold_pa,
+                shape=everywhere,
+            ),
+        )

@@ -10,7 +10,7 @@ from tests.effect_benches import BENCHES, felt_on
 from tests.references.effects import COMPARISONS
 
 from pneu_common.files import whole
-from pneu_sim.effects import load_effect_file, proof, registry
+from pneu_sim.effects import Comparison, load_effect_file, proof, registry
 from pneu_sim.effects.proof import Finding
 from studies.digest import ROOT, digest_of
 
@@ -41,13 +41,15 @@ class Row:
         name: The effect.
         bench: The rig on which it was held to what holds of all.
         general: What holds of all.
-        reference: The experiment, one finding per strength.
+        experiment: What it is compared with, where there is something.
+        reference: One finding of that per strength.
         refused: Models that refuse it.
     """
 
     name: str
     bench: str
     general: list[Finding]
+    experiment: Comparison | None
     reference: list[Finding]
     refused: list[str]
 
@@ -70,12 +72,13 @@ def main() -> None:
     for name, at in track(felt.items(), description="effects", total=len(felt)):
         others = [one for one in felt.values() if one.bench is at.bench]
         general = proof.prove(at, others)
-        one = COMPARISONS.get(name)
+        one = next(iter(at.effect.comparisons()), COMPARISONS.get(name))
         rows.append(
             Row(
                 name,
                 next(key for key, bench in benches.items() if bench is at.bench),
                 general,
+                one,
                 [] if one is None else proof.compare(at.effect, one),
                 [f.check.rpartition(" ")[2] for f in general if f.check.startswith("refused")],
             )
@@ -122,13 +125,12 @@ def page(rows: list[Row], twins: dict[str, set[tuple[str, str]]], path: Path) ->
         "|---|---|---|",
     ]
     for row in rows:
-        if row.reference:
-            what = COMPARISONS[row.name].what
+        if row.experiment is not None:
             told = "; ".join(
                 f"{s:g}: {_number(f)}"
-                for s, f in zip(COMPARISONS[row.name].strengths, row.reference, strict=True)
+                for s, f in zip(row.experiment.strengths, row.reference, strict=True)
             )
-            lines.append(f"| {row.name} | {what} | {told} |")
+            lines.append(f"| {row.name} | {row.experiment.what} | {told} |")
     lines += [
         "",
         "## What holds of every effect",

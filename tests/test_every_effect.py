@@ -4,6 +4,8 @@
 `python -m studies.effects` writes the same figures down for people (docs/effects_proven.md).
 """
 
+import dataclasses
+
 import pytest
 from tests.effect_benches import BENCHES, felt_on
 from tests.references.effects import COMPARISONS
@@ -58,6 +60,16 @@ def test_what_holds_of_every_effect(felt: dict[str, proof.At], name: str) -> Non
 @pytest.mark.parametrize("name", [*NAMES, OWN])
 def test_no_effect_hangs_on_cells_or_steps(felt: dict[str, proof.At], name: str) -> None:
     assert wrong(proof.refines(felt[name])) == []
+
+
+def test_a_user_s_effect_is_compared_with_what_it_foretells_itself(
+    felt: dict[str, proof.At],
+) -> None:
+    (one,) = felt[OWN].effect.comparisons()
+    found = proof.compare(felt[OWN].effect, one)
+    assert len(found) == 3 and wrong(found) == []
+    other = dataclasses.replace(one, expected=lambda excess_k: 1.02 * one.expected(excess_k))
+    assert len(wrong(proof.compare(felt[OWN].effect, other))) == 3
 
 
 @pytest.mark.parametrize("name", COMPARISONS)

@@ -123,7 +123,7 @@ def test_a_loss_that_vanishes_changes_nothing(heads: float) -> None:
 
 @pytest.mark.parametrize("dx", [0.1, 0.05, 0.02])
 @pytest.mark.parametrize("above", [400.0, -400.0])
-@pytest.mark.parametrize("end", ["loss_from", "loss_to", "losses"])
+@pytest.mark.parametrize("end", ["loss_from", "loss_to", "losses", "resistance"])
 def test_a_tap_beside_a_fitting_at_an_end_is_on_its_own_side(
     end: str, above: float, dx: float
 ) -> None:
@@ -131,7 +131,13 @@ def test_a_tap_beside_a_fitting_at_an_end_is_on_its_own_side(
     heads = 6.0
     wall = {"laminar": 0.0, "turbulent": 0.0, "nusselt": 0.0, "heat_turbulent": 0.0}
     pipe = {"from": "left", "to": "right", "length_m": 1.0, "area_m2": 6e-6, "wall": wall}
-    pipe[end] = [{"position_m": 0.995, "k": heads}] if end == "losses" else heads
+    resistance = 40.0  # Pa s/m
+    if end == "losses":
+        pipe["losses"] = [{"position_m": 0.995, "k": heads}]
+    elif end == "resistance":
+        pipe["losses"] = [{"position_m": 0.995, "resistance_pa_s_m": resistance}]
+    else:
+        pipe[end] = heads
     places = {"first": 0.01, "second": 0.04, "middle": 0.5, "third": 0.96, "fourth": 0.99}
     rig = Rig.model_validate(
         {
@@ -151,6 +157,8 @@ def test_a_tap_beside_a_fitting_at_an_end_is_on_its_own_side(
     state = simulator.state("tube")
     speed = float(np.median(state["velocity"]))
     head = 0.5 * float(np.median(state["density"])) * speed * abs(speed)
+    if end == "resistance":
+        heads = resistance * abs(speed) / abs(head)
     # one head goes into the flow at the mouth, and none comes back at the outlet
     assert above == pytest.approx(head * (1.0 + heads), rel=0.01)
     entered = 1.0 + (heads if (end == "loss_from") == (above > 0.0) else 0.0)

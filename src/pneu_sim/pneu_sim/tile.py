@@ -89,7 +89,7 @@ class Tile:
         tap_slot: (n_taps, lanes).
         tap_weight: (n_taps, lanes).
         tap_cell: (n_taps, lanes).
-        tap_lost: (n_taps, lanes).
+        tap_lost: (n_taps, 2, lanes).
         step_index: (n_steps, 5) faces where the area jumps.
         step_area: (n_steps, 2, lanes) areas on both sides of those.
         side_index: (n_sides, SIDE_COLUMNS) cells that have a volume beside them.

@@ -25,7 +25,7 @@ def taps(spread_slot, spread_chamber, error_pa=ERROR_PA):
     """Three taps that ask for corrections."""
     none, lanes = np.zeros((3, 0, 2)), np.zeros((3, 2))
     return kernel.Taps(
-        lanes.astype(np.int64), lanes, lanes.astype(np.int64), lanes,
+        lanes.astype(np.int64), lanes, np.zeros((3, 2)).astype(np.int64), np.zeros((3, 2, 2)),
         np.zeros((3, L.SENSOR_ROWS, 2)), none, none, none,
         spread_slot, spread_chamber, lanes.astype(np.int64), lanes, lanes, error_pa, none,
     )  # fmt: skip

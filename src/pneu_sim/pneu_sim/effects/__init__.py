@@ -2,6 +2,7 @@
 """The catalogue of physical effects that a rig may have and a nominal model may lack."""
 
 from pneu_sim.effects.base import POSITION as POSITION
+from pneu_sim.effects.base import Comparison as Comparison
 from pneu_sim.effects.base import Effect as Effect
 from pneu_sim.effects.base import EffectParameter as EffectParameter
 from pneu_sim.effects.base import position_along_pipe as position_along_pipe

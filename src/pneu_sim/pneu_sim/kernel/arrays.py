@@ -288,7 +288,7 @@ class Taps(NamedTuple):
         slot: (n_taps, lanes) slot left of each tap, or -1 - chamber.
         weight: (n_taps, lanes) weight of the next slot.
         cell: (n_taps, lanes) slot whose flow loses pressure between what is read and the tap.
-        lost: (n_taps, lanes) what of m |m| / rho it loses; 0 where it is none.
+        lost: (n_taps, 2, lanes) what of m |m| / rho and of m / rho it loses; 0 where nothing.
         sensor: (n_taps, SENSOR_ROWS, lanes) what each sensor makes of the pressure.
         time: (n_taps, m, lanes) when each is read, in steps since the start, increasing; inf
             beyond the last reading.

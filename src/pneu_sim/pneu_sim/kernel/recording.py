@@ -16,11 +16,11 @@ def _at_tap(t, j, cells, chambers, taps):
         return chambers.work[-1 - slot, L.H_PRESSURE, j]
     a = taps.weight[t, j]
     seen = (1.0 - a) * p[slot * w + j] + a * p[(slot + 1) * w + j]
-    lost = taps.lost[t, j]
-    if lost != 0.0:  # at a fitting between the tap and the middle of its cell
+    heads, resistance = taps.lost[t, 0, j], taps.lost[t, 1, j]
+    if heads != 0.0 or resistance != 0.0:  # at a fitting between the tap and the middle of its cell
         i = taps.cell[t, j] * w + j
         flow = cells.state[L.MOM, i]
-        seen += lost * flow * abs(flow) * cells.work[L.W_RI, i]
+        seen += (heads * abs(flow) + resistance) * flow * cells.work[L.W_RI, i]
     return seen
 
 

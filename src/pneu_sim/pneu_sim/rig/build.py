@@ -240,13 +240,13 @@ def _chambers(rig: Rig, gas: Gas) -> Floats:
 def _taps(rig: Rig, plan: Plan, cell: Floats) -> tuple[Ints, Floats, Ints, Floats, Floats]:
     """The slot and the weight of the next one that each tap is read by, and its sensor.
 
-    Besides the slot whose flow loses pressure between what is read and the tap, and the share of
-    m |m| / rho that it loses, see `lost_beyond`.
+    Besides the slot whose flow loses pressure between what is read and the tap, and what it loses
+    of m |m| / rho and of m / rho, see `lost_beyond`.
     """
     slot = np.zeros(len(rig.taps), dtype=np.int64)
     weight = np.zeros(len(rig.taps))
     passed = np.zeros(len(rig.taps), dtype=np.int64)
-    lost = np.zeros(len(rig.taps))
+    lost = np.zeros((len(rig.taps), 2))
     sensor = np.zeros((len(rig.taps), SENSOR_COLUMNS))
     for t, tap in enumerate(rig.taps.values()):
         sensor[t] = (tap.lag_s, tap.gain, tap.bias_pa, tap.offset_s)
@@ -268,13 +268,15 @@ def _taps(rig: Rig, plan: Plan, cell: Floats) -> tuple[Ints, Floats, Ints, Float
             weight[t] = at - left
         slot[t] = first + left
         # how much of what is read lies in each outermost cell, or beyond it
-        outer = (1.0 if left < 0 else 1.0 - weight[t] if left == 0 else 0.0, 0.0)
-        outer = (outer[0], 1.0 if left > n - 2 else weight[t] if left == n - 2 else 0.0)
-        for side, heads in enumerate(lost_beyond(rig.pipes[tap.pipe], n, tap.position_m)):
-            if heads * outer[side] != 0.0:
-                passed[t] = first + (0, n - 1)[side]
-                turn = (-0.5, 0.5)[side]
-                lost[t] = turn * outer[side] * heads * cell[L.AREA, passed[t]] ** 2
+        at_first = 1.0 if left < 0 else 1.0 - weight[t] if left == 0 else 0.0
+        at_last = 1.0 if left > n - 2 else weight[t] if left == n - 2 else 0.0
+        beyond = lost_beyond(rig.pipes[tap.pipe], n, tap.position_m)
+        for turn, share, outer in ((-1.0, at_first, 0), (1.0, at_last, n - 1)):
+            heads, resistance = beyond[min(outer, 1)]
+            if share != 0.0 and heads + resistance > 0.0:
+                passed[t] = first + outer
+                area = cell[L.AREA, passed[t]]
+                lost[t] = turn * share * 0.5 * heads * area**2, turn * share * resistance * area
     return slot, weight, passed, lost, sensor
 
 

@@ -96,11 +96,13 @@ def _walls(cell: Floats, pipe: Pipe, narrowed: Narrowed, gas: Gas, room_k: float
     cell[L.COMPLIANCE] = wall.compliance_per_pa * area * cell[L.LENGTH] / volume
 
 
-def lost_beyond(pipe: Pipe, n: int, position_m: float) -> tuple[float, float]:
-    """Velocity heads over A^2 that are lost between a point of a pipe and either of its ends.
+def lost_beyond(
+    pipe: Pipe, n: int, position_m: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """What is lost between a point of a pipe and either of its ends: heads over A^2, and R over A.
 
-    Of fittings in the outermost cells alone: they are lost at the face next to those, on the other
-    side of the point, whose gas then has the pressure behind them.
+    At fittings in the outermost cells alone: they are at the face next to those, on the other side
+    of the point, so that the gas of its cell has the pressure behind them.
 
     Args:
         pipe: The pipe.
@@ -108,17 +110,22 @@ def lost_beyond(pipe: Pipe, n: int, position_m: float) -> tuple[float, float]:
         position_m: Where the point is.
 
     Returns:
-        At the end that it is from, and at the one that it is to, 1/m^4.
+        1/m^4 and Pa s/m^3 at the end that it is from, and at the one that it is to.
     """
     if n < 2:
-        return 0.0, 0.0
+        return (0.0, 0.0), (0.0, 0.0)
     faces = np.linspace(0.0, pipe.length_m, n + 1)
     plain = areas(pipe, faces)[1]
-    fittings = [(0.0, pipe.loss_from), (pipe.length_m, pipe.loss_to)]
-    fittings += [(loss.position_m, loss.k) for loss in pipe.losses]
-    first = sum(k for x, k in fittings if x < min(position_m, faces[1]))
-    last = sum(k for x, k in fittings if x > max(position_m, faces[-2]))
-    return float(first / plain[1] ** 2), float(last / plain[-2] ** 2)
+    fittings = [(0.0, pipe.loss_from, 0.0), (pipe.length_m, pipe.loss_to, 0.0)]
+    fittings += [(loss.position_m, loss.k, loss.resistance_pa_s_m) for loss in pipe.losses]
+    found = []
+    for beyond, face in (
+        ([f for f in fittings if f[0] < min(position_m, faces[1])], 1),
+        ([f for f in fittings if f[0] > max(position_m, faces[-2])], -2),
+    ):
+        heads, resistance = sum(f[1] for f in beyond), sum(f[2] for f in beyond)
+        found.append((float(heads / plain[face] ** 2), float(resistance / plain[face])))
+    return found[0], found[1]
 
 
 def _losses(pipe: Pipe, faces: Floats, narrowed: Narrowed) -> Floats:

@@ -72,7 +72,7 @@ class Model:
         tap_slot: (n_taps,) slot left of the tap, or -1 - chamber.
         tap_weight: (n_taps,) weight of the next slot.
         tap_cell: (n_taps,) slot whose flow loses pressure on its way to or from the tap ...
-        tap_lost: (n_taps,) ... and what of m |m| / rho it loses; 0 where it is none.
+        tap_lost: (n_taps, 2) ... and what of m |m| / rho and of m / rho it loses; 0 where nothing.
         sensor: (n_taps, 4) lag, gain, bias, clock offset.
         encoder: (n_encoders, 4) likewise.
         ambient: (2,) pressure, temperature.
