@@ -139,9 +139,9 @@ def page(rows: list[Row], twins: dict[str, set[tuple[str, str]]], path: Path) ->
         " `tests/effect_benches.py` on which it is felt; as shares of what a typical strength"
         f" changes. Allowed: none of it {proof.ROUND_OFF:g}, slope {proof.SLOPE:g} (half a small"
         f" strength against a whole one; {proof.FINITE:g} where it is declared curved, c), cells"
-        f" and steps {proof.GRID:g}, pipe turned and order of attachment {proof.ROUND_OFF:g}, mass"
-        f" and energy of a closed rig {proof.KEPT:g}. Models that refuse the effect are named; in"
-        " all others it acts.",
+        f" and steps {proof.GRID:g}, pipe turned {proof.TURNED:g}, order of attachment"
+        f" {proof.ROUND_OFF:g}, mass and energy of a closed rig {proof.KEPT:g}. Models that refuse"
+        " the effect are named; in all others it acts.",
         "",
         "| effect | rig | " + " | ".join(COLUMNS.values()) + " | refused by |",
         "|---|---|" + "---|" * len(COLUMNS) + "---|",

@@ -5,6 +5,8 @@
 """
 
 import dataclasses
+import subprocess
+import sys
 
 import pytest
 from tests.effect_benches import BENCHES, felt_on
@@ -124,3 +126,16 @@ def test_a_check_that_does_not_hold_says_so() -> None:
         del loaded["rooted"]
     assert [one.partition(":")[0] for one in said] == ["vanishes", "slope", "order of attachment"]
     assert "with sensor_gain on end" in said[2]
+
+
+def test_a_user_has_an_effect_proven_by_a_command() -> None:
+    words = [sys.executable, "-m", "pneu_common.cli", "effects", "--effects"]
+    words += ["examples/my_effect.py", "--prove", OWN]
+    done = subprocess.run([*words, "--rig", "rigs/rig_a.yaml"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    for said in ("vanishes", "slope", "cells half as long", "order of attachment", "reference"):
+        assert said in done.stdout
+    assert "FAILED" not in done.stdout
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr.strip().startswith("pneu: --prove: --rig is missing")

@@ -92,10 +92,17 @@ def _prove(name: str, rig: Path | None) -> None:
     if rig is None:
         raise InputError("--prove: --rig is missing; it is the rig on which the effect is tried")
     effect = find_effect(name)
-    bench = proof.bench_of(load_rig(rig))
+    plant = load_rig(rig)
+    # what runs into its stops is no smooth function of anything
+    bench = proof.bench_of(plant, reach=0.03 if plant.moves else 1.0)
     at = proof.strongest(bench, effect)
     if at is None:
         raise InputError(f"effect {name!r}: rig {bench.rig.name!r} has no place for it")
+    if not at.responses([at.typical]).any():
+        raise InputError(
+            f"effect {name!r}: rig {plant.name!r} does not feel it, from rest and along its"
+            " commands; another rig is needed to try it on"
+        )
     others = [proof.strongest(bench, one) for one in registry().values()]
     found = proof.prove(at, [one for one in others if one is not None])
     found += [one for case in effect.comparisons() for one in proof.compare(effect, case)]

@@ -35,7 +35,7 @@ from pneu_sim.valve import voltage_limits
 Floats = NDArray[np.float64]
 
 ROUND_OFF = 1e-8
-"""Two ways to compute one number differ by less than this share of the effect's size."""
+"""Two ways to compute one number differ by less than this share of it."""
 SLOPE = 0.05
 """Half a difference step has half the effect to within this, unless the effect is curved."""
 FINITE = 4.0
@@ -43,6 +43,9 @@ FINITE = 4.0
 GRID = 0.1
 """An effect changes by less than this share of itself where cells, or steps, are half as long: on
 cells of 50 mm the least accurate, a change of temperature that is carried along, by 0.07."""
+TURNED = 1e-4
+"""And by less than this where its pipe is written from the other end: what is found by iteration,
+to 1e-9 of a pressure, is found from the other side, and an effect is a small part of a pressure."""
 KEPT = 1e-9
 """Share of its mass or energy that a closed rig may lose or gain."""
 TWIN = 1e-6
@@ -347,22 +350,31 @@ def turned(at: At) -> Finding:
         at: The effect and where it sits, on a pipe.
     """
     rig, name = at.bench.rig, at.place
-    pipe = rig.pipes[name]
-    other = rig.model_copy(deep=True)
+    pipe, other = rig.pipes[name], rig.model_copy(deep=True)
     flipped = other.pipes[name]
-    flipped.from_node, flipped.to_node = pipe.to_node, pipe.from_node
-    flipped.loss_from, flipped.loss_to = pipe.loss_to, pipe.loss_from
-    for loss in flipped.losses:
-        loss.position_m = pipe.length_m - loss.position_m
-    for tap in other.taps.values():
-        if tap.pipe == name and tap.position_m is not None:
-            tap.position_m = pipe.length_m - tap.position_m
+    for one, another in (
+        ("from_node", "to_node"),
+        ("loss_from", "loss_to"),
+        ("volume_from_m3", "volume_to_m3"),
+    ):
+        setattr(flipped, one, getattr(pipe, another))
+        setattr(flipped, another, getattr(pipe, one))
+    if pipe.area_profile is not None:
+        corners = [(pipe.length_m - x, area) for x, area in pipe.area_profile]
+        flipped.area_profile = corners[::-1]
+    taps = [tap for tap in other.taps.values() if tap.pipe == name]
+    parts: list[Any] = [*flipped.losses, *flipped.leaks, *flipped.reliefs, *flipped.volumes]
+    for part in [*parts, *flipped.narrowings, *taps]:
+        part.position_m = pipe.length_m - part.position_m
+    for own in other.effects:
+        if own.place == name and POSITION in own.parameters:
+            own.parameters[POSITION] = pipe.length_m - own.parameters[POSITION]
     shape: dict[str, float] = {}
     if POSITION in at.shape:
         shape[POSITION] = pipe.length_m - at.shape[POSITION]
     (here,) = at.responses([at.typical])
     (there,) = at.responses([at.typical], other, shape)
-    return Finding("pipe written from its other end", _share(here - there, here), ROUND_OFF)
+    return Finding("pipe written from its other end", _share(here - there, here), TURNED)
 
 
 def by_models(at: At) -> list[Finding]:
@@ -505,10 +517,6 @@ def _size(response: Floats) -> float:
 def _share(off: Floats, of: Floats) -> float:
     """How large a difference is beside a response; infinite beside none."""
     return _size(off) / _size(of) if _size(of) > 0.0 else math.inf
-
-
-def _largest(response: Floats) -> float:
-    return float(np.max(np.abs(response)))
 
 
 def _apart(one: Model, other: Model) -> float:
