@@ -14,6 +14,7 @@ from pneu_sim.bodies.link import Link
 from pneu_sim.effects import apply_to_rig, registry
 from pneu_sim.plant import Plant
 from pneu_sim.rig import load_rig
+from pneu_sim.rig.build import build
 from pneu_sim.rig.cylinder import Cushion
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.run import run_from_rest
@@ -242,11 +243,30 @@ def valve_of(**more: object) -> Rig:
 
 
 def opening(rig: Rig, port: str, volts: float) -> float:
-    """Opening of a path where the spool stands."""
-    spool, curve = rig.valves["v"].spool, rig.valves["v"].ports[port].opening
+    """Opening of a path where the spool stands, as the model has it."""
+    model, spool = build(rig), rig.valves["v"].spool
+    q = model.plan.port_names.index(f"v.{port}")
     away = volts - spool.null_v
     x = spool.null_v + np.sign(away) * max(abs(away) - spool.dead_band_v, 0.0)
-    return float(np.interp(x, curve.voltage_v, curve.fraction))
+    at = np.linspace(*model.curve_v[q], model.curve.shape[1])
+    return float(np.interp(x, at, model.curve[q]))
+
+
+@pytest.mark.parametrize("recovered", [0.0, 1.0])
+def test_an_overlap_of_a_port_that_opens_by_a_power_is_closed_too(recovered: float) -> None:
+    """Below its first point such a curve goes on to null: the overlap moves null as well."""
+    rig = valve_of(kind="3/3", command_v=[0.0, 10.0])
+    measured = type(rig.valves["v"].ports["supply"].opening)(
+        voltage_v=[5.1, 6.0, 10.0], fraction=[0.004, 0.1, 1.0], interpolation="power"
+    )
+    rig.valves["v"].ports["supply"].opening = measured
+    wide = with_effect(rig, "dead_band", "v", width_v=0.25, recovered=recovered)
+    left = (5.0 - 0.25 * recovered) / 5.0
+    for volts in (5.0, 5.1, 5.2, 5.25):
+        assert opening(wide, "supply", volts) == 0.0
+    for volts in (5.02, 5.1, 5.5, 7.0, 9.5):
+        there = 5.0 + left * (volts - 5.0) + 0.25
+        assert opening(wide, "supply", there) == pytest.approx(opening(rig, "supply", volts), 2e-3)
 
 
 def test_an_overlap_of_a_closed_centre_takes_its_width_on_both_sides() -> None:
@@ -254,7 +274,7 @@ def test_an_overlap_of_a_closed_centre_takes_its_width_on_both_sides() -> None:
     rig.valves["v"].ports["exhaust"].opening = type(rig.valves["v"].ports["supply"].opening)(
         voltage_v=[0.0, 5.0], fraction=[1.0, 0.0]
     )
-    wide = apply_to_rig(with_effect(rig, "dead_band", "v", width_v=1.0))
+    wide = with_effect(rig, "dead_band", "v", width_v=1.0)
     for volts in (2.0, 3.9, 4.5, 5.0, 5.5, 6.1, 8.0):
         assert opening(wide, "supply", volts) == pytest.approx(max(volts - 6.0, 0.0) / 5.0)
         assert opening(wide, "exhaust", volts) == pytest.approx(max(4.0 - volts, 0.0) / 5.0)
@@ -262,7 +282,7 @@ def test_an_overlap_of_a_closed_centre_takes_its_width_on_both_sides() -> None:
 
 def test_an_overlap_closes_a_path_that_is_open_at_the_centre_sooner() -> None:
     rig = valve_of(kind="3/3", command_v=[0.0, 10.0], centre="exhausted", overlap_v=2.0)
-    wide = apply_to_rig(with_effect(rig, "dead_band", "v", width_v=0.5))
+    wide = with_effect(rig, "dead_band", "v", width_v=0.5)
     for volts in np.linspace(0.0, 10.0, 41):
         assert opening(wide, "exhaust", volts) == pytest.approx(
             opening(rig, "exhaust", volts + 0.5)
@@ -274,7 +294,7 @@ def test_an_overlap_of_a_switched_valve_leaves_no_path_open_for_ever() -> None:
     rig = valve_of(kind="3/2")
     switch = rig.valves["v"].switch
     assert switch is not None
-    wide = apply_to_rig(with_effect(rig, "dead_band", "v", width_v=1.0))
+    wide = with_effect(rig, "dead_band", "v", width_v=1.0)
     between = np.linspace(switch.off_v, switch.on_v, 97)
     for one in (rig, wide):
         ways = [[opening(one, port, v) for v in between] for port in one.valves["v"].ports]

@@ -88,7 +88,9 @@ def _held(*volts: float, samples: int = 60) -> Floats:
     return np.repeat(np.array(volts), samples)
 
 
-def _static(opening: Callable[[float, float], float]) -> dict[str, Any]:
+def _static(
+    opening: Callable[[float, float], float], gain: Callable[[float], float] = lambda _: 1.0
+) -> dict[str, Any]:
     """What a valve passes that has come to rest at each of some voltages."""
     volts = (5.2, 6.0, 8.0, 9.5, 4.7, 3.0, 1.0)
 
@@ -97,7 +99,8 @@ def _static(opening: Callable[[float, float], float]) -> dict[str, Any]:
 
     def expected(strength: float) -> Floats:
         x = np.array([opening(u, strength) for u in volts])
-        return np.stack([np.clip(x / 5.0, 0.0, 1.0), np.clip(-x / 5.0, 0.0, 1.0)])
+        ways = np.stack([np.clip(x / 5.0, 0.0, 1.0), np.clip(-x / 5.0, 0.0, 1.0)])
+        return np.asarray(gain(strength) * ways)
 
     return {"rig": _valve(), "place": "valve", "measure": measure, "expected": expected}
 
@@ -106,22 +109,10 @@ def _dead(u: float, width: float) -> float:
     return math.copysign(max(abs(u - 5.0) - width, 0.0), u - 5.0)
 
 
-def _shifted_by(seconds: float) -> Floats:
-    """Middles of openings after a step at 20 ms that comes later by so much; 1 ms each."""
-    at = 0.02 + seconds
-    edges = STEP_S * np.arange(101)
-    covered = np.clip((edges[1:] - at) / STEP_S, 0.0, 1.0)
-    return np.asarray(covered)
-
-
-def _late(strength: float) -> Floats:
-    # The valve opens to 0.6: what a sample tells is the opening in the middle of its last step.
-    x = 0.6 * (_shifted_by(strength) >= 1.0)
-    return np.stack([x, np.zeros_like(x)])
-
-
-def _late_closing(strength: float) -> Floats:
-    x = 0.6 * (1.0 - (_shifted_by(strength) >= 1.0))
+def _late(strength: float, closing: bool = False) -> Floats:
+    """A step to or from 0.6 at 20 ms that comes later, as the middle of the last step tells it."""
+    late = STEP_S * np.arange(1, 101) > 0.02 + strength + 1e-9
+    x = np.where(late != closing, 0.6, 0.0)
     return np.stack([x, np.zeros_like(x)])
 
 
@@ -213,7 +204,7 @@ VALVES = {
         "valve",
         (3e-3, 8e-3, 0.05),
         _openings(np.r_[_held(8.0, samples=20), _held(5.0, samples=80)]),
-        _late_closing,
+        lambda s: _late(s, closing=True),
     ),
     "spool_bandwidth": Comparison(
         "its equation of motion behind a ramp, by SciPy",
@@ -248,14 +239,7 @@ VALVES = {
     "flow_gain": Comparison(
         "ISO 6358, choked",
         strengths=(0.1, -0.5, 2.0),
-        **(
-            _static(lambda u, s: u - 5.0)
-            | {
-                "expected": lambda s: (
-                    (1.0 + s) * np.asarray(_static(lambda u, _: u - 5.0)["expected"](0.0))
-                )
-            }
-        ),
+        **_static(lambda u, s: u - 5.0, lambda s: 1.0 + s),
     ),
     "critical_ratio": Comparison(
         "ISO 6358, subsonic, the ratio of pressures 0.8",

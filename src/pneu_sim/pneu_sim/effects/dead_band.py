@@ -4,7 +4,10 @@
 import math
 from typing import ClassVar
 
+import numpy as np
+
 from pneu_sim.effects.base import Effect, EffectParameter
+from pneu_sim.rig.model import Model
 from pneu_sim.rig.schema import Port, Rig
 
 MOST = 0.9
@@ -53,15 +56,18 @@ class DeadBand(Effect):
         return parameter.lower, min(parameter.upper, MOST * min(r for r in reach if r > 0.0))
 
     def on_rig(self, rig: Rig, place: str, values: dict[str, float]) -> None:
-        # every path opens later by the width, and one that is open at null closes as much sooner
+        del rig, place, values  # between their points the curves stay what they are
+
+    def on_model(self, model: Model, rig: Rig, place: str, values: dict[str, float]) -> None:
+        # Every path opens later by the width, and one that is open at null closes as much sooner:
+        # the axis of voltage of the whole curve is moved, with what lies below its first point.
         width_v, null_v = values["width_v"], rig.valves[place].spool.null_v
-        for port in rig.valves[place].ports.values():
-            curve = port.opening
-            if curve.mirror is not None or width_v <= 0.0:
+        for q, name in enumerate(model.plan.port_names):
+            if name.rpartition(".")[0] != place or width_v <= 0.0:
                 continue
-            left = 1.0 - values["recovered"] * width_v / _reach_v(port, null_v)
-            shift = width_v if curve.fraction[-1] > curve.fraction[0] else -width_v
-            curve.voltage_v = [null_v + left * (v - null_v) + shift for v in curve.voltage_v]
+            volts, rising = model.curve_v[q] - null_v, model.curve[q, -1] > model.curve[q, 0]
+            left = 1.0 - values["recovered"] * width_v / np.abs(volts).max()
+            model.curve_v[q] = null_v + left * volts + (width_v if rising else -width_v)
 
 
 def _reach_v(port: Port, null_v: float) -> float:

@@ -298,6 +298,11 @@ def _values(effect: Effect, attached: AttachedEffect, rig: Rig) -> dict[str, flo
     return values
 
 
+def _in_turn(rig: Rig) -> list[AttachedEffect]:
+    """The attached effects as they are applied."""
+    return sorted(rig.effects, key=lambda one: find_effect(one.effect).turn)
+
+
 def apply_to_rig(rig: Rig) -> Rig:
     """Returns the rig with its attached effects worked into its parts.
 
@@ -310,7 +315,7 @@ def apply_to_rig(rig: Rig) -> Rig:
     if not rig.effects:
         return rig
     copy = rig.model_copy(deep=True)
-    for attached in sorted(rig.effects, key=lambda one: find_effect(one.effect).turn):
+    for attached in _in_turn(rig):
         effect = find_effect(attached.effect)
         if effect.is_omitted(rig):
             raise InputError(
@@ -334,7 +339,7 @@ def apply_to_model(rig: Rig, model: Model) -> None:
         rig: The rig.
         model: The model built from it.
     """
-    for attached in rig.effects:
+    for attached in _in_turn(rig):
         effect = find_effect(attached.effect)
         # Checked by apply_to_rig, against lengths that effects may have changed since.
         values = {p.name: attached.parameters.get(p.name, p.absent) for p in effect.parameters}
