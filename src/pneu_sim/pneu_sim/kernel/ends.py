@@ -353,15 +353,10 @@ def fill_ghosts(gas, vessels, cells, ends, reservoirs, chambers):
             i = index[source, L.E_CELL] * w + j
             u = X[L.W_U, i]
             v = turn * u
-            fall = 0.0
             if kind == L.PORTED:
                 v += 2.0 * ends.flow[e, j] / rho[i]
-                # flow goes on to the ports, and its drag over the last half of the cell with it
-                fall = index[e, L.E_SIGN] * cells.par[L.LENGTH, i] * cells.wall[L.D_DRAG, i]
-                fall = max(fall, -0.5 * X[L.W_P, i])
-            rho[g], mom[g] = rho[i], rho[i] * v
-            ene[g] = ene[i] + 0.5 * rho[i] * (v * v - u * u) + fall * i_gm
-            X[L.W_U, g], X[L.W_P, g], X[L.W_T, g] = v, X[L.W_P, i] + fall, X[L.W_T, i]
+            rho[g], mom[g], ene[g] = rho[i], rho[i] * v, ene[i] + 0.5 * rho[i] * (v * v - u * u)
+            X[L.W_U, g], X[L.W_P, g], X[L.W_T, g] = v, X[L.W_P, i], X[L.W_T, i]
             X[L.W_C, g], X[L.W_RI, g] = X[L.W_C, i], X[L.W_RI, i]
 
 
