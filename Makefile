@@ -85,7 +85,7 @@ pushing: $(VENV)/.ready-dev  ## slow: policies that push a cylinder, trained and
 kokoro: $(VENV)/.ready-dev  ## slow: table 9.2, controllers of a joint made and judged; STAGES=names
 	@$(RUN) -m studies.kokoro $(STAGES)
 
-effects: $(VENV)/.ready-dev  ## every effect beside its reference, and what holds of all
+effects: $(VENV)/.ready-dev  ## verify every effect against references and common properties
 	@$(RUN) -m studies.effects
 
 simple-model: $(VENV)/.ready-dev  ## slow: thesis 7.5, a cart that learns in the full or in the simple model; ARGS=options

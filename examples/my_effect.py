@@ -3,8 +3,8 @@
 
 The catalogue warms the whole room; this effect warms the wall of one stretch of one line. Try it
 with ``pneu effects --effects examples/my_effect.py``; ``diagnose``, ``add`` and ``learn`` take it
-alike. Whether it is what it says, ``pneu effects --effects examples/my_effect.py --prove
-hot_stretch --rig RIG`` tells: what is required of every effect, and what `comparisons` foretells.
+alike. ``pneu effects --effects examples/my_effect.py --prove hot_stretch --rig RIG`` verifies it:
+the properties that every effect must have, and the reference that `comparisons` declares.
 """
 
 import math
@@ -38,14 +38,14 @@ SHUT = {
 
 
 def warmed_pa(rig: Rig) -> float:
-    """Pressure after a tenth of a second."""
+    """Return the pressure after 0.1 s."""
     simulator = Simulator(rig)
     simulator.set_state("line", PRESSURE_PA / (AIR.r_specific * ROOM_K), 0.0, PRESSURE_PA)
     return float(simulator.run(0.1).taps["end"][-1])
 
 
-def foretold_pa(excess_k: float) -> float:
-    """The same of gas at rest: m cv dT/dt = Nu pi k L (T_wall - T)."""
+def predicted_pa(excess_k: float) -> float:
+    """Return the reference, for gas at rest: m cv dT/dt = Nu pi k L (T_wall - T)."""
     density = PRESSURE_PA / (AIR.r_specific * ROOM_K)
     rate = 4.0 * math.pi * float(AIR.conductivity(ROOM_K)) / (density * 6e-6 * AIR.cv)
     warmer_k = excess_k * (1.0 - math.exp(-0.1 * rate))
@@ -67,7 +67,7 @@ class HotStretch(Effect):
     )
     order = 6
     along_lines = True  # models that have volumes in place of lines have nothing of it
-    lets_through = ("heat",)
+    exchanges = ("heat",)
     next_experiment = "Repeat the run with the hot part switched off and cold."
 
     def places(self, rig: Rig) -> list[str]:
@@ -88,7 +88,7 @@ class HotStretch(Effect):
         model.cell[layout.WALL_T, first : first + cells] += values["excess_k"] * share
 
     def comparisons(self) -> tuple[Comparison, ...]:
-        """An experiment that a closed form foretells."""
+        """Return the experiment with its closed-form reference."""
         everywhere = {"position_m": 0.5, "length_m": 1.0}
         rig = Rig.model_validate(SHUT)
         return (
@@ -98,7 +98,7 @@ class HotStretch(Effect):
                 place="line",
                 strengths=(5.0, -30.0, 150.0),
                 measure=warmed_pa,
-                expected=foretold_pa,
+                expected=predicted_pa,
                 shape=everywhere,
             ),
         )

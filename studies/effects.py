@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every effect beside its reference, and what holds of all of them: `docs/effects_proven.md`."""
+"""Verify every effect and write `docs/effects_proven.md`."""
 
 import argparse
 import dataclasses
 from pathlib import Path
 
 from rich.progress import track
-from tests.effect_benches import BENCHES, felt_on
+from tests.effect_experiments import EXPERIMENTS, felt_on
 from tests.references.effects import COMPARISONS
 
 from pneu_common.files import whole
@@ -17,7 +17,7 @@ from studies.digest import ROOT, digest_of
 SOURCES = (
     "src/pneu_sim/pneu_sim",
     "tests/references",
-    "tests/effect_benches.py",
+    "tests/effect_experiments.py",
     "studies/effects.py",
 )
 COLUMNS = {
@@ -35,20 +35,20 @@ COLUMNS = {
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """What was found of one effect.
+    """Results of one effect.
 
     Attributes:
-        name: The effect.
-        bench: The rig on which it was held to what holds of all.
-        general: What holds of all.
-        experiment: What it is compared with, where there is something.
-        reference: One finding of that per strength.
-        refused: Models that refuse it.
+        name: Name of the effect.
+        rig: Name of the rig of the property checks.
+        properties: Results of the property checks.
+        experiment: The experiment with a reference, if there is one.
+        reference: One result of that experiment per strength.
+        refused: Models that refuse the effect.
     """
 
     name: str
-    bench: str
-    general: list[Finding]
+    rig: str
+    properties: list[Finding]
     experiment: Comparison | None
     reference: list[Finding]
     refused: list[str]
@@ -60,30 +60,32 @@ def main() -> None:
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "effects_proven.md")
     options = parser.parse_args()
     load_effect_file(ROOT / "examples" / "my_effect.py")
-    benches = {name: bench() for name, bench in BENCHES.items()}
+    experiments = {name: experiment() for name, experiment in EXPERIMENTS.items()}
     felt = {}
     for name, effect in registry().items():
-        order = [benches["short_arm"]] if name == "end_cushion" else list(benches.values())
+        order = [experiments["short_arm"]] if name == "end_cushion" else list(experiments.values())
         at = felt_on(effect, order)
         if at is None:
-            raise SystemExit(f"{name}: felt on none of the rigs")
+            raise SystemExit(f"{name}: no rig responds to it")
         felt[name] = at
     rows = []
     for name, at in track(felt.items(), description="effects", total=len(felt)):
-        others = [one for one in felt.values() if one.bench is at.bench]
-        general = proof.prove(at, others)
+        others = [one for one in felt.values() if one.experiment is at.experiment]
+        properties = proof.prove(at, others)
         one = next(iter(at.effect.comparisons()), COMPARISONS.get(name))
         rows.append(
             Row(
                 name,
-                next(key for key, bench in benches.items() if bench is at.bench),
-                general,
+                next(key for key, experiment in experiments.items() if experiment is at.experiment),
+                properties,
                 one,
                 [] if one is None else proof.compare(at.effect, one),
-                [f.check.rpartition(" ")[2] for f in general if f.check.startswith("refused")],
+                [f.check.rpartition(" ")[2] for f in properties if f.check.startswith("refused")],
             )
         )
-    found = {name: proof.twins(bench) for name, bench in benches.items()}
+    found = {
+        name: proof.indistinguishable_pairs(experiment) for name, experiment in experiments.items()
+    }
     page(rows, found, options.page)
 
 
@@ -92,20 +94,20 @@ def _number(finding: Finding) -> str:
     return text if finding.holds else f"**{text}**"
 
 
-def page(rows: list[Row], twins: dict[str, set[tuple[str, str]]], path: Path) -> None:
+def page(rows: list[Row], aliases: dict[str, set[tuple[str, str]]], path: Path) -> None:
     """Write the page.
 
     Args:
-        rows: What was found.
-        twins: Per rig the pairs that nothing tells apart.
+        rows: Results of all effects.
+        aliases: Indistinguishable pairs of effects per rig.
         path: The page.
     """
-    failed = [(row.name, f) for row in rows for f in row.general + row.reference if not f.holds]
+    failed = [(row.name, f) for row in rows for f in row.properties + row.reference if not f.holds]
     without = [row.name for row in rows if not row.reference]
     compared = [f for row in rows for f in row.reference]
     within = sum(f.deviation <= 0.01 for f in compared)
     lines = [
-        "# Effects beside their references",
+        "# Verification of the effects",
         "",
         f"Made by `make effects` from the sources {digest_of(ROOT / p for p in SOURCES)}. A"
         " deviation that is not allowed is bold and counts as a failure.",
@@ -117,9 +119,8 @@ def page(rows: list[Row], twins: dict[str, set[tuple[str, str]]], path: Path) ->
         "",
         "## References",
         "",
-        "A deviation is the largest difference of what the effect changes from what it should"
-        " change, as a share of the largest change, on an experiment that one law decides"
-        " (`tests/references/effects.py`).",
+        "Deviations are the largest error of the change that an effect makes, relative to the"
+        " largest reference change (`tests/references/effects.py`).",
         "",
         "| effect | reference | strengths: deviation |",
         "|---|---|---|",
@@ -133,15 +134,15 @@ def page(rows: list[Row], twins: dict[str, set[tuple[str, str]]], path: Path) ->
             lines.append(f"| {row.name} | {row.experiment.what} | {told} |")
     lines += [
         "",
-        "## What holds of every effect",
+        "## Properties of every effect",
         "",
-        "By `pneu_sim.effects.proof`, where the effect is felt most on the first of the rigs of"
-        " `tests/effect_benches.py` on which it is felt; as shares of what a typical strength"
-        f" changes. Allowed: none of it {proof.ROUND_OFF:g}, slope {proof.SLOPE:g} (half a small"
-        f" strength against a whole one; {proof.FINITE:g} where it is declared curved, c), cells"
-        f" and steps {proof.GRID:g}, pipe turned {proof.TURNED:g}, order of attachment"
-        f" {proof.ROUND_OFF:g}, mass and energy of a closed rig {proof.KEPT:g}. Models that refuse"
-        " the effect are named; in all others it acts.",
+        "Checks of `pneu_sim.effects.proof`, at the placement with the largest response on the"
+        " first rig of `tests/effect_experiments.py` that responds. Deviations are relative to the"
+        f" response at the typical strength. Limits: vanishing {proof.ROUND_OFF:g}, linearity"
+        f" {proof.SLOPE:g} ({proof.FINITE:g} for effects declared curved, marked c), grid and time"
+        f" step {proof.GRID:g}, reversed pipe {proof.TURNED:g}, order of attachment"
+        f" {proof.ROUND_OFF:g}, mass and energy of a closed rig {proof.KEPT:g}. All models that do"
+        " not refuse an effect respond to it.",
         "",
         "| effect | rig | " + " | ".join(COLUMNS.values()) + " | refused by |",
         "|---|---|" + "---|" * len(COLUMNS) + "---|",
@@ -149,19 +150,19 @@ def page(rows: list[Row], twins: dict[str, set[tuple[str, str]]], path: Path) ->
     for row in rows:
         cells = []
         for check in COLUMNS:
-            matching = [f for f in row.general if f.check.startswith(check)]
+            matching = [f for f in row.properties if f.check.startswith(check)]
             worst = max(matching, key=lambda f: f.deviation, default=None)
             curved = worst is not None and "curved" in worst.check
             cells.append("" if worst is None else _number(worst) + (" c" if curved else ""))
         refused = ", ".join(row.refused)
-        lines.append(f"| {row.name} | {row.bench} | " + " | ".join(cells) + f" | {refused} |")
-    pairs = sorted({pair for found in twins.values() for pair in found})
+        lines.append(f"| {row.name} | {row.rig} | " + " | ".join(cells) + f" | {refused} |")
+    pairs = sorted({pair for found in aliases.values() for pair in found})
     lines += [
         "",
-        "Pairs that change the same at the same strength, so that no recording tells them apart: "
+        "Indistinguishable pairs, with equal responses at equal strengths: "
         + (
             "; ".join(
-                f"{a} and {b} ({', '.join(n for n, found in twins.items() if (a, b) in found)})"
+                f"{a} and {b} on {', '.join(n for n in aliases if (a, b) in aliases[n])}"
                 for a, b in pairs
             )
             or "none"

@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every effect, and one of a user's own: what it declares is what it does.
+"""Verify every built-in effect and a user's example: common properties and reference results.
 
-`python -m studies.effects` writes the same figures down for people (docs/effects_proven.md).
+`make effects` writes the same deviations to docs/effects_proven.md.
 """
 
 import dataclasses
 import subprocess
 import sys
+from collections.abc import Iterator
 
 import pytest
-from tests.effect_benches import BENCHES, felt_on
+from tests.effect_experiments import EXPERIMENTS, felt_on
 from tests.references.effects import COMPARISONS
 
 from pneu_common.errors import InputError
 from pneu_sim.effects import load_effect_file, proof, registry
-from pneu_sim.effects.registry import BUILT_IN
+from pneu_sim.effects.registry import BUILT_IN, _loaded
 from pneu_sim.rig import Rig, load_rig
 from pneu_sim.rig.build import build
 
@@ -28,14 +29,23 @@ ELSEWHERE = {
 """Effects that no closed form foretells, and the tests that compare them with something else."""
 
 
-@pytest.fixture(scope="module")
-def felt() -> dict[str, proof.At]:
-    """Every effect where it is felt most, on the first rig on which it is felt."""
+@pytest.fixture(scope="module", autouse=True)
+def _with_the_example() -> Iterator[None]:
+    """Registers the example for the tests of this file alone."""
+    before = dict(registry())
     load_effect_file("examples/my_effect.py")
-    benches = {name: bench() for name, bench in BENCHES.items()}
+    yield
+    _loaded.clear()
+    _loaded.update(before)
+
+
+@pytest.fixture(scope="module")
+def felt() -> dict[str, proof.Placement]:
+    """The placement of every effect on the first rig that responds to it."""
+    experiments = {name: experiment() for name, experiment in EXPERIMENTS.items()}
     found = {}
     for name in [*NAMES, OWN]:
-        order = [benches["short_arm"]] if name == "end_cushion" else list(benches.values())
+        order = [experiments["short_arm"]] if name == "end_cushion" else list(experiments.values())
         at = felt_on(registry()[name], order)
         assert at is not None, name
         found[name] = at
@@ -52,20 +62,20 @@ def wrong(findings: list[proof.Finding]) -> list[str]:
 
 
 @pytest.mark.parametrize("name", [*NAMES, OWN])
-def test_what_holds_of_every_effect(felt: dict[str, proof.At], name: str) -> None:
+def test_what_holds_of_every_effect(felt: dict[str, proof.Placement], name: str) -> None:
     at = felt[name]
-    others = [one for one in felt.values() if one.bench is at.bench]
+    others = [one for one in felt.values() if one.experiment is at.experiment]
     assert wrong(proof.prove(at, others, grids=False)) == []
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", [*NAMES, OWN])
-def test_no_effect_hangs_on_cells_or_steps(felt: dict[str, proof.At], name: str) -> None:
-    assert wrong(proof.refines(felt[name])) == []
+def test_no_effect_hangs_on_cells_or_steps(felt: dict[str, proof.Placement], name: str) -> None:
+    assert wrong(proof.grid_independence(felt[name])) == []
 
 
 def test_a_user_s_effect_is_compared_with_what_it_foretells_itself(
-    felt: dict[str, proof.At],
+    felt: dict[str, proof.Placement],
 ) -> None:
     (one,) = felt[OWN].effect.comparisons()
     found = proof.compare(felt[OWN].effect, one)
@@ -85,27 +95,30 @@ def test_every_effect_has_a_reference() -> None:
 
 
 @pytest.mark.parametrize(
-    "bench", ["cart", *(pytest.param(n, marks=pytest.mark.long) for n in BENCHES if n != "cart")]
+    "experiment",
+    ["cart", *(pytest.param(n, marks=pytest.mark.long) for n in EXPERIMENTS if n != "cart")],
 )
-def test_what_nothing_tells_apart_is_declared(bench: str) -> None:
-    declared = {(a, b) for a, effect in registry().items() for b in effect.same_as if a < b}
-    found = proof.twins(BENCHES[bench]())
-    assert found == (declared if bench == "cart" else set())
+def test_what_nothing_tells_apart_is_declared(experiment: str) -> None:
+    declared = {
+        (a, b) for a, effect in registry().items() for b in effect.indistinguishable_from if a < b
+    }
+    found = proof.indistinguishable_pairs(EXPERIMENTS[experiment]())
+    assert found == (declared if experiment == "cart" else set())
 
 
 @pytest.mark.parametrize("model", ["thin_plate", "delay_line"])
 def test_what_a_model_has_not_has_no_place_and_is_refused(model: str) -> None:
     rig = load_rig("rigs/rig_a.yaml").model_copy(update={"model": model})
     effect = registry()["local_loss"]
-    assert effect.places(rig) and not effect.places_in(rig) and not list(effect.sites(rig))
+    assert effect.places(rig) and not effect.available_places(rig) and not list(effect.sites(rig))
     lossy = proof.attached(rig, "local_loss", "tube", {"K": 1.0, "position_m": 1.0})
     with pytest.raises(InputError, match=f"model '{model}' of rig 'rig_a' has nothing of it"):
         build(lossy)
 
 
 def test_a_check_that_does_not_hold_says_so() -> None:
-    """An effect that grows with the root of its strength, of which the order matters."""
-    bench = BENCHES["line"]()
+    """An effect that jumps at zero, is not linear, and depends on the order of attachment."""
+    experiment = EXPERIMENTS["line"]()
     gain = registry()["sensor_gain"]
 
     class Rooted(type(gain)):  # type: ignore[misc]
@@ -116,14 +129,13 @@ def test_a_check_that_does_not_hold_says_so() -> None:
             tap.gain += values["error"] ** 0.5
             tap.bias_pa += 1e3 * tap.gain
 
-    loaded = registry.__globals__["_loaded"]
-    loaded["rooted"] = Rooted()
+    _loaded["rooted"] = Rooted()
     try:
-        at = proof.At(bench, loaded["rooted"], "end", {})
-        other = proof.At(bench, gain, "end", {})
+        at = proof.Placement(experiment, _loaded["rooted"], "end", {})
+        other = proof.Placement(experiment, gain, "end", {})
         said = wrong(proof.prove(at, [other], grids=False))
     finally:
-        del loaded["rooted"]
+        del _loaded["rooted"]
     assert [one.partition(":")[0] for one in said] == ["vanishes", "slope", "order of attachment"]
     assert "with sensor_gain on end" in said[2]
 

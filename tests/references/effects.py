@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Experiments on effects whose outcome is known in closed form, or from equations solved by SciPy.
+"""Experiments with a reference result for every effect: a closed form, or equations by SciPy.
 
-Each is small enough that one law decides it: a valve between two reservoirs passes what its opening
-lets through; a vessel loses what leaks; a mass on a spring swings. Formulas are those of the
-sources that the effects name, written out anew.
+Each isolates one law: flow through a valve between two reservoirs, mass lost by a leaking chamber,
+a mass on a spring. The formulas are written out here from the sources that the effects cite.
 """
 
 import math
@@ -991,31 +990,19 @@ def _swung(rig: Rig) -> Floats:
 
 
 def _swing(
-    mass: float = MASS, rate: float = RATE, damping: float = 0.0, dry: float = 0.0
+    mass: float = MASS,
+    rate: float = RATE,
+    damping: float = 0.0,
+    dry: float = 0.0,
+    stribeck: float = 0.0,
+    push: float = 0.0,
 ) -> Floats:
-    """A mass on a spring, damped, with dry friction, integrated."""
+    """Positions of a mass on a spring with viscous, dry and Stribeck friction, by SciPy."""
 
     def motion(_: float, y: Floats) -> list[float]:
-        force = rate * (0.12 - y[0]) - damping * y[1] - dry * math.tanh(y[1] / 1e-5)
+        grip = dry + stribeck * math.exp(-((y[1] / 0.01) ** 2))
+        force = rate * (0.12 - y[0]) + push - damping * y[1] - grip * math.tanh(y[1] / 1e-5)
         return [y[1], force / mass]
-
-    time = 2e-3 * np.arange(301)
-    found = solve_ivp(
-        motion, (0.0, 0.6), [0.1, 0.0], t_eval=time, method="LSODA", rtol=1e-9, atol=1e-12
-    )
-    return np.asarray(found.y[0])
-
-
-def _stuck(speed: Floats | float, dry: float, more: float = 0.0) -> Any:
-    fades = np.exp(-((np.asarray(speed) / 0.01) ** 2))
-    return (dry + more * fades) * np.tanh(np.asarray(speed) / 1e-5)
-
-
-def _swing_by(law: Callable[[float], float], push: float = 0.0) -> Floats:
-    """The mass on its spring against a force that follows its velocity, integrated."""
-
-    def motion(_: float, y: Floats) -> list[float]:
-        return [y[1], (RATE * (0.12 - y[0]) + push - law(y[1])) / MASS]
 
     time = 2e-3 * np.arange(301)
     found = solve_ivp(
@@ -1026,8 +1013,7 @@ def _swing_by(law: Callable[[float], float], push: float = 0.0) -> Floats:
 
 def _seal(force_per_pa: float) -> Floats:
     gauge = 2e5
-    push = gauge * math.pi / 4.0 * ROD**2
-    return _swing_by(lambda v: float(_stuck(v, force_per_pa * gauge)), push)
+    return _swing(dry=force_per_pa * gauge, push=gauge * math.pi / 4.0 * ROD**2)
 
 
 def _lagging_encoder(lag_s: float) -> Floats:
@@ -1219,7 +1205,7 @@ JOINTS = {
         "cart",
         (2.0, 2.5, 2.9),
         _swung,
-        lambda s: _swing_by(lambda v: float(_stuck(v, 0.0, s))),
+        lambda s: _swing(stribeck=s),
         {"stribeck_m_s": 0.01},
         allowed=0.05,
     ),

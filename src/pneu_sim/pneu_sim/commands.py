@@ -62,7 +62,7 @@ def effects(
         typer.Option(
             "--prove",
             metavar="NAME",
-            help="Hold one effect to what holds of all, where --rig feels it most.",
+            help="Verify one effect on --rig, where its response is largest.",
         ),
     ] = None,
 ) -> None:
@@ -85,37 +85,37 @@ def effects(
 
 
 def _prove(name: str, rig: Path | None) -> None:
-    """Prints what was found of one effect, and fails where anything does not hold."""
+    """Verify one effect, print the checks, and fail where one does."""
     from pneu_sim.effects import find_effect, proof, registry
     from pneu_sim.rig.load import load_rig
 
     if rig is None:
-        raise InputError("--prove: --rig is missing; it is the rig on which the effect is tried")
+        raise InputError("--prove: --rig is missing; name the rig to verify the effect on")
     effect = find_effect(name)
     plant = load_rig(rig)
-    # what runs into its stops is no smooth function of anything
-    bench = proof.bench_of(plant, reach=0.03 if plant.moves else 1.0)
-    at = proof.strongest(bench, effect)
+    # Impacts at end stops make responses discontinuous: keep pistons away from them.
+    experiment = proof.experiment_of(plant, reach=0.03 if plant.moves else 1.0)
+    at = proof.strongest(experiment, effect)
     if at is None:
-        raise InputError(f"effect {name!r}: rig {bench.rig.name!r} has no place for it")
+        raise InputError(f"effect {name!r}: rig {experiment.rig.name!r} has no place for it")
     if not at.responses([at.typical]).any():
         raise InputError(
-            f"effect {name!r}: rig {plant.name!r} does not feel it, from rest and along its"
-            " commands; another rig is needed to try it on"
+            f"effect {name!r}: rig {plant.name!r} does not respond to it from rest; verify it on"
+            " another rig"
         )
-    others = [proof.strongest(bench, one) for one in registry().values()]
+    others = [proof.strongest(experiment, one) for one in registry().values()]
     found = proof.prove(at, [one for one in others if one is not None])
     found += [one for case in effect.comparisons() for one in proof.compare(effect, case)]
     _print_table(
         f"{name} on {at.place}",
-        ("required", "deviation", "allowed", "", "about"),
+        ("check", "deviation", "limit", "", "details"),
         [
             (f.check, f"{f.deviation:.2g}", f"{f.allowed:g}", "" if f.holds else "FAILED", f.about)
             for f in found
         ],
     )
     if failed := sum(not f.holds for f in found):
-        raise InputError(f"effect {name!r}: {failed} of {len(found)} do not hold")
+        raise InputError(f"effect {name!r}: {failed} of {len(found)} checks failed")
 
 
 def check(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pneu_sim.compiling import compiled
 from pneu_sim.rig import model as M
 from pneu_sim.rig.model import Model
-from pneu_sim.rig.schema import Rig
+from pneu_sim.rig.schema import Rig, Valve
 from pneu_sim.rig.valve_kinds import SWITCH_STEP_S
 from pneu_sim.signals import Signal
 from pneu_sim.spool import MEMORY, spool_positions
@@ -298,20 +298,32 @@ def positions_along(
     return positions[0]
 
 
+def duty(valve: Valve) -> bool:
+    """Return whether the command of a valve is the duty cycle of a pulse-width modulation.
+
+    Args:
+        valve: The valve.
+    """
+    return valve.switch is not None and valve.switch.pwm_hz is not None
+
+
 def voltage_limits(rig: Rig) -> dict[str, tuple[float, float]]:
-    """Lowest and highest voltage that the opening curves of each command's valves know.
+    """Return the range of each command: of the opening curves of its valves, V, or of a duty cycle.
 
     Args:
         rig: The rig.
     """
     found: dict[str, tuple[float, float]] = {}
     for valve in rig.valves.values():
-        volts = [valve.spool.null_v]
-        for port in valve.ports.values():
-            volts += port.opening.voltage_v
-            if port.opening.mirror is not None:
-                curve = valve.ports[port.opening.mirror].opening.voltage_v
-                volts += [2.0 * valve.spool.null_v - v for v in curve]
+        if duty(valve):
+            volts = [0.0, 1.0]
+        else:
+            volts = [valve.spool.null_v]
+            for port in valve.ports.values():
+                volts += port.opening.voltage_v
+                if port.opening.mirror is not None:
+                    curve = valve.ports[port.opening.mirror].opening.voltage_v
+                    volts += [2.0 * valve.spool.null_v - v for v in curve]
         low, high = found.get(valve.command, (math.inf, -math.inf))
         found[valve.command] = (min(low, *volts), max(high, *volts))
     return {name: found.get(name, (-math.inf, math.inf)) for name in rig.commands}

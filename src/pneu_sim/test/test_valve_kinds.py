@@ -18,7 +18,7 @@ from pneu_sim.rig.build import build
 from pneu_sim.rig.schema import Rig
 from pneu_sim.signals import Signal
 from pneu_sim.simulator import Simulator
-from pneu_sim.valve import evenly_open
+from pneu_sim.valve import evenly_open, voltage_limits
 
 Floats = NDArray[np.float64]
 
@@ -370,3 +370,9 @@ def test_delays_may_be_longer_than_a_period() -> None:
     valve = {**TWO, "pwm_hz": 250.0, "opening_delay_s": 0.03, "closing_delay_s": 0.031}
     x = opened(rig_with(valve), [0.0], [0.5], 0.4)[:, 0]
     assert np.mean(x[800:2400]) == pytest.approx(0.75, abs=2e-3)
+
+
+def test_the_range_of_a_modulated_command_is_that_of_a_duty_cycle() -> None:
+    assert set(voltage_limits(rig_with(TWO | {"pwm_hz": 100.0})).values()) == {(0.0, 1.0)}
+    (switched,) = voltage_limits(rig_with(TWO)).values()
+    assert switched[1] > 1.0

@@ -117,7 +117,7 @@ def add_effect(
         InputError: The effect or the place is unknown.
     """
     effect = find_effect(name)
-    places = effect.places_in(rig)
+    places = effect.available_places(rig)
     if not places:
         raise InputError(
             f"effect {name!r}: rig {rig.name!r} has no place for it in its model {rig.model!r}"

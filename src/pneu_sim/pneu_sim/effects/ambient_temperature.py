@@ -20,7 +20,7 @@ class AmbientTemperature(Effect):
         EffectParameter("offset_k", "K", 0.0, -80.0, 80.0, 10.0, 0.4),
     )
     order: ClassVar[int] = 6
-    turn: ClassVar[int] = -1  # what has no temperature of its own has the room's
+    stage: ClassVar[int] = -1  # what has no temperature of its own has the room's
     next_experiment: ClassVar[str] = (
         "Read a thermometer beside the rig; or repeat the same command hours apart: temperature"
         " scales all flows and wave speeds together by its square root."

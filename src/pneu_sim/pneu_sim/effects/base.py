@@ -53,17 +53,17 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class Comparison:
-    """An experiment whose outcome is foretold without the model: in closed form, or by another.
+    """An experiment with a reference result, from a closed form or an independent model.
 
     Attributes:
-        what: What foretells it, in a few words.
-        rig: The rig, without the effect.
-        place: Where the effect sits.
-        strengths: How much of it there is, each; the last is an extreme.
-        measure: What the experiment tells of a rig, any number or series of them.
-        expected: The same of a strength, foretold.
-        shape: The effect's further parameters.
-        allowed: The most by which they may differ, as a share of what the effect changes.
+        what: Name of the reference, such as "isentropic orifice".
+        rig: The rig without the effect.
+        place: Place of the effect.
+        strengths: Strengths that are compared; the last one is extreme.
+        measure: Returns the measured quantity of a rig, a number or an array.
+        expected: Returns the reference value of that quantity at a strength.
+        shape: Parameters of the effect other than its strength.
+        allowed: Largest deviation, relative to the largest change that the effect makes.
     """
 
     what: str
@@ -118,13 +118,12 @@ class Effect(ABC):
             effect vanishes at strength zero.
         contains: Name of an effect that is a special case of this one; it is named instead, unless
             this one explains more.
-        along_lines: Whether it acts on the gas along lines, cell by cell, so that models that have
-            volumes in place of lines have nothing of it.
-        turn: Effects of a lower turn are applied first, whatever the order of attachment: what is
-            measured from the room comes after the room, what moves places after what sits there.
-        lets_through: What it lets through the walls of a rig: "gas", "heat", or nothing.
-        same_as: Names of effects that change exactly the same on some rigs, where no recording
-            tells them apart: the friction of a slide and that of the piston that moves it.
+        along_lines: Whether it acts on the cells of a line, so that models without them omit it.
+        stage: Effects of a lower stage are applied first, whatever the order of attachment: the
+            room before what is relative to it, and changes of position last.
+        exchanges: What it exchanges with the room: "gas", "heat", or nothing.
+        indistinguishable_from: Names of effects with exactly the same response on some rigs, such
+            as friction of a slide and of the piston that drives it.
         next_experiment: Recording that shows this effect apart from its look-alikes.
     """
 
@@ -141,9 +140,9 @@ class Effect(ABC):
     arm: ClassVar[str] = ""
     contains: ClassVar[str | None] = None
     along_lines: ClassVar[bool] = False
-    turn: ClassVar[int] = 0
-    lets_through: ClassVar[tuple[str, ...]] = ()
-    same_as: ClassVar[tuple[str, ...]] = ()
+    stage: ClassVar[int] = 0
+    exchanges: ClassVar[tuple[str, ...]] = ()
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ()
     next_experiment: ClassVar[str]
 
     @property
@@ -177,8 +176,8 @@ class Effect(ABC):
             rig: The rig.
         """
 
-    def places_in(self, rig: Rig) -> list[str]:
-        """Where the model of a rig can have this effect: its ``places``, or none at all.
+    def available_places(self, rig: Rig) -> list[str]:
+        """Return the ``places`` of this effect; none where the model of the rig omits it.
 
         Args:
             rig: The rig.
@@ -186,7 +185,7 @@ class Effect(ABC):
         return [] if self.is_omitted(rig) else self.places(rig)
 
     def is_omitted(self, rig: Rig) -> bool:
-        """Whether the kind of model that a rig names has nothing of this effect.
+        """Return whether the kind of model of a rig omits this effect.
 
         Args:
             rig: The rig.
@@ -195,9 +194,9 @@ class Effect(ABC):
         return (self.along_lines and not kind.along_lines) or self.name in kind.omits(rig)
 
     def comparisons(self) -> tuple["Comparison", ...]:
-        """Experiments that foretell what the effect changes; those of the catalogue are its tests'.
+        """Return experiments with a reference result; ``pneu effects --prove`` runs them.
 
-        A user's own effect is compared with them by ``pneu effects --prove``.
+        References of the built-in effects are in the tests.
         """
         return ()
 
@@ -248,7 +247,7 @@ class Effect(ABC):
         Yields:
             Place and the shape parameters to start from.
         """
-        for place in self.places_in(rig):
+        for place in self.available_places(rig):
             shape = {p.name: p.typical for p in self.parameters[1:]}
             if not self.has_position:
                 yield place, shape

@@ -20,7 +20,7 @@ class CentreOfMass(Effect):
         EffectParameter("offset_m", "m", 0.0, -0.5, 1.0, 0.02, 5e-4),
     )
     order: ClassVar[int] = 6
-    turn: ClassVar[int] = -1  # of the link itself; what it carries comes after
+    stage: ClassVar[int] = -1  # of the link itself; what it carries comes after
     next_experiment: ClassVar[str] = (
         "Hold the joint at several angles on both sides of the vertical, at rest: the"
         " pressures that hold it tell mass times centre."

@@ -35,7 +35,7 @@ class ChamberConvection(Effect):
         EffectParameter("inlet_m", "m", 5e-3, 1e-4, 1.0, 5e-3, 1e-4),
     )
     order: ClassVar[int] = 4
-    lets_through: ClassVar[tuple[str, ...]] = ("heat",)
+    exchanges: ClassVar[tuple[str, ...]] = ("heat",)
     next_experiment: ClassVar[str] = (
         "Empty the chamber from two pressures, and record the gas's temperature with a thin"
         " thermocouple: a conductance that is constant warms dense and thin gas alike."

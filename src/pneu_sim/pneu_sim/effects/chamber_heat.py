@@ -21,7 +21,7 @@ class ChamberHeat(Effect):
         EffectParameter("conductance_w_per_k", "W/K", 0.0, 0.0, 100.0, 0.2, 5e-3),
     )
     order: ClassVar[int] = 4
-    lets_through: ClassVar[tuple[str, ...]] = ("heat",)
+    exchanges: ClassVar[tuple[str, ...]] = ("heat",)
     next_experiment: ClassVar[str] = (
         "Fill fast, close the valve and hold for five settling times: heat lets the pressure sag"
         " and stop after a fill and rise after an exhaust, a leak never stops and has one sign."

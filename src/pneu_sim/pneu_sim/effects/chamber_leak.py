@@ -24,7 +24,7 @@ class ChamberLeak(Effect):
         EffectParameter("area_m2", "m^2, effective", 0.0, 0.0, 5e-6, 2e-8, 5e-10),
     )
     order: ClassVar[int] = 4
-    lets_through: ClassVar[tuple[str, ...]] = ("gas",)
+    exchanges: ClassVar[tuple[str, ...]] = ("gas",)
     next_experiment: ClassVar[str] = (
         "Shut the chamber off at two pressures and hold for 30 s after the temperature has settled:"
         " a leak keeps falling in proportion to pressure."

@@ -20,7 +20,7 @@ class ChamberPorousLeak(PorousLeak):
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("porous_m3", "m^3", 0.0, 0.0, 5e-14, 3e-16, 9e-18),
     )
-    lets_through: ClassVar[tuple[str, ...]] = ("gas",)
+    exchanges: ClassVar[tuple[str, ...]] = ("gas",)
     next_experiment: ClassVar[str] = (
         "Shut the chamber off at a high and at a low pressure and hold for 30 s each: a porous leak"
         " falls with the square of pressure, a hole in proportion to it."

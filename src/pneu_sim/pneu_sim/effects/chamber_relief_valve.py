@@ -18,7 +18,7 @@ class ChamberReliefValve(ReliefValve):
     parameters: ClassVar[tuple[EffectParameter, ...]] = tuple(
         p for p in ReliefValve.parameters if p.name != POSITION
     )
-    lets_through: ClassVar[tuple[str, ...]] = ("gas",)
+    exchanges: ClassVar[tuple[str, ...]] = ("gas",)
     next_experiment: ClassVar[str] = (
         "Fill the chamber slowly past the suspected pressure and let it settle: a relief valve"
         " holds a level that comes back after every fill, a leak goes on losing below it."

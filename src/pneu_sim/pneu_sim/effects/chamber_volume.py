@@ -19,7 +19,7 @@ class ChamberVolume(Effect):
         EffectParameter("error", "relative", 0.0, -0.8, 3.0, 0.1, 4e-3),
     )
     order: ClassVar[int] = 5
-    turn: ClassVar[int] = 1  # after what is measured by the volume that the rig has
+    stage: ClassVar[int] = 1  # after what is measured by the volume that the rig has
     next_experiment: ClassVar[str] = (
         "Repeat a fill with a known volume added to the chamber: the two rates give the volume"
         " apart from the flow gain."

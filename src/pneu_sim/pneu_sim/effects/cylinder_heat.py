@@ -26,7 +26,7 @@ class CylinderHeat(Effect):
         EffectParameter("film_w_m2_k", "W/(m^2 K)", 0.0, 0.0, 1000.0, 20.0, 0.6),
     )
     order: ClassVar[int] = 4
-    lets_through: ClassVar[tuple[str, ...]] = ("heat",)
+    exchanges: ClassVar[tuple[str, ...]] = ("heat",)
     next_experiment: ClassVar[str] = (
         "Fill a side quickly, shut its valve and hold for some seconds: pressure that sags"
         " and then stays is heat, pressure that goes on falling a leak."

@@ -23,8 +23,8 @@ effects:
 The first parameter of each is its strength; at the value *absent* the rig behaves as if the effect
 were not there. An effect adds to what the rig already has, and may be attached more than once.
 *Typical* is a strength that a laboratory rig clearly feels. Your own effects go in one file, see
-`examples/my_effect.py`; `pneu effects --prove NAME --rig RIG` holds one to what holds of all. How
-far each is from its reference: [effects beside their references](effects_proven.md).
+`examples/my_effect.py`; `pneu effects --prove NAME --rig RIG` verifies one.
+Deviations of the built-in effects from their references: [verification](effects_proven.md).
 
 This page is made by `python -m pneu_sim.effects.document`.
 """
@@ -61,7 +61,7 @@ def as_table(rig: Rig | None = None) -> list[Row]:
     """
     rows = []
     for effect in registry().values():
-        places = None if rig is None else effect.places_in(rig)
+        places = None if rig is None else effect.available_places(rig)
         if places == []:
             continue
         rows.append(_row(effect, effect.where if places is None else ", ".join(places)))
@@ -85,8 +85,8 @@ def as_markdown() -> str:
             f"- Source: {effect.source}",
             f"- To tell it from its look-alikes: {effect.next_experiment}",
             *(
-                [f"- The same as, on some rigs: {', '.join(effect.same_as)}"]
-                if effect.same_as
+                [f"- The same as, on some rigs: {', '.join(effect.indistinguishable_from)}"]
+                if effect.indistinguishable_from
                 else []
             ),
             "",

@@ -23,7 +23,7 @@ class JointDamping(Effect):
         EffectParameter("rate", "N m s/rad or N s/m", 0.0, 0.0, 20.0, 0.04, 1e-3),
     )
     order: ClassVar[int] = 6
-    same_as: ClassVar[tuple[str, ...]] = ("piston_damping",)
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ("piston_damping",)
     next_experiment: ClassVar[str] = (
         "Take the cylinder off and let the joint swing out: each swing is smaller by the same"
         " part of it."

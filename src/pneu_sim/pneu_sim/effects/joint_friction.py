@@ -23,7 +23,7 @@ class JointFriction(Effect):
         EffectParameter("torque", "N m or N", 0.0, 0.0, 50.0, 0.2, 5e-3),
     )
     order: ClassVar[int] = 6
-    same_as: ClassVar[tuple[str, ...]] = ("piston_friction",)
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ("piston_friction",)
     next_experiment: ClassVar[str] = (
         "Take the cylinder off and swing the joint by hand, or let it swing out: what stops"
         " it, however slow, is its own friction."

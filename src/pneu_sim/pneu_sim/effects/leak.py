@@ -27,7 +27,7 @@ class Leak(Effect):
         position_along_pipe(),
     )
     order: ClassVar[int] = 4
-    lets_through: ClassVar[tuple[str, ...]] = ("gas",)
+    exchanges: ClassVar[tuple[str, ...]] = ("gas",)
     next_experiment: ClassVar[str] = (
         "Close the valve at two pressures and hold for 30 s: a leak keeps falling in proportion to"
         " pressure, wall heat settles; flow through it while filling shows where it sits."

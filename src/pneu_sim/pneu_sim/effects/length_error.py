@@ -13,7 +13,7 @@ class LengthError(Effect):
     name: ClassVar[str] = "length_error"
     title: ClassVar[str] = "error of a line's length"
     where: ClassVar[str] = "pipe"
-    turn: ClassVar[int] = 1
+    stage: ClassVar[int] = 1
     formula: ClassVar[str] = "L = L_rig (1 + error), positions on the pipe likewise"
     source: ClassVar[str] = "geometry; wave arrival time L / c"
     parameters: ClassVar[tuple[EffectParameter, ...]] = (

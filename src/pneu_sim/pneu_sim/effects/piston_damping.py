@@ -24,7 +24,7 @@ class PistonDamping(Effect):
         EffectParameter("rate_n_s_m", "N s/m", 0.0, 0.0, 2000.0, 20.0, 0.5),
     )
     order: ClassVar[int] = 6
-    same_as: ClassVar[tuple[str, ...]] = ("joint_damping",)
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ("joint_damping",)
     next_experiment: ClassVar[str] = (
         "Move the piston at several speeds: friction in proportion to speed is viscous."
     )

@@ -23,7 +23,7 @@ class PistonFriction(Effect):
         EffectParameter("force_n", "N", 0.0, 0.0, 500.0, 4.0, 0.1),
     )
     order: ClassVar[int] = 6
-    same_as: ClassVar[tuple[str, ...]] = ("joint_friction",)
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ("joint_friction",)
     next_experiment: ClassVar[str] = (
         "Move the piston slowly both ways, with the load taken off: half the difference of"
         " the two pressure forces is friction, whatever the speed."

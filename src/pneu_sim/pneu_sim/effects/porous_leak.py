@@ -30,7 +30,7 @@ class PorousLeak(Effect):
     )
     order: ClassVar[int] = 4
     spread_out: ClassVar[bool] = True
-    lets_through: ClassVar[tuple[str, ...]] = ("gas",)
+    exchanges: ClassVar[tuple[str, ...]] = ("gas",)
     next_experiment: ClassVar[str] = (
         "Close the valve at a high and at a low pressure and hold for 30 s: a porous leak falls"
         " with the square of pressure, a hole in proportion to it; soapy water shows where."

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What holds for every effect, measured on a rig: no effect is trusted to be what it says it is.
+"""Verify an effect on a rig: the properties that every effect must have, and its reference results.
 
-Each check is a number that says how far the effect is from what is required, and the most that is
-allowed. They need nothing but the effect and a rig that has a place for it, so they hold one from a
-user's file to the same as those of the catalogue. An effect may say more: experiments whose outcome
-a closed form, or a model of its own, foretells (`Effect.comparisons`).
+Each check returns a deviation and its limit. The property checks need only the effect and a rig
+that has a place for it, so they apply to an effect from a user's file as to those of the catalogue.
+An effect may add experiments with a known result, from a closed form or an independent model
+(`Effect.comparisons`).
 """
 
 import dataclasses
@@ -24,35 +24,35 @@ from pneu_sim.effects.registry import apply_to_rig, registry
 from pneu_sim.models import kind_of
 from pneu_sim.rig import kinds
 from pneu_sim.rig.build import build
-from pneu_sim.rig.model import Model
+from pneu_sim.rig.model import Model, OwnTerm
 from pneu_sim.rig.plan import Plan, plan_grid
 from pneu_sim.rig.schema import AttachedEffect, Rig
 from pneu_sim.signals import Signal
 from pneu_sim.simulate import Course, InitialField, rest
 from pneu_sim.simulator import Simulator
-from pneu_sim.valve import voltage_limits
+from pneu_sim.valve import duty, voltage_limits
 
 Floats = NDArray[np.float64]
 
 ROUND_OFF = 1e-8
-"""Two ways to compute one number differ by less than this share of it."""
+"""Largest relative difference between two ways to compute the same number."""
 SLOPE = 0.05
-"""Half a difference step has half the effect to within this, unless the effect is curved."""
+"""Largest relative deviation from proportionality below a difference step, unless curved."""
 FINITE = 4.0
-"""A curved effect may grow over half a step by so much more than half of what a step does."""
+"""The same limit for a curved effect, whose slope at zero need only be finite."""
 GRID = 0.1
-"""An effect changes by less than this share of itself where cells, or steps, are half as long: on
-cells of 50 mm the least accurate, a change of temperature that is carried along, by 0.07."""
+"""Largest relative change of a response when cells or time steps are halved. With 50 mm cells the
+least accurate effect, an advected temperature change, changes by 0.07."""
 TURNED = 1e-4
-"""And by less than this where its pipe is written from the other end: what is found by iteration,
-to 1e-9 of a pressure, is found from the other side, and an effect is a small part of a pressure."""
+"""Largest relative change of a response when its pipe is reversed. Iterations stop at 1e-9 of a
+pressure, of which a response is a small part."""
 KEPT = 1e-9
-"""Share of its mass or energy that a closed rig may lose or gain."""
-TWIN = 1e-6
-"""What two effects change differs by less than this share of it where they are one by two names."""
+"""Largest relative change of the mass or energy of a closed rig."""
+IDENTICAL = 1e-6
+"""Relative difference of two responses below which their effects are indistinguishable."""
 SAMPLE_S = 0.002
 SPACING_M = 0.5
-"""Distance of the places along a pipe at which an effect is looked for."""
+"""Distance between the positions tried along a pipe, m."""
 
 CLOSED = Rig.model_validate(
     {
@@ -76,18 +76,18 @@ CLOSED = Rig.model_validate(
         "taps": {"full": {"chamber": "full"}, "middle": {"pipe": "two", "position_m": 0.4}},
     }
 )
-"""A full bottle and an empty one, and lines between whose walls take no heat."""
+"""A closed rig: a full and an empty chamber, joined by lines with adiabatic walls."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """How far an effect is from one of the things required of it.
+    """The result of one check.
 
     Attributes:
-        check: What is required, in a few words.
-        deviation: How far it is from it.
-        allowed: The most that is allowed.
-        about: What was compared, and where it is furthest off.
+        check: Name of the check.
+        deviation: Measured deviation, dimensionless.
+        allowed: Its limit.
+        about: Details, such as the other effect or the strength.
     """
 
     check: str
@@ -97,13 +97,13 @@ class Finding:
 
     @property
     def holds(self) -> bool:
-        """Whether the deviation is allowed; one that is not a number is not."""
+        """Whether the deviation is within its limit; NaN is not."""
         return self.deviation <= self.allowed
 
 
 @dataclass(frozen=True)
-class Bench:
-    """A rig, and what is done with it: it starts from rest and its valves are moved.
+class Experiment:
+    """A rig and the valve commands that it is run with from rest.
 
     Attributes:
         rig: The rig, without the effect in question.
@@ -116,10 +116,12 @@ class Bench:
     sample_s: float = SAMPLE_S
 
     def readings(self, rigs: Sequence[Rig]) -> Floats:
-        """(rigs, T, sensors) readings in deviations of each sensor's noise.
+        """Return the (rigs, T, sensors) readings, divided by the noise of each sensor.
+
+        Sensors without declared noise are in Pa, rad or m.
 
         Args:
-            rigs: Variants of the rig on one grid, by one kind of model.
+            rigs: Variants of the rig with one grid and one kind of model.
         """
         kind, plan = kind_of(rigs[0]), plan_grid(apply_to_rig(rigs[0]))
         count = len(next(iter(self.commands.values()), np.zeros(500)))
@@ -142,7 +144,7 @@ class Bench:
 
 
 def _nowhere(rig: Rig, plan: Plan) -> InitialField:
-    """No reading draws the gas."""
+    """An initial field that no reading corrects."""
     return InitialField(
         np.zeros((plan.slots, len(rig.taps))),
         np.zeros(plan.slots),
@@ -151,24 +153,22 @@ def _nowhere(rig: Rig, plan: Plan) -> InitialField:
     )
 
 
-def bench_of(rig: Rig, seconds: float = 1.0, reach: float = 1.0, seed: int = 0) -> Bench:
-    """A rig whose valves are moved at random between holds, and are closed now and then.
+def experiment_of(rig: Rig, seconds: float = 1.0, reach: float = 1.0, seed: int = 0) -> Experiment:
+    """Return a rig with random steps of every valve command.
 
     Args:
-        rig: The rig.
-        seconds: How long.
-        reach: Share of the way from null to the ends of the opening curves.
-        seed: Seed of the random draws.
+        rig: The rig, at rest at the start.
+        seconds: Duration, s.
+        reach: Largest amplitude, as a share of the command range on either side of null.
+        seed: Random seed.
     """
     rng = np.random.default_rng(seed)
     count = round(seconds / SAMPLE_S)
-    nulls = {valve.command: valve.spool.null_v for valve in rig.valves.values()}
-    limits = voltage_limits(rig)
-    for valve in rig.valves.values():
-        if valve.switch is not None and valve.switch.pwm_hz is not None:
-            nulls[valve.command], limits[valve.command] = 0.0, (0.0, 1.0)  # a duty
+    nulls = {
+        valve.command: 0.0 if duty(valve) else valve.spool.null_v for valve in rig.valves.values()
+    }
     commands = {}
-    for name, (low, high) in limits.items():
+    for name, (low, high) in voltage_limits(rig).items():
         pieces: list[Floats] = []
         while sum(map(len, pieces)) < count:
             # From the middle of a valve's way to its ends, near null, and closed.
@@ -177,34 +177,34 @@ def bench_of(rig: Rig, seconds: float = 1.0, reach: float = 1.0, seed: int = 0) 
             volts = nulls[name] + reach * share * (end - nulls[name])
             pieces.append(np.full(rng.integers(10, 60), volts))
         commands[name] = np.concatenate(pieces)[:count]
-    return Bench(rig, commands)
+    return Experiment(rig, commands)
 
 
 def attached(rig: Rig, effect: str, place: str, values: Mapping[str, float]) -> Rig:
-    """A copy of a rig with one more effect.
+    """Return a copy of a rig with one more effect attached.
 
     Args:
-        rig: The rig.
+        rig: The rig, which stays as it is.
         effect: Name of the effect.
-        place: Where.
-        values: Its parameters.
+        place: Its place, one of `Effect.available_places`.
+        values: Its parameters, in their units.
     """
     one = AttachedEffect(effect=effect, place=place, parameters=dict(values))
     return rig.model_copy(update={"effects": [*rig.effects, one]})
 
 
 @dataclass(frozen=True)
-class At:
-    """An effect at a place of a bench.
+class Placement:
+    """An effect at a place of the rig of an experiment.
 
     Attributes:
-        bench: The bench.
+        experiment: The experiment, whose rig lacks the effect.
         effect: The effect.
-        place: Where.
-        shape: Its further parameters.
+        place: Its place.
+        shape: Its parameters other than the strength.
     """
 
-    bench: Bench
+    experiment: Experiment
     effect: Effect
     place: str
     shape: Mapping[str, float]
@@ -215,15 +215,15 @@ class At:
         base: Rig | None = None,
         shape: Mapping[str, float] = MappingProxyType({}),
     ) -> Rig:
-        """The rig with the effect.
+        """Return the rig with the effect attached.
 
         Args:
-            strength: How much of it.
-            base: Another rig of the same parts.
-            shape: Further parameters that differ.
+            strength: Its strength.
+            base: A variant that replaces the rig of the experiment.
+            shape: Parameters that replace those of the placement.
         """
         values = {**self.shape, **shape, self.effect.strength.name: strength}
-        return attached(base or self.bench.rig, self.effect.name, self.place, values)
+        return attached(base or self.experiment.rig, self.effect.name, self.place, values)
 
     def responses(
         self,
@@ -231,89 +231,94 @@ class At:
         base: Rig | None = None,
         shape: Mapping[str, float] = MappingProxyType({}),
     ) -> Floats:
-        """(strengths, T, sensors) what the effect changes, in deviations of the noise.
+        """Return the (strengths, T, sensors) change of the readings, divided by the noise.
 
         Args:
-            strengths: How much of it, each.
-            base: Another rig of the same parts.
-            shape: Further parameters that differ.
+            strengths: Strengths of the effect.
+            base: A variant that replaces the rig of the experiment.
+            shape: Parameters that replace those of the placement.
         """
-        base = base or self.bench.rig
-        none, *runs = self.bench.readings([base, *(self.rig(s, base, shape) for s in strengths)])
+        base = base or self.experiment.rig
+        none, *runs = self.experiment.readings(
+            [base, *(self.rig(s, base, shape) for s in strengths)]
+        )
         return np.asarray(runs) - none
 
     @property
     def typical(self) -> float:
-        """A strength that is clearly felt and allowed here."""
+        """The typical strength, clipped to the bounds at this place."""
         strength = self.effect.strength
-        low, high = self.effect.limits(strength, self.bench.rig, self.place)
+        low, high = self.effect.limits(strength, self.experiment.rig, self.place)
         return min(max(strength.typical, low), high)
 
 
-def strongest(bench: Bench, effect: Effect) -> At | None:
-    """Where on a rig a typical strength of an effect is felt most; None where it has no place.
+def strongest(experiment: Experiment, effect: Effect) -> Placement | None:
+    """Return the placement of an effect with the largest response; None without a place.
 
     Args:
-        bench: The rig.
-        effect: The effect.
+        experiment: The experiment.
+        effect: The effect, tried at its typical strength.
     """
-    sites = [At(bench, effect, place, shape) for place, shape in effect.sites(bench.rig, SPACING_M)]
+    sites = [
+        Placement(experiment, effect, place, shape)
+        for place, shape in effect.sites(experiment.rig, SPACING_M)
+    ]
     if not sites:
         return None
-    none, *runs = bench.readings([bench.rig, *(at.rig(at.typical) for at in sites)])
+    none, *runs = experiment.readings([experiment.rig, *(at.rig(at.typical) for at in sites)])
     return sites[int(np.argmax([_size(run - none) for run in runs]))]
 
 
-def prove(at: At, others: Sequence[At] = (), grids: bool = True) -> list[Finding]:
-    """Everything that holds for every effect, at one place of one rig.
+def prove(at: Placement, others: Sequence[Placement] = (), grids: bool = True) -> list[Finding]:
+    """Check all properties that every effect must have.
 
     Args:
-        at: The effect and where it sits.
-        others: Effects of the same rig, with which it is attached in either order.
-        grids: Whether on other cells and steps too, which takes longest.
+        at: The placement.
+        others: Placements on the same rig, for the order of attachment.
+        grids: Whether to check grid independence, which takes longest.
 
     Raises:
         InputError: The rig cannot be simulated with the effect.
     """
-    found = [vanishes(at), small(at), *(refines(at) if grids else [])]
-    if at.place in at.bench.rig.pipes:
-        found.append(turned(at))
-    return [*found, *by_models(at), commutes(at, others), *keeps(at.effect)]
+    found = [vanishes(at), linearity(at), *(grid_independence(at) if grids else [])]
+    if at.place in at.experiment.rig.pipes:
+        found.append(direction_independence(at))
+    return [*found, *in_models(at), commutes(at, others), *conservation(at.effect)]
 
 
-def vanishes(at: At) -> Finding:
-    """Where there is none of it the rig behaves as if it were not there.
+def vanishes(at: Placement) -> Finding:
+    """Check that the effect vanishes at its absent strength.
 
     Args:
-        at: The effect and where it sits.
+        at: The placement.
     """
     absent, typical = at.responses([at.effect.strength.absent, at.typical])
     return Finding("vanishes", _share(absent, typical), ROUND_OFF)
 
 
-def small(at: At) -> Finding:
-    """A small one acts in proportion, on which its first estimate rests; else it says so.
+def linearity(at: Placement) -> Finding:
+    """Check that small responses are proportional to the strength, as sensitivities assume.
 
     Args:
-        at: The effect and where it sits.
+        at: The placement.
     """
     p = at.effect.strength
     more, less = at.responses([p.absent + share * p.step for share in (0.25, 0.125)])
     if at.effect.curved:
-        # (before a limit is reached it is as if there were none)
+        # A limit that is not reached has no response at all.
         off = _share(2.0 * less - more, more) if _size(less) > 0.0 else 0.0
         return Finding("slope finite, declared curved", off, FINITE)
     return Finding("slope", _share(2.0 * less - more, more), SLOPE)
 
 
-def refines(at: At) -> list[Finding]:
-    """Its size does not hang on cells, on time steps, or on how other pipes are cut.
+def grid_independence(at: Placement) -> list[Finding]:
+    """Check that the response is independent of cell lengths, of all or other pipes, and time step.
 
     Args:
-        at: The effect and where it sits; on a pipe it is looked at between taps and ends, from
-            which a place is told apart by whole cells.
+        at: The placement. A position along a pipe is moved as far as possible from taps and ends,
+            because positions are resolved to a cell only.
     """
-    rig = at.bench.rig
+    rig = at.experiment.rig
     if not kind_of(rig).along_lines or not rig.pipes:
         return []
     shape = {}
@@ -343,13 +348,13 @@ def refines(at: At) -> list[Finding]:
     return found
 
 
-def turned(at: At) -> Finding:
-    """A pipe that is written from its other end is the same pipe.
+def direction_independence(at: Placement) -> Finding:
+    """Check that the response is independent of the direction in which its pipe is declared.
 
     Args:
-        at: The effect and where it sits, on a pipe.
+        at: The placement, on a pipe.
     """
-    rig, name = at.bench.rig, at.place
+    rig, name = at.experiment.rig, at.place
     pipe, other = rig.pipes[name], rig.model_copy(deep=True)
     flipped = other.pipes[name]
     for one, another in (
@@ -377,18 +382,18 @@ def turned(at: At) -> Finding:
     return Finding("pipe written from its other end", _share(here - there, here), TURNED)
 
 
-def by_models(at: At) -> list[Finding]:
-    """Every kind of model has it somewhere on the rig, or refuses it.
+def in_models(at: Placement) -> list[Finding]:
+    """Check that every kind of model either responds to the effect or refuses it.
 
     Args:
-        at: The effect and where it sits.
+        at: The placement.
     """
     found = []
     for name in kinds.BUILT_IN:
-        rig = at.bench.rig.model_copy(update={"model": name})
+        rig = at.experiment.rig.model_copy(update={"model": name})
         if rig.moves and name != "pde":
-            continue  # pistons are moved along recordings by the full model alone
-        there = strongest(dataclasses.replace(at.bench, rig=rig), at.effect)
+            continue  # only the full model predicts moving pistons along recordings
+        there = strongest(dataclasses.replace(at.experiment, rig=rig), at.effect)
         if there is not None:
             (felt,) = there.responses([there.typical])
             found.append(Finding(f"acts in {name}", 0.0 if _size(felt) > 0.0 else 1.0, 0.0))
@@ -402,68 +407,68 @@ def by_models(at: At) -> list[Finding]:
     return found
 
 
-def commutes(at: At, others: Sequence[At]) -> Finding:
-    """Attached before all others or after them, it is the same rig.
+def commutes(at: Placement, others: Sequence[Placement]) -> Finding:
+    """Check that the model is independent of the order of attachment.
 
     Args:
-        at: The effect and where it sits.
-        others: The others.
+        at: The placement.
+        others: The placements attached with it.
     """
     rest = [one for one in others if one.effect is not at.effect]
     worst, about = _either_order(at, rest), ""
-    if worst > ROUND_OFF:  # with which of them?
+    if worst > ROUND_OFF:  # name the other effect
         each = [(_either_order(at, [one]), one) for one in rest]
         worst, other = max(each, key=lambda one: one[0])
         about = f"with {other.effect.name} on {other.place}"
     return Finding("order of attachment", worst, ROUND_OFF, about)
 
 
-def _either_order(at: At, others: Sequence[At]) -> float:
-    """How far models are apart to which an effect was attached before others and after them."""
-    before, after = at.rig(at.typical), at.bench.rig
+def _either_order(at: Placement, others: Sequence[Placement]) -> float:
+    """Return the difference between the models with the effect attached first and last."""
+    before, after = at.rig(at.typical), at.experiment.rig
     for one in others:
         before, after = one.rig(one.typical, before), one.rig(one.typical, after)
     return _apart(build(before), build(at.rig(at.typical, after)))
 
 
-def keeps(effect: Effect) -> list[Finding]:
-    """What is shut in keeps its mass, and behind walls without heat its energy.
+def conservation(effect: Effect) -> list[Finding]:
+    """Check that a closed adiabatic rig conserves mass and energy.
 
     Args:
-        effect: The effect; of one that lets gas or heat through, only what it leaves alone.
+        effect: The effect; quantities that it `exchanges` with the room are not checked.
     """
     found = []
-    for place in effect.places_in(CLOSED):
+    for place in effect.available_places(CLOSED):
         shape = {p.name: p.typical for p in effect.parameters[1:]}
         if POSITION in shape:
             shape[POSITION] = 0.4 * CLOSED.pipes[place].length_m
-        at = At(Bench(CLOSED), effect, place, shape)
+        at = Placement(Experiment(CLOSED), effect, place, shape)
         simulator = Simulator(at.rig(at.typical))
         simulator.reset({"full": 6e5})
         before = np.array([simulator.mass_kg(), simulator.energy_j()])
         simulator.run(0.3)
         after = np.array([simulator.mass_kg(), simulator.energy_j()])
         lost = np.abs(after / before - 1.0)
-        if "gas" not in effect.lets_through:
+        if "gas" not in effect.exchanges:
             found.append(Finding("keeps its mass", float(lost[0]), KEPT, f"on {place}"))
-            if "heat" not in effect.lets_through:
+            if "heat" not in effect.exchanges:
                 found.append(Finding("keeps its energy", float(lost[1]), KEPT, f"on {place}"))
     return found
 
 
-def twins(bench: Bench) -> set[tuple[str, str]]:
-    """Effects that change the same at the same strength, so that nothing tells them apart here.
+def indistinguishable_pairs(experiment: Experiment) -> set[tuple[str, str]]:
+    """Return the pairs of effects with equal responses at equal strengths.
 
     Args:
-        bench: The rig.
+        experiment: The experiment.
 
     Returns:
-        Pairs of names, in order.
+        Pairs of names, each in alphabetical order.
     """
-    places: dict[str, list[At]] = {}
+    places: dict[str, list[Placement]] = {}
     for effect in registry().values():
-        for place, shape in itertools.islice(effect.sites(bench.rig, SPACING_M), 50):
-            places.setdefault(place, []).append(At(bench, effect, place, shape))
+        for place, shape in itertools.islice(effect.sites(experiment.rig, SPACING_M), 50):
+            places.setdefault(place, []).append(Placement(experiment, effect, place, shape))
     found = set()
     for sites in places.values():
         for at in {one.effect.name: one for one in sites}.values():
@@ -471,25 +476,26 @@ def twins(bench: Bench) -> set[tuple[str, str]]:
                 one
                 for one in sites
                 if one.effect.name > at.effect.name
-                and one.effect.limits(one.effect.strength, bench.rig, one.place)[1] >= at.typical
+                and one.effect.limits(one.effect.strength, experiment.rig, one.place)[1]
+                >= at.typical
             ]
             if not others:
                 continue
-            none, mine, *runs = bench.readings(
-                [bench.rig, at.rig(at.typical), *(one.rig(at.typical) for one in others)]
+            none, mine, *runs = experiment.readings(
+                [experiment.rig, at.rig(at.typical), *(one.rig(at.typical) for one in others)]
             )
             for one, run in zip(others, runs, strict=True):
-                if _size(run - mine) < TWIN * _size(mine - none):
+                if _size(run - mine) < IDENTICAL * _size(mine - none):
                     found.add((at.effect.name, one.effect.name))
     return found
 
 
 def compare(effect: Effect, one: Comparison) -> list[Finding]:
-    """What an effect changes in an experiment, beside what is foretold that it changes.
+    """Compare the change that an effect makes in an experiment with its reference.
 
     Args:
         effect: The effect.
-        one: The experiment.
+        one: The experiment and its reference result.
     """
 
     def measured(strength: float) -> Floats:
@@ -498,11 +504,11 @@ def compare(effect: Effect, one: Comparison) -> list[Finding]:
         return np.asarray(one.measure(rig), dtype=float)
 
     absent = effect.strength.absent
-    foretold = np.asarray(one.expected(absent), dtype=float)
+    without = np.asarray(one.expected(absent), dtype=float)
     before = measured(absent)
     found = []
     for strength in one.strengths:
-        expected = np.asarray(one.expected(strength), dtype=float) - foretold
+        expected = np.asarray(one.expected(strength), dtype=float) - without
         off = measured(strength) - before - expected
         deviation = float(np.max(np.abs(off)) / np.max(np.abs(expected)))
         about = f"{one.what}, {strength:g} {effect.strength.unit}"
@@ -515,34 +521,27 @@ def _size(response: Floats) -> float:
 
 
 def _share(off: Floats, of: Floats) -> float:
-    """How large a difference is beside a response; infinite beside none."""
+    """Return the norm of a difference relative to that of a response; infinite for no response."""
     return _size(off) / _size(of) if _size(of) > 0.0 else math.inf
 
 
-def _apart(one: Model, other: Model) -> float:
-    """Largest relative difference of any number of two models."""
-    worst = 0.0
-    for part in dataclasses.fields(Model):
-        a, b = getattr(one, part.name), getattr(other, part.name)
-        if isinstance(a, np.ndarray):
-            scale = np.maximum(np.abs(a), np.abs(b))
-            with np.errstate(invalid="ignore", divide="ignore"):
-                off = np.where(a == b, 0.0, np.abs(a - b) / scale)
-            worst = max(worst, float(np.nanmax(off, initial=0.0)))
-        elif isinstance(a, dict) and part.name != "terms":
-            worst = max(worst, _unlike(a, b))
-    return worst
-
-
-def _unlike(one: dict[int, object], other: dict[int, object]) -> float:
-    if set(one) != set(other):
-        return 1.0
-    worst = 0.0
-    for key, a in one.items():
-        left, right = (np.sort(np.asarray(x, dtype=float), axis=0) for x in ([a], [other[key]]))
-        left, right = (np.sort(np.ravel(x)) for x in (left, right))
-        if left.shape != right.shape:
+def _apart(one: Any, other: Any) -> float:
+    """Return the largest relative difference between the numbers of two models or their parts."""
+    if isinstance(one, Model | OwnTerm):
+        names = [part.name for part in dataclasses.fields(one)]
+        return max(_apart(getattr(one, name), getattr(other, name)) for name in names)
+    if isinstance(one, dict):
+        if set(one) != set(other):
             return 1.0
-        scale = np.maximum(np.maximum(np.abs(left), np.abs(right)), 1e-300)
-        worst = max(worst, float(np.max(np.abs(left - right) / scale, initial=0.0)))
-    return worst
+        return max((_apart(part, other[key]) for key, part in one.items()), default=0.0)
+    if isinstance(one, list):  # such as the leaks of a cell, in any order
+        one, other = np.sort(np.ravel(one)), np.sort(np.ravel(other))
+    elif not isinstance(one, np.ndarray | float):
+        return 0.0  # structure
+    a, b = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
+    if a.shape != b.shape:
+        return 1.0
+    scale = np.maximum(np.maximum(np.abs(a), np.abs(b)), np.finfo(float).tiny)
+    with np.errstate(invalid="ignore"):  # equal infinities
+        off = np.where(a == b, 0.0, np.abs(a - b) / scale)
+    return float(np.nanmax(off, initial=0.0))

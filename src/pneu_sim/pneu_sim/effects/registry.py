@@ -300,7 +300,7 @@ def _values(effect: Effect, attached: AttachedEffect, rig: Rig) -> dict[str, flo
 
 def _in_turn(rig: Rig) -> list[AttachedEffect]:
     """The attached effects as they are applied."""
-    return sorted(rig.effects, key=lambda one: find_effect(one.effect).turn)
+    return sorted(rig.effects, key=lambda one: find_effect(one.effect).stage)
 
 
 def apply_to_rig(rig: Rig) -> Rig:

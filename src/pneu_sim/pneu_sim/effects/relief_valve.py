@@ -35,7 +35,7 @@ class ReliefValve(Effect):
     order: ClassVar[int] = 4
     spread_out: ClassVar[bool] = True
     contains: ClassVar[str | None] = "leak"
-    lets_through: ClassVar[tuple[str, ...]] = ("gas",)
+    exchanges: ClassVar[tuple[str, ...]] = ("gas",)
     next_experiment: ClassVar[str] = (
         "Fill slowly past the suspected pressure, close the valve and let it settle: a relief valve"
         " holds a level that comes back after every fill, a leak goes on losing below it."

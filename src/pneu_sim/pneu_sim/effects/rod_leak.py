@@ -23,7 +23,7 @@ class RodLeak(Effect):
         EffectParameter("area_m2", "m^2, effective", 0.0, 0.0, 5e-6, 3e-8, 1e-9),
     )
     order: ClassVar[int] = 4
-    lets_through: ClassVar[tuple[str, ...]] = ("gas",)
+    exchanges: ClassVar[tuple[str, ...]] = ("gas",)
     next_experiment: ClassVar[str] = (
         "Hold the piston at an end, fill the rod side, shut both valves for 30 s: its"
         " pressure alone falls, and the other's stays."

@@ -26,7 +26,7 @@ class UnsteadyFriction(Effect):
         EffectParameter("gain", "1 = Zielke", 0.0, -1.0, 5.0, 1.0, 0.03),
     )
     order: ClassVar[int] = 5
-    turn: ClassVar[int] = -1  # it has walls remember, of which others then change more
+    stage: ClassVar[int] = -1  # it has walls remember, of which others then change more
     along_lines: ClassVar[bool] = True
     next_experiment: ClassVar[str] = (
         "Excite the closed line with small fast steps or a 5-300 Hz chirp at two mean pressures:"

@@ -33,7 +33,7 @@ class WallHeat(Effect):
         EffectParameter("gain", "1 = Nusselt 8", 0.0, -1.0, 10.0, 0.5, 0.015),
     )
     order: ClassVar[int] = 4
-    lets_through: ClassVar[tuple[str, ...]] = ("heat",)
+    exchanges: ClassVar[tuple[str, ...]] = ("heat",)
     along_lines: ClassVar[bool] = True
     next_experiment: ClassVar[str] = (
         "Fill fast, close the valve and hold for five settling times: heat lets the pressure sag"

@@ -26,7 +26,7 @@ from pneu_sim.kernel.faces import (
     reconstruct,
     taper,
 )
-from pneu_sim.kernel.leaks import part_leaks
+from pneu_sim.kernel.leaks import jump_at_leaks
 from pneu_sim.kernel.lines import (
     conserve,
     find_primitive,
@@ -57,7 +57,7 @@ from pneu_sim.kernel.recording import (
 )
 from pneu_sim.kernel.regulators import regulate_ports
 from pneu_sim.kernel.reservoirs import supply
-from pneu_sim.kernel.sides import mark_sides, part_sides, press_sides, push_sides, soften_ends
+from pneu_sim.kernel.sides import jump_at_sides, mark_sides, press_sides, push_sides, soften_ends
 from pneu_sim.kernel.small import keep_small, settle_small
 from pneu_sim.kernel.terms import act as act_terms
 from pneu_sim.kernel.terms import acting
@@ -86,8 +86,8 @@ def _find_faces(gas, scheme, dt, cells, steps, sides, ends, leaks):
         yield_half(gas, dt, cells)
     close_outermost(cells)
     flatten_steps(cells, steps)
-    part_sides(scheme.limiter == L.VAN_LEER, dt, cells, sides)
-    part_leaks(scheme.limiter == L.VAN_LEER, dt, cells, leaks)
+    jump_at_sides(scheme.limiter == L.VAN_LEER, dt, cells, sides)
+    jump_at_leaks(scheme.limiter == L.VAN_LEER, dt, cells, leaks)
     mirror_faces(cells, ends)
 
 

@@ -122,7 +122,7 @@ def _slopes(gamma, van_leer, dt, w, held, cell, left, right):
 
 
 @folded
-def part(i, jump, van_leer, dt, cells):
+def impose_jump(i, jump, van_leer, dt, cells):
     """Have the flow jump in the middle of a cell, where gas leaves the line there.
 
     Before and behind that place the gas has two velocities. The jump belongs to no slope: the one

@@ -3,7 +3,7 @@
 
 from pneu_sim import layout as L
 from pneu_sim.compiling import branching, folded
-from pneu_sim.kernel.faces import part
+from pneu_sim.kernel.faces import impose_jump
 from pneu_sim.kernel.orifices import orifice_flow
 
 RELIEF_STEPS = 40
@@ -63,7 +63,7 @@ def _relieved(size, opens, span, p, t, p_room, t_room, brought, falls, gamma, r_
 
 
 @branching
-def part_leaks(van_leer, dt, cells, term):
+def jump_at_leaks(van_leer, dt, cells, term):
     """Flow at the faces of cells that leak: it jumps in their middle, by that of the last step.
 
     Args:
@@ -81,7 +81,7 @@ def part_leaks(van_leer, dt, cells, term):
             i = slot * w + j
             if term.flow[q, j] != 0.0:
                 jump = 0.5 * term.flow[q, j] / cells.par[L.AREA, i]
-                part(i, jump, van_leer, dt, cells)
+                impose_jump(i, jump, van_leer, dt, cells)
 
 
 @branching

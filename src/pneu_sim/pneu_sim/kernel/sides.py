@@ -11,7 +11,7 @@ end.
 
 from pneu_sim import layout as L
 from pneu_sim.compiling import branching
-from pneu_sim.kernel.faces import part
+from pneu_sim.kernel.faces import impose_jump
 
 
 @branching
@@ -85,7 +85,7 @@ def soften_ends(dt, cells, sides, ends):
 
 
 @branching
-def part_sides(van_leer, dt, cells, sides):
+def jump_at_sides(van_leer, dt, cells, sides):
     """Flow at the faces of cells that have a side in their middle: it jumps there.
 
     By what the side took up in the last step.
@@ -104,7 +104,7 @@ def part_sides(van_leer, dt, cells, sides):
             i = sides.table[q, L.D_SLOT] * w + j
             more = sides.more[q, j]
             lost = more / (1.0 + more) * sides.kept[q, 2, j]
-            part(i, 0.5 * lost / cells.par[L.AREA, i], van_leer, dt, cells)
+            impose_jump(i, 0.5 * lost / cells.par[L.AREA, i], van_leer, dt, cells)
 
 
 @branching

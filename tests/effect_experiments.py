@@ -8,30 +8,30 @@ from pathlib import Path
 import numpy as np
 
 from pneu_sim.effects.base import Effect
-from pneu_sim.effects.proof import SAMPLE_S, At, Bench, bench_of, strongest
+from pneu_sim.effects.proof import SAMPLE_S, Experiment, Placement, experiment_of, strongest
 from pneu_sim.rig import Rig, load_rig
 from pneu_sim.rig.schema import AttachedEffect, Chamber, Pipe
 
 ROOT = Path(__file__).parents[1]
 
 
-def line() -> Bench:
+def line() -> Experiment:
     """Rig A; its spool is at its limits, so that a change of them is felt."""
     rig = load_rig(ROOT / "rigs" / "rig_a.yaml")
     rig.valves["valve"].spool.max_speed_v_s = 200.0
     rig.valves["valve"].spool.max_acceleration_v_s2 = 1e5
-    return bench_of(rig, 0.35)
+    return experiment_of(rig, 0.35)
 
 
-def bottle() -> Bench:
+def bottle() -> Experiment:
     """The same with a bottle at the end of its tube."""
     rig = line().rig
     rig.pipes["tube"].to_node = "bottle"
     rig.chambers["bottle"] = Chamber(volume_m3=2e-5)
-    return bench_of(rig, 0.35)
+    return experiment_of(rig, 0.35)
 
 
-def junction() -> Bench:
+def junction() -> Experiment:
     """The same with a branch and a stub at the end of its tube, and the tap some way before it."""
     rig = line().rig
     rig.pipes["tube"].to_node = "tee"
@@ -40,18 +40,18 @@ def junction() -> Bench:
             {"from": "tee", "to": "closed", "length_m": length_m, "area_m2": 6e-6}
         )
     rig.taps["end"].position_m = 2.2
-    return bench_of(rig, 0.35)
+    return experiment_of(rig, 0.35)
 
 
-def swinging(rig: Rig, head: str, rod: str, volts: float, hertz: float = 1.5) -> Bench:
+def swinging(rig: Rig, head: str, rod: str, volts: float, hertz: float = 1.5) -> Experiment:
     """Two valves that work against each other, as sines."""
     time = SAMPLE_S * np.arange(400)
     nulls = {valve.command: valve.spool.null_v for valve in rig.valves.values()}
     wave = volts * np.sin(2.0 * math.pi * hertz * time)
-    return Bench(rig, {head: nulls[head] + wave, rod: nulls[rod] - wave})
+    return Experiment(rig, {head: nulls[head] + wave, rod: nulls[rod] - wave})
 
 
-def arm() -> Bench:
+def arm() -> Experiment:
     """A joint that a cylinder turns and a spring holds, so that it meets no stop.
 
     Without dry friction: where it stands, and when it bounces, is no smooth function of anything.
@@ -66,12 +66,12 @@ def arm() -> Bench:
     return swinging(rig, "head", "rod", 0.5)
 
 
-def cart() -> Bench:
+def cart() -> Experiment:
     """A cart that a cylinder moves along a rail."""
     return swinging(load_rig(ROOT / "rigs" / "rail.yaml"), "head", "rod", 0.15)
 
 
-def short_arm() -> Bench:
+def short_arm() -> Experiment:
     """The joint with a cylinder so short that its piston runs into both ends."""
     rig = arm().rig
     cylinder, body = rig.cylinders["forearm"], rig.bodies["arm"]
@@ -81,18 +81,18 @@ def short_arm() -> Bench:
     return swinging(rig, "head", "rod", 2.0, 5.0)
 
 
-BENCHES = {one.__name__: one for one in (line, bottle, junction, arm, cart, short_arm)}
+EXPERIMENTS = {one.__name__: one for one in (line, bottle, junction, arm, cart, short_arm)}
 
 
-def felt_on(effect: Effect, benches: Sequence[Bench]) -> At | None:
+def felt_on(effect: Effect, experiments: Sequence[Experiment]) -> Placement | None:
     """The effect on the first rig on which a typical strength of it changes anything.
 
     Args:
         effect: The effect.
-        benches: The rigs.
+        experiments: The rigs.
     """
-    for bench in benches:
-        at = strongest(bench, effect)
+    for experiment in experiments:
+        at = strongest(experiment, effect)
         if at is not None and np.any(at.responses([at.typical])):
             return at
     return None
