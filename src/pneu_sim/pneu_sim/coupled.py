@@ -12,7 +12,7 @@ from pneu_common.errors import InputError
 from pneu_sim import layout as L
 from pneu_sim import tile as tiles
 from pneu_sim.full_solver import FullSolver
-from pneu_sim.kernel.bodies import hold
+from pneu_sim.kernel.bodies import hold_in_parts
 from pneu_sim.mechanism.coupling import Coupling
 from pneu_sim.mechanism.mechanism import Mechanism
 from pneu_sim.rig.model import Model
@@ -126,50 +126,59 @@ class CoupledSolver(FullSolver):
             return mean + self._held_by_springs(speed_m_s)
 
         for _ in range(steps):
-            grip = self._grip()
-            if grip is None or not (self._rows[:, L.PY_SOFT] > 0.0).any():
-                self._coupling.step(gas, grip)
-            else:
-                self._coupling.step(gas, *self._bend(grip))
-                self._bent = self._bent_by(self.mechanism.speed(), grip)
+            self._coupling.step(gas, self._grip(), self._move)
         assert last is not None
         return last
 
     def _forget(self) -> None:
         """Has soft seals straight, at rest."""
         shape = self._rows[:, 0].shape
-        self._bent, self._impulse, self._before = (np.zeros(shape) for _ in range(3))
+        self._bent, self._impulse = np.zeros(shape), np.zeros(shape)
 
-    def _bend(self, grip: Floats) -> tuple[Floats, Floats]:
-        """Dry friction for MuJoCo's constraint, and the force of seals with presliding, N.
+    def _move(self, force_n: Floats, duration_s: float, grip: Floats | None) -> Floats:
+        """Move the mechanisms by a step under the dry friction of their seals.
 
-        MuJoCo's friction holds rigidly. Soft seals are bristles as those of bodies (`hold`), by the
-        speed that the step before foresees.
+        MuJoCo's friction holds what sticks, rigidly, but is of first order where speeds change
+        their sign. So a step is tried without it; what slides, and soft seals, then have the mean
+        of a friction that is resolved in parts of the step.
+
+        Args:
+            force_n: (n_cyl, lanes) forces on the pistons besides friction, N.
+            duration_s: The step, s.
+            grip: (n_cyl, lanes) dry friction, N; None where there is none.
+
+        Returns:
+            (n_cyl, lanes) displacements of the pistons, m.
         """
-        row, h, speed = self._rows, self.mechanism.step_s, self.mechanism.speed()
-        free = 2.0 * speed - self._before - self._give * self._impulse
+        mechanism = self.mechanism
+        if grip is None:
+            return mechanism.advance(force_n, duration_s)
+        row, kept, before = self._rows, mechanism.state(), mechanism.speed()
         soft = np.where(grip > 0.0, row[:, L.PY_SOFT], 0.0)
-        for c, j in np.ndindex(*grip.shape):
-            self._impulse[c, j] = 0.0
-            if soft[c, j] > 0.0:
-                self._impulse[c, j] = hold(
-                    free[c, j],
-                    self._give[c, j],
-                    h * grip[c, j],
-                    self._bent[c, j],
-                    h,
-                    soft[c, j],
-                    row[c, L.PY_SOFT_DAMPING, j],
-                )
-        self._before = speed
-        return np.where(soft > 0.0, 0.0, grip), self._impulse / h
-
-    def _bent_by(self, speed: Floats, grip: Floats) -> Floats:
-        """Deflections of soft seals after a step, m."""
-        h, soft = self.mechanism.step_s, self._rows[:, L.PY_SOFT]
-        most = np.where((soft > 0.0) & (grip > 0.0), soft * grip, 1.0)
-        after = (self._bent + h * speed) / (1.0 + h * np.abs(speed) / most)
-        return np.asarray(np.where((soft > 0.0) & (grip > 0.0), after, 0.0))
+        tried = np.where(soft > 0.0, self._impulse, 0.0)
+        mechanism.advance(force_n + tried / duration_s, duration_s)
+        free, ours = mechanism.speed() - self._give * tried, grip > 0.0
+        after, foreseen = self._bent.copy(), np.zeros_like(free)
+        for c, j in zip(*np.nonzero(ours), strict=True):
+            self._impulse[c, j], speed, after[c, j], foreseen[c, j] = hold_in_parts(
+                before[c, j],
+                free[c, j],
+                self._give[c, j],
+                grip[c, j],
+                self._bent[c, j],
+                duration_s,
+                soft[c, j],
+                row[c, L.PY_SOFT_DAMPING, j],
+            )
+            ours[c, j] = soft[c, j] > 0.0 or speed != 0.0
+        impulse = np.where(ours, self._impulse, 0.0)
+        mechanism.set_state(kept)
+        moved = mechanism.advance(
+            force_n + impulse / duration_s, duration_s, np.where(ours, 0.0, grip)
+        )
+        most = soft * grip
+        self._bent = np.where(soft > 0.0, np.clip(after + moved - foreseen, -most, most), 0.0)
+        return moved
 
     def _extension(self) -> Floats:
         """(n_cyl, lanes) extensions of the mechanism's cylinders, as the gas has them."""
@@ -222,7 +231,7 @@ class CoupledSolver(FullSolver):
 
     def state(self) -> list[NDArray[Any]]:
         """Returns copies of all that the future depends on; see `Solver.state`."""
-        own = [self._bent, self._impulse, self._before]
+        own = [self._bent, self._impulse]
         return [*super().state(), *(part.copy() for part in own), *self._coupling.state()]
 
     def set_state(self, parts: Sequence[NDArray[Any]]) -> None:
@@ -233,8 +242,8 @@ class CoupledSolver(FullSolver):
         """
         of_gas = len(tiles.CHANGING) + 1
         super().set_state(parts[:of_gas])
-        self._bent, self._impulse, self._before = (p.copy() for p in parts[of_gas : of_gas + 3])
-        self._coupling.set_state(parts[of_gas + 3 :])
+        self._bent, self._impulse = (p.copy() for p in parts[of_gas : of_gas + 2])
+        self._coupling.set_state(parts[of_gas + 2 :])
 
 
 def _between(opening: Floats, share: float) -> Floats:

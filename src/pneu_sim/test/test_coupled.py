@@ -190,12 +190,14 @@ def test_an_mjcf_that_does_not_compile_is_said_in_one_sentence(tmp_path: Path) -
 def test_presliding_in_mujoco_is_that_of_the_body_in_the_kernel(
     tmp_path: Path, soft_m_n: float, damping_n_s_m: float
 ) -> None:
-    """Seals that are soft before they slide; the physics step is small beside their period."""
+    """Seals that are soft before they slide, and those that are not."""
     rigid: dict[str, Any] = {"friction": {"coulomb_n": 30.0}}
     soft = {"presliding_m_n": soft_m_n, "presliding_n_s_m": damping_n_s_m}
     bristles = {"friction": rigid["friction"] | soft}
     wanted = swing(in_kernel(**bristles))
     effect = np.ptp(wanted - swing(in_kernel(**rigid)))
-    found = swing(in_mujoco(tmp_path, 2.5e-4, **bristles))
     assert effect > 1e-4
-    assert np.max(np.abs(found - wanted)) < 0.05 * effect
+    for step_s in (1e-3, 5e-4):
+        found = swing(in_mujoco(tmp_path, step_s, **bristles))
+        hard = swing(in_mujoco(tmp_path, step_s, **rigid))
+        assert np.ptp(found - hard) == pytest.approx(effect, rel=0.01)

@@ -25,6 +25,8 @@ from pneu_sim.kernel.play import (
 HOLD_STEPS, HELD = 30, 1e-12
 """Of Newton's method for friction of soft seals, at most; the share of the greatest impulse to
 which it is found."""
+PARTS = 32
+"""Of a step of MuJoCo, in which dry friction is resolved: its error is of first order in them."""
 SWEEPS = 12
 """Of Gauss-Seidel, for bodies of several joints; one joint needs two."""
 LET_GO = -2.0
@@ -381,6 +383,36 @@ def hold(free, give, most, bent, dt, soft, damping):
             return better
         impulse = better
     return impulse
+
+
+@folded
+def hold_in_parts(before, free, give, grip, bent, dt, soft, damping):
+    """Dry friction over a step so long that the speed may change its sign within it.
+
+    Args:
+        before: Speed before the step.
+        free: Speed after it without friction; between them it is taken to change linearly.
+        give: Speed per impulse.
+        grip: Greatest friction.
+        bent: Deflection of the seal before the step.
+        dt: Step, s.
+        soft: Deflection per force; 0 holds rigidly until it slides.
+        damping: Force per rate of deflection.
+
+    Returns:
+        Impulse, speed and deflection after the step, and displacement.
+    """
+    part, change = dt / PARTS, (free - before) / PARTS
+    speed, impulse, moved = before, 0.0, 0.0
+    for _ in range(PARTS):
+        push = hold(speed + change, give, part * grip, bent, part, soft, damping)
+        new = speed + change + give * push
+        moved += 0.5 * part * (speed + new)
+        speed = new
+        impulse += push
+        if soft > 0.0:
+            bent, _ = _bend(speed, bent, part * grip, part, 1.0 / soft)
+    return impulse, speed, bent, moved
 
 
 @folded

@@ -26,11 +26,10 @@ In both, extension and gas agree at the end of every step. What the integrator o
 with its constant force has to be of second order too: MuJoCo's `Euler`, `implicit` and
 `implicitfast` are of first order in damping, Coriolis forces and levers, so the second order has it
 take `RK4`, at three to four times the time. RK4 takes damping explicitly and wants a step below 2.7
-times mass over damping. Impacts and dry friction on the point of slipping are of first order
-whatever one does.
+times mass over damping. Impacts are of first order whatever one does.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -39,6 +38,7 @@ from numpy.typing import NDArray
 from pneu_sim.mechanism.mechanism import Mechanism
 
 Floats = NDArray[np.float64]
+Move = Callable[[Floats, float, Floats | None], Floats]
 
 
 class PistonGas(Protocol):
@@ -81,22 +81,21 @@ class Coupling:
         self._owed = np.zeros(shape)
 
     def step(
-        self, gas: PistonGas, friction_n: Floats | None = None, held_n: Floats | float = 0.0
+        self, gas: PistonGas, friction_n: Floats | None = None, move: Move | None = None
     ) -> Floats:
         """Moves gas and mechanism by one physics step.
 
         Args:
             gas: The gas.
             friction_n: (n_cyl, lanes) dry friction of the pistons, N; None is none.
-            held_n: (n_cyl, lanes) force on the pistons besides that of the gas, N, constant over
-                the step.
+            move: Moves the mechanism by the step, as `Mechanism.advance`, which it is by default.
 
         Returns:
             (n_cyl, lanes) force that the mechanism was given, N.
         """
         if self.mechanism.settings.coupling == "thesis":
-            return self._thesis(gas, friction_n, held_n)
-        return self._second_order(gas, friction_n, held_n)
+            return self._thesis(gas, friction_n, move or self.mechanism.advance)
+        return self._second_order(gas, friction_n, move or self.mechanism.advance)
 
     def advance(self, gas: PistonGas, duration_s: float, friction_n: Floats | None = None) -> None:
         """Moves gas and mechanism by whole physics steps.
@@ -127,11 +126,11 @@ class Coupling:
         self.mechanism.set_state(of_mechanism)
         self._begun, self._before, self._owed = begun.copy(), before.copy(), owed.copy()
 
-    def _thesis(self, gas: PistonGas, friction_n: Floats | None, held_n: Floats | float) -> Floats:
+    def _thesis(self, gas: PistonGas, friction_n: Floats | None, move: Move) -> Floats:
         """Force at the beginning, physics step, gas (thesis 5.6)."""
         h = self.mechanism.step_s
         force = gas(np.zeros_like(self._owed), 0.0)
-        moved = self.mechanism.advance(force + held_n, h, friction_n)
+        moved = move(force, h, friction_n)
         gas(moved / h, h)
         return force
 
@@ -148,9 +147,7 @@ class Coupling:
         high = np.maximum(x, stroke)
         return np.clip(speed, (low - x) / duration, (high - x) / duration)
 
-    def _second_order(
-        self, gas: PistonGas, friction_n: Floats | None, held_n: Floats | float
-    ) -> Floats:
+    def _second_order(self, gas: PistonGas, friction_n: Floats | None, move: Move) -> Floats:
         """Half a step of gas, physics step, the other half of gas."""
         mechanism, half = self.mechanism, 0.5 * self.mechanism.step_s
         speed = self._led(mechanism.extension(), mechanism.speed(), half)
@@ -160,7 +157,7 @@ class Coupling:
         self._begun[:] = True
         middle = 1.5 * first - 0.5 * self._before
         force = middle + self._owed
-        moved = mechanism.advance(force + held_n, 2.0 * half, friction_n)
+        moved = move(force, 2.0 * half, friction_n)
         last = gas(moved / half - speed, half)
         self._owed = 0.5 * (first + last) - middle
         self._before = last
