@@ -20,7 +20,7 @@ def line() -> Experiment:
     rig = load_rig(ROOT / "rigs" / "rig_a.yaml")
     rig.valves["valve"].spool.max_speed_v_s = 200.0
     rig.valves["valve"].spool.max_acceleration_v_s2 = 1e5
-    return experiment_of(rig, 0.35)
+    return experiment_of(rig, 0.2)
 
 
 def bottle() -> Experiment:
@@ -28,7 +28,7 @@ def bottle() -> Experiment:
     rig = line().rig
     rig.pipes["tube"].to_node = "bottle"
     rig.chambers["bottle"] = Chamber(volume_m3=2e-5)
-    return experiment_of(rig, 0.35)
+    return experiment_of(rig, 0.2)
 
 
 def junction() -> Experiment:
@@ -40,12 +40,12 @@ def junction() -> Experiment:
             {"from": "tee", "to": "closed", "length_m": length_m, "area_m2": 6e-6}
         )
     rig.taps["end"].position_m = 2.2
-    return experiment_of(rig, 0.35)
+    return experiment_of(rig, 0.2)
 
 
-def swinging(rig: Rig, head: str, rod: str, volts: float, hertz: float = 1.5) -> Experiment:
+def swinging(rig: Rig, head: str, rod: str, volts: float, hertz: float = 2.5) -> Experiment:
     """Two valves that work against each other, as sines."""
-    time = SAMPLE_S * np.arange(400)
+    time = SAMPLE_S * np.arange(200)
     nulls = {valve.command: valve.spool.null_v for valve in rig.valves.values()}
     wave = volts * np.sin(2.0 * math.pi * hertz * time)
     return Experiment(rig, {head: nulls[head] + wave, rod: nulls[rod] - wave})

@@ -8,6 +8,7 @@ import dataclasses
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from tests.effect_experiments import EXPERIMENTS, felt_on
@@ -16,7 +17,7 @@ from tests.references.effects import COMPARISONS
 from pneu_common.errors import InputError
 from pneu_sim.effects import load_effect_file, proof, registry
 from pneu_sim.effects.registry import BUILT_IN, _loaded
-from pneu_sim.rig import Rig, load_rig
+from pneu_sim.rig import Rig, load_rig, save_rig
 from pneu_sim.rig.build import build
 
 pytestmark = pytest.mark.takes(25)
@@ -140,10 +141,15 @@ def test_a_check_that_does_not_hold_says_so() -> None:
     assert "with sensor_gain on end" in said[2]
 
 
-def test_a_user_has_an_effect_proven_by_a_command() -> None:
+def test_a_user_has_an_effect_proven_by_a_command(tmp_path: Path) -> None:
+    rig = load_rig("rigs/rig_a.yaml")
+    rig.grid.dx_m, rig.grid.memory = 0.25, False
+    save_rig(rig, tmp_path / "coarse.yaml")
     words = [sys.executable, "-m", "pneu_common.cli", "effects", "--effects"]
     words += ["examples/my_effect.py", "--prove", OWN]
-    done = subprocess.run([*words, "--rig", "rigs/rig_a.yaml"], capture_output=True, text=True)
+    done = subprocess.run(
+        [*words, "--rig", tmp_path / "coarse.yaml"], capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     for said in ("vanishes", "slope", "cells half as long", "order of attachment", "reference"):
         assert said in done.stdout

@@ -86,14 +86,8 @@ HIDDEN = {
 }
 
 
-LONG = ("backlash", "payload", "piston_leak")
-"""Not with the quick tests: the others show the same."""
-
-
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=pytest.mark.long) if n in LONG else n for n in HIDDEN],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("name", HIDDEN)
 def test_a_mechanical_effect_is_named_and_sized(name: str) -> None:
     place, values = HIDDEN[name]
     found = diagnose(model(), recorded(3, **{name: (place, values)}), refine=False)

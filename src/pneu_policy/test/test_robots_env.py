@@ -265,6 +265,7 @@ def test_a_trained_policy_is_a_file_for_that_robot_alone(tmp_path: Path) -> None
         policy.check_rig(wider)
 
 
+@pytest.mark.long
 def test_a_cart_is_learned_to_follow() -> None:
     """A few updates bring the error to a fraction of that of doing nothing."""
     settings = rail(

@@ -105,7 +105,7 @@ def _prove(name: str, rig: Path | None) -> None:
             f"effect {name!r}: rig {plant.name!r} does not respond to it from rest; verify it on"
             " another rig"
         )
-    others = [proof.strongest(experiment, one) for one in registry().values()]
+    others = [proof.beside(at, one) for one in registry().values()]
     found = proof.prove(at, [one for one in others if one is not None])
     found += [one for case in effect.comparisons() for one in proof.compare(effect, case)]
     _print_table(

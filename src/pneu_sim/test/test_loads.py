@@ -68,7 +68,10 @@ def test_only_what_turns_has_a_load_some_way_out():
     assert told == [f"joints.{slide}: load", f"joints.{pole}: load", f"joints.{pole}: load's place"]
 
 
-@pytest.mark.parametrize(("mass_kg", "distance_m"), [(0.35, 0.12), (0.15, 0.3), (0.0, 0.2)])
+@pytest.mark.parametrize(
+    ("mass_kg", "distance_m"),
+    [(0.35, 0.12), pytest.param(0.15, 0.3, marks=pytest.mark.long), (0.0, 0.2)],
+)
 def test_a_load_that_was_taken_up_is_found(mass_kg, distance_m):
     """By the moment that it has about the joint; where there is none, none is."""
     rig = load_rig(RIGS / "kokoro_fitted.yaml")

@@ -331,6 +331,7 @@ def depth(model: mujoco.MjModel, q: Floats) -> Floats:
     return np.array(out)
 
 
+@pytest.mark.long
 def test_a_recording_of_a_finer_step_tells_friction_stiffness_and_spring(tmp_path: Path) -> None:
     track, truth = pressed(1.0)
     loaded = finger_scene(tmp_path)

@@ -91,6 +91,7 @@ def outcome(tmp_path: Path, hidden: AttachedEffect, **more):
     return plant, state
 
 
+@pytest.mark.long
 def test_from_nothing_to_a_name(tmp_path):
     hidden = AttachedEffect(
         effect="leak", place="tube", parameters={"area_m2": 6e-9, "position_m": 1.4}

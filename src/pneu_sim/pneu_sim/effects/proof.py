@@ -269,6 +269,20 @@ def strongest(experiment: Experiment, effect: Effect) -> Placement | None:
     return sites[int(np.argmax([_size(run - none) for run in runs]))]
 
 
+def beside(at: Placement, effect: Effect) -> Placement | None:
+    """Return a placement of another effect, on the same part if it can be there; None without one.
+
+    Args:
+        at: A placement.
+        effect: The other effect.
+    """
+    sites = [
+        Placement(at.experiment, effect, place, shape)
+        for place, shape in effect.sites(at.experiment.rig, SPACING_M)
+    ]
+    return next((one for one in sites if one.place == at.place), next(iter(sites), None))
+
+
 def prove(at: Placement, others: Sequence[Placement] = (), grids: bool = True) -> list[Finding]:
     """Check all properties that every effect must have.
 
