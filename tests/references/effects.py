@@ -1084,6 +1084,62 @@ def _fed_side(rig: Rig) -> Floats:
     return np.array([(run.chambers["head"][-1] - run.chambers["head"][0]) / 4e-3])
 
 
+CUSHION_M, BEFORE_END_M = 0.02, 1e-3
+PORT = 1e-5
+
+
+def _at_the_end() -> Rig:
+    """A piston within the cushion of a side, which empties through a line and a nozzle."""
+    rig = _shut(slide={"start": BEFORE_END_M})
+    parts = rig.model_dump(by_alias=True, exclude_defaults=True)
+    parts["pipes"] = {
+        "a": {"from": "head", "to": "mouth", "length_m": 0.02, "area_m2": PORT, "wall": STILL}
+    }
+    parts["orifices"] = {"o": {"from": "mouth", "to": "room", "conductance_m3_s_pa": 4.0 * C}}
+    return Rig.model_validate(parts)
+
+
+def _emptied_side(rig: Rig) -> Floats:
+    simulator = Simulator(rig)
+    simulator.reset({"head": 5e5, "a": 5e5})
+    return simulator.run(0.1, sample_s=5e-3).chambers["head"][1:]
+
+
+def _throttled(heads: float) -> Floats:
+    """An adiabatic vessel, an isentropic jet, a line without friction and a choked nozzle, in series.
+
+    The jet fills the line without getting back any pressure.
+    """
+    least = 1.0 / math.sqrt(1.0 + heads)
+    way = PORT * (least + (1.0 - least) * BEFORE_END_M / CUSHION_M)
+    volume = 1e-4 + BEFORE_END_M * math.pi / 4.0 * BORE**2
+
+    def flow(p: float, t: float) -> float:
+        """Mass flow at which what the jet brings is what the nozzle takes."""
+
+        def excess(low: float) -> float:
+            brought = orifice(way, p, low, t)
+            cp = GAMMA * R / (GAMMA - 1.0)
+            g = brought * R / (PORT * low)  # u = g T, and T + u^2 / (2 cp) = t
+            static = t
+            if g > 0.0:
+                static = (math.sqrt(1.0 + 2.0 * g * g * t / cp) - 1.0) * cp / (g * g)
+            total = low * (t / static) ** (GAMMA / (GAMMA - 1.0))
+            return brought - 4.0 * C * RHO0 * total * math.sqrt(T0 / t)
+
+        star = 2.0 / (GAMMA + 1.0) * t
+        sonic = orifice(way, p, 0.0, t) * math.sqrt(R * star / GAMMA) / PORT
+        return orifice(way, p, brentq(excess, sonic, p, xtol=1e-6), t)
+
+    def empties(_: float, y: Floats) -> list[float]:
+        t = T0 * (y[0] / 5e5) ** ((GAMMA - 1.0) / GAMMA)
+        return [-GAMMA * R * t * flow(y[0], t) / volume]
+
+    time = 5e-3 * np.arange(1, 21)
+    found = solve_ivp(empties, (0.0, 0.1), [5e5], t_eval=time, rtol=1e-8, atol=1e-3)
+    return np.asarray(found.y[0])
+
+
 ANGLES = (-0.6, -0.2, 0.3, 0.7)
 ARM = {"pivot_m": 0.16, "crank_m": 0.035, "closed_length_m": 0.1}
 INERTIA, LINK, CENTRE = 0.05, 0.75, 0.2
@@ -1238,6 +1294,15 @@ JOINTS = {
     ),
     "cylinder_heat": Comparison(
         "exponential decay", _shut(), "cart", (2.0, 20.0, 1000.0), _hot_side, _cooling_side
+    ),
+    "end_cushion": Comparison(
+        "an adiabatic vessel, a jet and a nozzle in series, by SciPy",
+        _at_the_end(),
+        "cart.head",
+        (10.0, 100.0, 1e5),
+        _emptied_side,
+        _throttled,
+        {"length_m": CUSHION_M},
     ),
     "cylinder_volume": Comparison(
         "first law while it fills",
