@@ -7,15 +7,18 @@ from pathlib import Path
 
 from rich.progress import track
 from tests.effect_experiments import EXPERIMENTS, felt_on
+from tests.references import scenes
 from tests.references.effects import COMPARISONS
 
 from pneu_common.files import whole
 from pneu_sim.effects import Comparison, load_effect_file, proof, registry
 from pneu_sim.effects.proof import Finding
+from pneu_sysid.contacts.effects import scene_effects
 from studies.digest import ROOT, digest_of
 
 SOURCES = (
     "src/pneu_sim/pneu_sim",
+    "src/pneu_sysid/pneu_sysid/contacts",
     "tests/references",
     "tests/effect_experiments.py",
     "studies/effects.py",
@@ -86,7 +89,11 @@ def main() -> None:
     found = {
         name: proof.indistinguishable_pairs(experiment) for name, experiment in experiments.items()
     }
-    page(rows, found, options.page)
+    of_scenes = {
+        name: scenes.compare(name) if name in scenes.COMPARISONS else []
+        for name in track(scene_effects(), description="effects of scenes")
+    }
+    page(rows, found, of_scenes, options.page)
 
 
 def _number(finding: Finding) -> str:
@@ -94,17 +101,27 @@ def _number(finding: Finding) -> str:
     return text if finding.holds else f"**{text}**"
 
 
-def page(rows: list[Row], aliases: dict[str, set[tuple[str, str]]], path: Path) -> None:
+def page(
+    rows: list[Row],
+    aliases: dict[str, set[tuple[str, str]]],
+    of_scenes: dict[str, list[Finding]],
+    path: Path,
+) -> None:
     """Write the page.
 
     Args:
-        rows: Results of all effects.
+        rows: Results of all effects of rigs.
         aliases: Indistinguishable pairs of effects per rig.
+        of_scenes: Reference results per effect of scenes.
         path: The page.
     """
-    failed = [(row.name, f) for row in rows for f in row.properties + row.reference if not f.holds]
-    without = [row.name for row in rows if not row.reference]
-    compared = [f for row in rows for f in row.reference]
+    findings = [(row.name, f) for row in rows for f in row.properties + row.reference]
+    findings += [(name, f) for name, found in of_scenes.items() for f in found]
+    failed = [(name, f) for name, f in findings if not f.holds]
+    # effects of rigs and of scenes may have the same name
+    references = [(row.name, row.reference) for row in rows] + list(of_scenes.items())
+    without = [name for name, found in references if not found]
+    compared = [f for _, found in references for f in found]
     within = sum(f.deviation <= 0.01 for f in compared)
     lines = [
         "# Verification of the effects",
@@ -112,10 +129,11 @@ def page(rows: list[Row], aliases: dict[str, set[tuple[str, str]]], path: Path) 
         f"Made by `make effects` from the sources {digest_of(ROOT / p for p in SOURCES)}. A"
         " deviation that is not allowed is bold and counts as a failure.",
         "",
-        f"{len(rows)} effects, {len(rows) - len(without)} of them with a reference, at"
+        f"{len(references)} effects, {len(rows)} of rigs and {len(of_scenes)} of scenes,"
+        f" {len(references) - len(without)} of them with a reference, at"
         f" {len(compared)} strengths: {within} deviate by at most 1 %, the others by at most"
         f" {100 * max(f.deviation for f in compared):.1f} %. Failures, of all checks:"
-        f" {len(failed)}. No closed form: {', '.join(without)}.",
+        f" {len(failed)}. No closed form: {', '.join(without) or 'none'}.",
         "",
         "## References",
         "",
@@ -168,7 +186,19 @@ def page(rows: list[Row], aliases: dict[str, set[tuple[str, str]]], path: Path) 
             or "none"
         )
         + ".",
+        "",
+        "## Effects of scenes",
+        "",
+        "Deviations as above, of predicted readings (`tests/references/scenes.py`).",
+        "",
+        "| effect | reference | values: deviation |",
+        "|---|---|---|",
     ]
+    for name, found in of_scenes.items():
+        if found:
+            one = scenes.COMPARISONS[name]
+            cells = [f"{v:g}: {_number(f)}" for v, f in zip(one.values, found, strict=True)]
+            lines.append(f"| {name} | {one.what} | {'; '.join(cells)} |")
     with whole(path) as aside:
         aside.write_text("\n".join(lines) + "\n", encoding="utf-8")
     print(f"{path}: {len(failed)} failures")

@@ -1106,7 +1106,7 @@ def _emptied_side(rig: Rig) -> Floats:
 
 
 def _throttled(heads: float) -> Floats:
-    """An adiabatic vessel, an isentropic jet, a line without friction and a choked nozzle, in series.
+    """A vessel, an isentropic jet, a line and a choked nozzle in series, all adiabatic.
 
     The jet fills the line without getting back any pressure.
     """

@@ -252,10 +252,9 @@ def tilt_world(setup: Setup, tilt: tuple[float, float]) -> None:
     frame = spec.frame(TILTED)
     if frame is None:
         world = spec.worldbody
-        free = {b.name for b in world.bodies if any(int(j.type) == 0 for j in b.joints)}
         fixed = [
             *world.frames, *world.geoms, *world.sites, *world.cameras, *world.lights,
-            *(b for b in world.bodies if b.name not in free),
+            *(b for b in world.bodies if not any(int(j.type) == 0 for j in b.joints)),
         ]  # fmt: skip
         frame = world.add_frame(name=TILTED)
         for thing in fixed:

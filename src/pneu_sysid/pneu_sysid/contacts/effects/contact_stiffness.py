@@ -16,7 +16,10 @@ class ContactStiffness(SceneEffect):
     typical = 1e3
     logarithmic = True
     of_contacts = True
-    formula = "reference acceleration = -damping * velocity - stiffness * impedance * depth"
+    formula = (
+        "reference acceleration = -damping / dmax * velocity"
+        " - stiffness * impedance / dmax^2 * depth, dmax: largest impedance"
+    )
     source = "MuJoCo, modeling: solref of two negative numbers; thesis 2.3.2"
 
     def places(self, setup: Setup) -> list[str]:

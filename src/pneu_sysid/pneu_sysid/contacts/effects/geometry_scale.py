@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bodies that are larger or smaller than their drawing."""
 
+import numpy as np
+
 from pneu_sysid.contacts.effects.base import ALL, SceneEffect, Setup, touching
 
 
 class GeometryScale(SceneEffect):
-    """Relative error of the size of what touches."""
+    """Relative error of the size of what touches, at the same mass; meshes keep their size."""
 
     name = "geometry_scale"
     title = "size of bodies"
@@ -27,10 +29,12 @@ class GeometryScale(SceneEffect):
         by = (1.0 + value) / setup.scaled
         for geom in touching(setup):
             if geom.parent.name != "world":
-                mass = geom.mass
                 geom.size = [x * by for x in geom.size]
                 geom.pos = [x * by for x in geom.pos]
-                geom.mass = mass
+                if np.isfinite(geom.fromto).all():  # these then replace size and place
+                    geom.fromto = [x * by for x in geom.fromto]
+                if not geom.meshname:  # of no effect where the MJCF gives the mass
+                    geom.density /= by**3
         # Of bodies whose inertia an effect has written out the geoms no longer imply it.
         for name in {*setup.massive, *(body for body, _ in setup.shifted)}:
             body = setup.spec.body(name)

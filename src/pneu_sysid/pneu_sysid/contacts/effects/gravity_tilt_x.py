@@ -14,7 +14,7 @@ class GravityTiltX(SceneEffect):
     upper = 0.3
     typical = 0.01
     absent = 0.0
-    formula = "gravity is turned about y by this angle"
+    formula = "gravity is turned towards x by this angle"
     source = "geometry"
 
     def places(self, setup: Setup) -> list[str]:

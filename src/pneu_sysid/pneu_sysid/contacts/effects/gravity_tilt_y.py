@@ -14,7 +14,7 @@ class GravityTiltY(SceneEffect):
     upper = 0.3
     typical = 0.01
     absent = 0.0
-    formula = "gravity is turned about x by this angle"
+    formula = "gravity is turned towards y by this angle"
     source = "geometry"
 
     def places(self, setup: Setup) -> list[str]:
