@@ -265,7 +265,7 @@ def test_darcy_factor_over_all_reynolds_numbers(roughness: float) -> None:
     cells.par[L.ROUGH] = (roughness / 3.7) ** 1.11
     cells.par[L.ONSET] = 1.0 / 2300.0
     cells.par[[L.REYNOLDS, L.LAMINAR, L.TURBULENT]] = 1.0
-    walls.find_coefficients(kernel.Gas(1.4, 287.05, 0.7), cells)
+    walls.find_coefficients(kernel.Gas(1.4, 287.05, 0.7, 0.7 ** (1.0 / 3.0)), cells)
     factor = 64.0 / reynolds * cells.wall[L.D_PHI]
     for re, f in zip(reynolds, factor, strict=True):
         low, high = pipe_flow.laminar(re), pipe_flow.haaland(re, roughness)
@@ -327,7 +327,7 @@ def test_unsteady_drag_follows_zielke(oscillating: bool) -> None:
     cells.par[L.RELAX] = L.UNSTEADY_RATE * np.pi * mu / area
     cells.wall[L.D_STAY] = 1.0 / cells.par[L.RELAX]
     cells.par[L.VISCOUS], cells.par[L.UNSTEADY] = 8.0 * np.pi * mu / area, 4.0 * np.pi * mu / area
-    walls.find_decay(kernel.Gas(1.4, 287.05, 0.7), dt, cells)
+    walls.find_decay(kernel.Gas(1.4, 287.05, 0.7, 0.7 ** (1.0 / 3.0)), dt, cells)
     velocity = np.zeros(steps + 1)
     for k in range(steps):
         cells.state[L.MOM] += dt * force[k]

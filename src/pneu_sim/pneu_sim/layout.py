@@ -119,7 +119,14 @@ JOINT_ROWS: Final = 5
 N_MASS: Final = 0  # kg/s
 N_HEAT: Final = 1  # W
 N_PUSH: Final = 2  # N, through ports that are variable areas
-PORTED_ROWS: Final = 3
+# the state at the end that a port was last solved with
+N_SLOPE: Final = 3  # by how much its flux grows with the velocity, kg/m^3; 0: no port was solved
+N_FLUX: Final = 4  # mass flux, kg/(m^2 s)
+N_SPEED: Final = 5  # outward velocity, m/s
+N_STATIC: Final = 6  # pressure, Pa
+N_FALL: Final = 7  # by how much that falls as the velocity grows, kg/(m^2 s)
+N_ENTHALPY: Final = 8  # total enthalpy of gas that would enter, J/kg
+PORTED_ROWS: Final = 9
 
 # --- ports (integer columns) ----------------------------------------------------------------------
 P_A: Final = 0  # kind of the side a: one of SIDE_*

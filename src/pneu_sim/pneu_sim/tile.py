@@ -53,7 +53,8 @@ class Tile:
         work: (WORK_ROWS, slots, lanes) scratch; in second order more rows.
         wall: (WALL_ROWS, slots, lanes) what walls do, and did in the last step.
         soft: (SOFT_ROWS, slots, lanes) what yielding walls hold; no slots where none yields.
-        end_velocity: (n_ends, lanes) of the gas at ends with ports in the last step, m/s.
+        end_velocity: (n_ends, 2, lanes) of the gas at ends with ports, m/s: what it is taken to be
+            in the next step until that is solved, and what it was in the last.
         end_flow: (n_ends, lanes) what ports let through there in the last step, kg/(m^2 s).
         joint: (n_ends, JOINT_ROWS, lanes) scratch.
         ported: (n_ends, PORTED_ROWS, lanes) scratch.
@@ -298,7 +299,7 @@ def pack(
         work=np.zeros((rows, plan.slots, w)),
         wall=np.zeros((L.WALL_ROWS, plan.slots, w)),
         soft=np.zeros((L.SOFT_ROWS, plan.slots if compliant else 0, w)),
-        end_velocity=np.zeros((ends, w)),
+        end_velocity=np.zeros((ends, 2, w)),
         end_flow=np.zeros((ends, w)),
         end_give=np.ones((ends, w)),
         joint=np.zeros((ends, L.JOINT_ROWS, w)),
@@ -638,7 +639,12 @@ def arrays(tile: Tile, watch: Watch) -> kernel.Rigs:
     taps = slice(0, len(plan.taps))
     rippling = tile.ripple_index.size > 0
     return kernel.Rigs(
-        kernel.Gas(first.gas.gamma, first.gas.r_specific, first.gas.prandtl),
+        kernel.Gas(
+            first.gas.gamma,
+            first.gas.r_specific,
+            first.gas.prandtl,
+            first.gas.prandtl ** (1.0 / 3.0),
+        ),
         kernel.Scheme(
             first.order,
             first.flux,

@@ -16,7 +16,7 @@ TABLES = {
     "END_COLUMNS": ("E_CELL", "E_REF"),
     "SIDE_COLUMNS": ("D_SLOT", "D_END"),
     "JOINT_ROWS": ("J_MASS", "J_PRESSURE"),
-    "PORTED_ROWS": ("N_MASS", "N_PUSH"),
+    "PORTED_ROWS": ("N_MASS", "N_ENTHALPY"),
     "PORT_COLUMNS": ("P_A", "P_MODE"),
     "PORT_PARAMS": ("Q_CONDUCTANCE", "Q_SHARE"),
     "REG_COLUMNS": ("REG_FILL", "REG_VENT"),

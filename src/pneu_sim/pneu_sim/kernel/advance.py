@@ -86,28 +86,34 @@ def _find_faces(gas, scheme, dt, cells, steps, sides, ends, leaks):
         yield_half(gas, dt, cells)
     close_outermost(cells)
     flatten_steps(cells, steps)
-    jump_at_sides(scheme.limiter == L.VAN_LEER, dt, cells, sides)
-    jump_at_leaks(scheme.limiter == L.VAN_LEER, dt, cells, leaks)
+    if sides.table.shape[0] > 0:
+        jump_at_sides(scheme.limiter == L.VAN_LEER, dt, cells, sides)
+    if leaks.table.shape[0] > 0:
+        jump_at_leaks(scheme.limiter == L.VAN_LEER, dt, cells, leaks)
     mirror_faces(cells, ends)
 
 
 @sequence
 def _conserve(dt, scheme, cells, sides):
     """What the faces carry reaches the cells; where walls yield, what the pipe holds."""
+    beside = sides.table.shape[0] > 0
     if scheme.compliant:
         give_back(cells)
         widen_faces(scheme.order, cells)
+    if beside:
         mark_sides(cells, sides)
+    if scheme.compliant:
         conserve(scheme.order, dt, cells, cells.soft[L.SOFT_FACE])
     else:
-        mark_sides(cells, sides)
         conserve(scheme.order, dt, cells, cells.par[L.FACE])
-    push_sides(cells, sides, True)
+    if beside:
+        push_sides(cells, sides, True)
 
 
 @sequence
 def _act_of_walls(gas, scheme, dt, s, cells, sides):
     """Friction and heat of the walls, on the gas as it now is."""
+    beside = sides.table.shape[0] > 0
     if scheme.compliant:
         take_gas(gas, cells)
         invert_density(cells)
@@ -115,13 +121,15 @@ def _act_of_walls(gas, scheme, dt, s, cells, sides):
         find_coefficients(gas, cells)
         if scheme.memory:
             find_decay(gas, dt, cells)
-    mark_sides(cells, sides)
+    if beside:
+        mark_sides(cells, sides)
     if scheme.memory:
         heat_with_memory(gas, scheme.order, dt, cells)
         drag_with_memory(scheme.order, dt, cells)
     else:
         act_steadily(gas, scheme.order, dt, cells)
-    push_sides(cells, sides, False)
+    if beside:
+        push_sides(cells, sides, False)
     if scheme.compliant:
         give_back(cells)
 
@@ -153,6 +161,9 @@ def advance(rigs, moving, clock, opening, record):
         taps,
     ) = rigs
     dt, order = clock.dt, scheme.order
+    # A pass is handed all that it works on, which takes as long as the gas of a few cells: those
+    # that would find nothing are left out.
+    beside = sides.table.shape[0] > 0
     if moving is not None:
         settle(cells, chambers, moving.cylinders)
     reading = taps.time.shape[1] > 0
@@ -169,7 +180,8 @@ def advance(rigs, moving, clock, opening, record):
                 invert_density(cells)
             find_primitive(gas, cells)
             find_chambers(gas, chambers)
-            soften_ends(dt, cells, sides, ends)
+            if beside:
+                soften_ends(dt, cells, sides, ends)
             corrected = shifted = False
             if reading and (clock.closing or not last):
                 corrected = read(clock.watched + step, cells, chambers, taps)
@@ -206,8 +218,9 @@ def advance(rigs, moving, clock, opening, record):
             if moving is not None:
                 reshape(gas, scheme, dt, cells, moving.cylinders)
             cross(gas, scheme, cells)
-            press_sides(cells, sides, ends)
-            mark_sides(cells, sides)
+            if beside:
+                press_sides(cells, sides, ends)
+                mark_sides(cells, sides)
             cross_steps(gas, scheme, dt, cells, steps)
             if scheme.joints and order == 2:
                 join(gas, 2, cells, ends)
@@ -224,7 +237,8 @@ def advance(rigs, moving, clock, opening, record):
                 move(dt, moving.bodies, moving.cylinders)
                 work_on_gas(dt, cells, chambers, moving.cylinders)
                 leak_past(gas, dt, cells, chambers, moving.cylinders)
-            push_sides(cells, sides, True)
+            if beside:
+                push_sides(cells, sides, True)
             heat_chambers(gas, dt, chambers)
             act_terms(gas, dt, cells, chambers, terms)
             _conserve(dt, scheme, cells, sides)

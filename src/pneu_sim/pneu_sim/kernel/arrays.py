@@ -21,11 +21,13 @@ class Gas(NamedTuple):
         gamma: Ratio of specific heats.
         r: Specific gas constant, J/(kg K).
         prandtl: Prandtl number.
+        recovery: Recovery factor of a wall in turbulent flow, Pr^(1/3) (White, Viscous Fluid Flow).
     """
 
     gamma: float
     r: float
     prandtl: float
+    recovery: float
 
 
 class Scheme(NamedTuple):
@@ -105,8 +107,8 @@ class Ends(NamedTuple):
 
     Attributes:
         table: (n_ends, END_COLUMNS).
-        velocity: (n_ends, lanes) of the gas at ends with ports in the last step, along the pipe,
-            m/s.
+        velocity: (n_ends, 2, lanes) of the gas at ends with ports or vessels, along the pipe, m/s:
+            what it is taken to be in this step until that is solved, and what it was in the last.
         flow: (n_ends, lanes) what ports let through there in the last step, kg/(m^2 s).
         give: (n_ends, lanes) how far the pressure follows what flows; 1 but beside a volume.
         joint: (n_ends, JOINT_ROWS, lanes) common pressure and flows where three or more meet.

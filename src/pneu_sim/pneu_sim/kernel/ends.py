@@ -22,13 +22,25 @@ is found."""
 JOINT_STEPS, JOINT_FOUND = 20, 1e-7
 """Iteration limit and relative tolerance of Newton's method for the pressure of a joint; flows
 are those of the tangent there, whose error is of the square of that."""
+FOUND = 1e-9
+"""Share of a vessel's pressure to which that at a pipe's end is found."""
 END_STEPS, END_FOUND = 20, 1e-8
 """Iteration limit of Newton's method for the velocity at an end, and its tolerance: the square of
 the last step over that of the speed of sound, which is the error that remains."""
 
 
+@folded
+def _outflow(d, v, p, p0, out, df, gamma):
+    """State at a pipe end that gas leaves at a pressure, with the velocity there, or sonic."""
+    if out * out * df <= gamma * p0:
+        return df, out, p0
+    out = choked_velocity(d, v, p, gamma)
+    _, pf, _ = wave_state(d, v, p, out, gamma)
+    return gamma * pf / (out * out), out, pf
+
+
 @branching
-def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
+def vessel_state(d, v, p, p0, t0, loss, guess, gamma, r_gas):
     """State at a pipe end that opens into a large vessel.
 
     Outflow leaves at the vessel's pressure, or sonic, or as fast as it comes; inflow comes from
@@ -42,6 +54,7 @@ def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
         p0: Pressure of the vessel, Pa.
         t0: Temperature of the vessel, K.
         loss: Velocity heads lost on inflow.
+        guess: Velocity at the end from which inflow is searched for, m/s; none where not negative.
         gamma: Ratio of specific heats.
         r_gas: Specific gas constant, J/(kg K).
 
@@ -50,39 +63,36 @@ def vessel_state(d, v, p, p0, t0, loss, gamma, r_gas):
     """
     if shock_swept_out(d, v, p, p0, gamma):
         return d, v, p
-    _, stopped, z = wave_state(d, v, p, 0.0, gamma)
-    if stopped >= p0:
+    k = 0.5 * (gamma - 1.0) * (1.0 + loss) / (gamma * r_gas * t0)
+    head = gamma / (gamma - 1.0) * k * p0
+    w = -guess
+    if w <= 0.0:
         out, df = leaving(d, v, p, p0, gamma)
-        if out * out * df > gamma * p0:
-            out = choked_velocity(d, v, p, gamma)
-            _, pf, _ = wave_state(d, v, p, out, gamma)
-            return gamma * pf / (out * out), out, pf
-        return df, out, p0
-    c0sq = gamma * r_gas * t0
-    k = 0.5 * (gamma - 1.0) * (1.0 + loss) / c0sq
-    e = gamma / (gamma - 1.0)
-    # w < w_max, where gas from rest is sonic: k w^2 < (gamma - 1) / (gamma + 1)
-    w_max = math.sqrt((gamma - 1.0) / ((gamma + 1.0) * k))
-    # Bernoulli's law to first order in the velocity head, then to third, then Newton's method.
-    drive = p0 - stopped
-    bent = e * k * p0 + 0.25 * (gamma + 1.0) * d
-    w = 2.0 * drive / (z + math.sqrt(z * z + 4.0 * bent * drive))
-    s = k * w * w
-    less = 0.5 * e * (e - 1.0) * p0 * s * s * (1.0 - (e - 2.0) / 3.0 * s)
-    w = min(w + less / (z + 2.0 * p0 * e * k * w * (1.0 - (e - 1.0) * s)), w_max)
-    pf = p0
+        if out >= 0.0:
+            return _outflow(d, v, p, p0, out, df, gamma)
+        z = math.sqrt(gamma * p0 * df)  # Bernoulli's law to first order in the velocity head
+        w = -2.0 * z * out / (z + math.sqrt(z * (z - 4.0 * head * out)))
+    # Newton's method; gas from rest is at most sonic: k w^2 <= (gamma - 1) / (gamma + 1)
+    most = (gamma - 1.0) / (gamma + 1.0)
+    pf, sonic = p0, False
     for _ in range(6):
-        x = max(1.0 - k * w * w, 0.05)
-        y = power(x, e)
+        s = k * w * w
+        if s > most:
+            sonic = True
+            w, s = math.sqrt(most / k), most
+        y = power(1.0 - s, gamma / (gamma - 1.0))
         _, pf, z = wave_state(d, v, p, -w, gamma)
-        f = p0 * y - pf
-        step = f * x / (p0 * e * y * 2.0 * k * w + z * x)
-        w = min(max(w + step, 0.0), w_max)
-        if abs(step) < 2e-5 * w:  # the next one would be below a part in 1e9
+        step = (p0 * y - pf) / (2.0 * head * y * w / (1.0 - s) + z)
+        if sonic and step >= 0.0:
+            pf = p0 * y
+            break
+        w += step
+        if (head + d) * step * step < FOUND * p0:  # what is left of the pressure, at most
             pf += z * step
             break
-    if w >= w_max:
-        pf = p0 * power(1.0 - k * w * w, e)
+    if w <= 0.0:
+        out, df = leaving(d, v, p, p0, gamma)
+        return _outflow(d, v, p, p0, max(out, 0.0), df, gamma)
     tf = t0 - 0.5 * (gamma - 1.0) / (gamma * r_gas) * w * w
     return pf / (r_gas * tf), -w, pf
 
@@ -96,7 +106,7 @@ def _jet(p, wave, z, p0, t0, left, gamma, r_gas):
 
 
 @folded
-def cushioned_state(d, v, p, p0, t0, shut, gamma, r_gas):
+def cushioned_state(d, v, p, p0, t0, shut, guess, gamma, r_gas):
     """State at a pipe end that opens into a chamber whose way out is partly shut.
 
     Outflow of the pipe is as in `vessel_state`. What enters it comes through the part of its end
@@ -110,6 +120,7 @@ def cushioned_state(d, v, p, p0, t0, shut, gamma, r_gas):
         p0: Pressure of the chamber, Pa.
         t0: Temperature of the chamber, K.
         shut: Part of the end that is shut.
+        guess: See `vessel_state`.
         gamma: Ratio of specific heats.
         r_gas: Specific gas constant, J/(kg K).
 
@@ -119,7 +130,7 @@ def cushioned_state(d, v, p, p0, t0, shut, gamma, r_gas):
     z = math.sqrt(gamma * p * d)
     wave = p + z * v
     if shut <= 0.0 or wave >= p0:
-        return vessel_state(d, v, p, p0, t0, 0.0, gamma, r_gas)
+        return vessel_state(d, v, p, p0, t0, 0.0, guess, gamma, r_gas)
     left = 1.0 - shut
     low, high = max(wave, 0.02 * p0), p0
     below = _jet(low, wave, z, p0, t0, left, gamma, r_gas)
@@ -287,15 +298,17 @@ def _beyond_vessel(e, j, gas, cells, ends, reservoirs, chambers):
     ref = index[e, L.E_REF]
     sign = float(index[e, L.E_SIGN])
     d, v, q = S[L.RHO, i], sign * X[L.W_U, i], X[L.W_P, i]
+    guess = sign * ends.velocity[e, 0, j]
     if kind == L.TANK:
         t0 = reservoirs.par[ref, L.R_TEMPERATURE, j]
         loss = reservoirs.par[ref, L.R_LOSS, j]
-        d1, v1, q1 = vessel_state(d, v, q, reservoirs.supplied[ref, j], t0, loss, gas.gamma, gas.r)
+        p0 = reservoirs.supplied[ref, j]
+        d1, v1, q1 = vessel_state(d, v, q, p0, t0, loss, guess, gas.gamma, gas.r)
     elif kind == L.CHAMBER:
         p0 = chambers.work[ref, L.H_PRESSURE, j]
         t0 = chambers.work[ref, L.H_TEMPERATURE, j]
         shut = chambers.work[ref, L.H_SHUT, j]
-        d1, v1, q1 = cushioned_state(d, v, q, p0, t0, shut, gas.gamma, gas.r)
+        d1, v1, q1 = cushioned_state(d, v, q, p0, t0, shut, guess, gas.gamma, gas.r)
     else:
         q1 = ends.joint[e, L.J_PRESSURE, j]
         d1 = d * (1.0 + (q1 - q) / (gas.gamma * q))
@@ -401,12 +414,22 @@ def _ported_state(e, j, flow, gas, order, cells, ends):
     if flow < 0.0:
         mass = ends.ported[e, L.N_MASS, j]
         h0 = ends.ported[e, L.N_HEAT, j] / mass if ends.ported[e, L.N_HEAT, j] < 0.0 else h0
-    most = choked_velocity(d, v, p, gamma)
-    least = -math.sqrt(2.0 * (gamma - 1.0) / (gamma + 1.0) * h0)
     held = 0.0
     if ends.give[e, j] != 1.0:
         held = (1.0 / ends.give[e, j] - 1.0) / math.sqrt(gamma * p / d)
-    out = min(max(float(ends.table[e, L.E_SIGN]) * ends.velocity[e, j], least), most)
+    known = ends.ported[e, :, j]
+    if known[L.N_SLOPE] > 0.0:
+        # what its port was solved with, as good as a first step of the search below
+        z, slope = known[L.N_FALL], known[L.N_SLOPE]
+        step = flow - known[L.N_FLUX] - held * (p - known[L.N_STATIC])
+        step /= max(slope + held * z, 0.01 * d)
+        out = known[L.N_SPEED] + step
+        alike = out >= 0.0 or abs(known[L.N_ENTHALPY] - h0) < 1e-9 * h0
+        if alike and step * step * d < END_FOUND * p:
+            return out, known[L.N_STATIC] - z * step, known[L.N_FLUX] + slope * step
+    most = choked_velocity(d, v, p, gamma)
+    least = -math.sqrt(2.0 * (gamma - 1.0) / (gamma + 1.0) * h0)
+    out = min(max(float(ends.table[e, L.E_SIGN]) * ends.velocity[e, 0, j], least), most)
     q, m = p, 0.0
     for _ in range(END_STEPS):
         before = equal_flux_velocity(d, v, p, out, h0, gamma)
@@ -424,6 +447,13 @@ def _ported_state(e, j, flow, gas, order, cells, ends):
         q *= more
         m *= more
     return out, q, m
+
+
+@folded
+def _foresee(e, j, velocity, ends):
+    """Keep the velocity at an end, and what it will be in the next step if it goes on to change."""
+    ends.velocity[e, 0, j] = 2.0 * velocity - ends.velocity[e, 1, j]
+    ends.velocity[e, 1, j] = velocity
 
 
 @folded
@@ -447,7 +477,7 @@ def _through_ports(e, j, gas, order, cells, ends, ports):
         uf, p, m = _ported_state(e, j, out / face, gas, order, cells, ends)
         p += m * uf
     sign = float(ends.table[e, L.E_SIGN])
-    ends.velocity[e, j] = sign * uf
+    _foresee(e, j, sign * uf, ends)
     ends.flow[e, j] = sign * out / face
     i_face = 1.0 / face
     return out * i_face, p, ends.ported[e, L.N_HEAT, j] * i_face
@@ -457,18 +487,21 @@ def _through_ports(e, j, gas, order, cells, ends, ports):
 def _into_vessel(e, j, gas, order, cells, ends, reservoirs, chambers):
     """Outward fluxes of mass, momentum and energy where a pipe opens into a vessel, per area."""
     ref, gamma = ends.table[e, L.E_REF], gas.gamma
+    sign = float(ends.table[e, L.E_SIGN])
+    guess = sign * ends.velocity[e, 0, j]
     if ends.table[e, L.E_KIND] == L.CHAMBER:
         p0 = chambers.work[ref, L.H_MIDDLE, j]
         t0 = chambers.work[ref, L.H_TEMPERATURE, j]
         shut = chambers.work[ref, L.H_SHUT, j]
         d, v, p = face_state(e, j, order, cells, ends)
-        d, v, p = cushioned_state(d, v, p, p0, t0, shut, gamma, gas.r)
+        d, v, p = cushioned_state(d, v, p, p0, t0, shut, guess, gamma, gas.r)
     else:
         p0 = reservoirs.supplied[ref, j]
         t0 = reservoirs.par[ref, L.R_TEMPERATURE, j]
         loss = reservoirs.par[ref, L.R_LOSS, j]
         d, v, p = face_state(e, j, order, cells, ends)
-        d, v, p = vessel_state(d, v, p, p0, t0, loss, gamma, gas.r)
+        d, v, p = vessel_state(d, v, p, p0, t0, loss, guess, gamma, gas.r)
+    _foresee(e, j, sign * v, ends)
     m = d * v
     return m, p + m * v, v * (gamma / (gamma - 1.0) * p + 0.5 * m * v)
 

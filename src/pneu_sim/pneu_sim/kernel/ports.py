@@ -100,6 +100,10 @@ def _at_end(k, j, end, vf, least, far_t, others, c, gas, order, cells, ends, por
     cp = gamma * gas.r / (gamma - 1.0)
     before = equal_flux_velocity(d, v, p, vf, cp * far_t, gamma)
     df, q, z, m, slope = end_curve(d, before, p, vf, cp * far_t, gamma)
+    ported = ends.ported
+    ported[end, L.N_SPEED, j], ported[end, L.N_STATIC, j] = vf, q
+    ported[end, L.N_FALL, j], ported[end, L.N_FLUX, j] = z, m
+    ported[end, L.N_SLOPE, j], ported[end, L.N_ENTHALPY, j] = slope, cp * far_t
     held = 0.0
     if ends.give[end, j] != 1.0:
         held = (1.0 / ends.give[end, j] - 1.0) / math.sqrt(gamma * p / d)
@@ -191,7 +195,7 @@ def solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
     lowest_a = highest_a = lowest_b = highest_b = near = others_a = others_b = 0.0
     sonic = 2.0 * gas.gamma * gas.r / (gas.gamma + 1.0)
     if ka == L.SIDE_END:
-        va = float(ends.table[ia, L.E_SIGN]) * ends.velocity[ia, j]
+        va = float(ends.table[ia, L.E_SIGN]) * ends.velocity[ia, 0, j]
         d, v, p = face_state(ia, j, order, cells, ends)
         lowest_a, highest_a = -math.sqrt(sonic * tb), choked_velocity(d, v, p, gas.gamma)
         near = TANGENT * math.sqrt(gas.gamma * p / d)
@@ -201,7 +205,7 @@ def solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
     else:
         pa = reservoirs.supplied[ia, j]
     if kb == L.SIDE_END:
-        vb = float(ends.table[ib, L.E_SIGN]) * ends.velocity[ib, j]
+        vb = float(ends.table[ib, L.E_SIGN]) * ends.velocity[ib, 0, j]
         d, v, p = face_state(ib, j, order, cells, ends)
         lowest_b, highest_b = -math.sqrt(sonic * ta), choked_velocity(d, v, p, gas.gamma)
         near = TANGENT * math.sqrt(gas.gamma * p / d)
@@ -257,9 +261,9 @@ def solve_port(k, j, gas, order, cells, ends, ports, reservoirs, chambers):
         m = max(m, min(-at_b, -share * (at_b + others_b), 0.0))
     # from which the state at the end, and the next step, begin
     if ka == L.SIDE_END:
-        ends.velocity[ia, j] = float(ends.table[ia, L.E_SIGN]) * va
+        ends.velocity[ia, 0, j] = float(ends.table[ia, L.E_SIGN]) * va
     if kb == L.SIDE_END:
-        ends.velocity[ib, j] = float(ends.table[ib, L.E_SIGN]) * vb
+        ends.velocity[ib, 0, j] = float(ends.table[ib, L.E_SIGN]) * vb
     return m, ta if m >= 0.0 else tb
 
 

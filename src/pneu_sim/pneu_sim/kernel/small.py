@@ -57,7 +57,7 @@ def _gain(c, j, leaving, gas, order, cells, ends, ports, reservoirs, chambers, l
         if ends.table[e, L.E_KIND] == L.CHAMBER and ends.table[e, L.E_REF] == c:
             d, v, q = face_state(e, j, order, cells, ends)
             shut = chambers.work[c, L.H_SHUT, j]
-            d, v, q = cushioned_state(d, v, q, p, t, shut, gas.gamma, gas.r)
+            d, v, q = cushioned_state(d, v, q, p, t, shut, 0.0, gas.gamma, gas.r)
             m = d * v * cells.par[L.FACE, ends.table[e, L.E_FACE] * cells.lanes + j]
             if (m < 0.0) == leaving:
                 mass += abs(m)

@@ -13,13 +13,13 @@ TURNING = math.sqrt(12.0)
 
 @vectorised
 def _coefficients(
-    gamma, r_gas, prandtl, mom, re_coef, rough, lam, turb, onset, relax, heat, heat_turb,
-    phi, excess, film
+    gas, mom, re_coef, rough, lam, turb, onset, relax, heat, heat_turb, phi, excess, film
 ):  # fmt: skip
     """See `find_coefficients`."""
     # wall heat of a Nusselt number of 1, pi k / A, over RELAX: k / mu is cp / Pr
-    per_relax = gamma * r_gas / ((gamma - 1.0) * prandtl * L.UNSTEADY_RATE)
-    gnielinski = 12.7 * (prandtl ** (2.0 / 3.0) - 1.0) / math.sqrt(8.0)
+    prandtl = gas.prandtl
+    per_relax = gas.gamma * gas.r / ((gas.gamma - 1.0) * prandtl * L.UNSTEADY_RATE)
+    gnielinski = 12.7 * (gas.recovery * gas.recovery - 1.0) / math.sqrt(8.0)  # of Pr^(2/3)
     for i in each(mom.size):
         re = abs(mom[i]) * re_coef[i] + 1.0
         x = 6.9 / re + rough[i]
@@ -57,7 +57,7 @@ def find_coefficients(gas, cells):
     """
     P, D = cells.par, cells.wall
     _coefficients(
-        gas.gamma, gas.r, gas.prandtl, cells.state[L.MOM],
+        gas, cells.state[L.MOM],
         P[L.REYNOLDS], P[L.ROUGH], P[L.LAMINAR], P[L.TURBULENT], P[L.ONSET], P[L.RELAX],
         P[L.HEAT], P[L.HEAT_TURBULENT], D[L.D_PHI], D[L.D_EXCESS], D[L.D_FILM],
     )  # fmt: skip
@@ -106,7 +106,7 @@ def _steadily(gas, dt, gas_is, was, wall, drag, warm):
     u, t_old, il, ir = was
     visc, wall_t, phi, film = wall
     cv = gas.r / (gas.gamma - 1.0)
-    recovered = gas.prandtl ** (1.0 / 3.0) / (2.0 * gas.gamma * cv)
+    recovered = gas.recovery / (2.0 * gas.gamma * cv)
     i_cv = 1.0 / cv
     i_dt = 1.0 / dt
     half = 0.5 * dt
@@ -294,7 +294,7 @@ def _heat(gas, dt, gas_is, wall, fading, warm, y):
     i_dt = 1.0 / dt
     i_rate = gas.prandtl / dt
     per_heat = 0.5 * dt * i_cv
-    recovered = gas.prandtl ** (1.0 / 3.0) / (2.0 * gas.gamma * cv)
+    recovered = gas.recovery / (2.0 * gas.gamma * cv)
     for i in each(rho.size):
         v0 = mom[i] * ri[i]
         t0 = (ene[i] * ri[i] - 0.5 * v0 * v0) * i_cv

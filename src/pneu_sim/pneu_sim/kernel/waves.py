@@ -86,9 +86,10 @@ def leaving(d, v, p, q, gamma):
         above, below = gamma + 1.0, gamma - 1.0
         out = v - (q - p) * math.sqrt(2.0 / (d * (above * q + below * p)))
         return out, d * (above * q + below * p) / (below * q + above * p)
-    r = power(q / p, 0.5 * (gamma - 1.0) / gamma)
+    x = q / p
+    r = power(x, 0.5 * (gamma - 1.0) / gamma)
     out = v + 2.0 / (gamma - 1.0) * math.sqrt(gamma * p / d) * (1.0 - r)
-    return out, d * power(r, 2.0 / (gamma - 1.0))
+    return out, d * x / (r * r)
 
 
 @folded
