@@ -24,6 +24,7 @@ from pneu_common import process
 from pneu_common.errors import InputError
 from pneu_common.installed import version
 from pneu_common.log import hand_on
+from pneu_common.text import one_line
 
 COMMANDS_GROUP = "pneu.commands"
 
@@ -231,10 +232,7 @@ def _print_traceback_if_asked(error: BaseException) -> None:
 
 
 def _say(message: str) -> None:
-    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(message.split()))
-    if len(line) > LONGEST_LINE:  # an input of thousands of characters, quoted
-        line = f"{line[: LONGEST_LINE // 2]} ... {line[-LONGEST_LINE // 2 :]}"
-    print("pneu:", line, file=sys.stderr)
+    print("pneu:", one_line(message, LONGEST_LINE), file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,11 @@
 """The subcommand `pneu stop`; it imports little, for somebody waits."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pneu_hw_bridge.stopping import stop_here
+from pneu_common.text import one_line
+from pneu_hw_bridge.stopping import Answer, stop_here
 
 LOOKS = 2.0
 """Bridges of other machines are looked for this many times as long as discovery usually takes."""
@@ -36,25 +37,32 @@ def stop(reason: str, local: bool) -> int:
         reason: Who calls for it.
         local: Whether only those of this machine are meant.
     """
-    answers, silent = stop_here(reason)
+    answers = []
+    try:
+        answers = stop_here(reason)
+    except Exception as error:  # the graph has to be called, whatever is wrong here
+        answers.append(Answer("this machine", False, one_line(f"{type(error).__name__}: {error}")))
     for answer in answers:
         _show(answer)
-    if silent:
-        print(f"NOT CONFIRMED: {silent} bridges of this machine gave no answer")
     if not local:
-        answers += _stop_on_graph({answer["bridge"] for answer in answers})
-    if not answers and not silent:
+        # also of those that have answered: who owns the valves is known there by another way
+        known = {answer.bridge: answer for answer in answers}
+        for answer in _stop_on_graph(known):
+            if answer.safe and answer.bridge in known:  # what it had not confirmed before
+                answers.remove(known[answer.bridge])
+            answers.append(answer)
+    if not answers:
         print("no bridge found" + (" on this machine" if local else ""))
-    return int(bool(silent) or not answers or not all(answer["safe"] for answer in answers))
+    return int(not answers or not all(answer.safe for answer in answers))
 
 
-def _show(answer: dict[str, Any]) -> None:
-    state = "safe" if answer["safe"] else "NOT CONFIRMED"
-    print(f"{answer['bridge']}: {state}, {answer['message']}", flush=True)
+def _show(answer: Answer) -> None:
+    state = "safe" if answer.safe else "NOT CONFIRMED"
+    print(f"{answer.bridge}: {state}, {answer.message}", flush=True)
 
 
-def _stop_on_graph(known: set[str]) -> list[dict[str, Any]]:
-    """Calls the service of all bridges on the graph but those that have answered."""
+def _stop_on_graph(known: Mapping[str, Answer]) -> list[Answer]:
+    """Calls the service of all bridges on the graph; those known to be safe are shown no more."""
     from pneu_runtime import hook
 
     hook.install()
@@ -67,20 +75,21 @@ def _stop_on_graph(known: set[str]) -> list[dict[str, Any]]:
         rclpy.try_shutdown()
 
 
-def _call_services(node: Any, known: set[str]) -> list[dict[str, Any]]:
+def _call_services(node: Any, known: Mapping[str, Answer]) -> list[Answer]:
     """Calls them while they are discovered. Who is found and does not answer is not confirmed."""
     import rclpy
     from std_srvs.srv import Trigger
 
     from pneu_graph.nodes.discovery import patience_s
 
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, Answer] = {}
     clients: dict[str, Any] = {}  # kept: a new one would have to be discovered anew
     asked: dict[str, Any] = {}
 
     def answer(bridge: str, safe: bool, message: str) -> None:
-        found[bridge] = {"bridge": bridge, "safe": safe, "message": message}
-        _show(found[bridge])
+        found[bridge] = Answer(one_line(bridge), safe, one_line(message))
+        if not (safe and bridge in known and known[bridge].safe):
+            _show(found[bridge])
 
     end_s = time.monotonic() + LOOKS * patience_s()
     while (now_s := time.monotonic()) < end_s or (
@@ -88,7 +97,7 @@ def _call_services(node: Any, known: set[str]) -> list[dict[str, Any]]:
     ):
         for name, kinds in node.get_service_names_and_types():
             bridge = name.removesuffix("/e_stop")
-            if name != bridge and "std_srvs/srv/Trigger" in kinds and bridge not in known:
+            if name != bridge and "std_srvs/srv/Trigger" in kinds:
                 if bridge not in clients:
                     clients[bridge] = node.create_client(Trigger, name)
                 if bridge not in asked and clients[bridge].service_is_ready():

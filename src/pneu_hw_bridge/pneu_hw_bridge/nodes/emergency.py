@@ -15,13 +15,17 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from pneu_common.text import one_line
 from pneu_graph.nodes.executor_callback import ExecutorCallback
 from pneu_hw_bridge.safety.memory import Memory
 from pneu_hw_bridge.safety.supervisor import Latches
-from pneu_hw_bridge.stopping import StopListener, call_all
+from pneu_hw_bridge.stopping import LONGEST_REASON, StopListener, call_all
 
 MOST_CALLS = 64
 """Calls for a stop that the node has still to hear of."""
+
+LISTEN_AGAIN_S = 1.0
+"""After so long at most a socket that was removed is there again."""
 
 E_STOP_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -68,11 +72,10 @@ class Emergency:
         node.create_service(Trigger, "~/reset_e_stop", self._on_reset)
         self._called = ExecutorCallback(node, self._on_called)
         self._ear: StopListener | None = None
-        try:
-            self._ear = StopListener(self._name, self._on_call)
-        except OSError as error:
-            node.get_logger().error(f"'pneu stop' cannot reach this bridge: {error}")
+        self.listens()
         node.create_subscription(Bool, "e_stop", self._on_stop_of_others, E_STOP_QOS)
+        # whoever clears the folder of sockets must not make the bridge deaf
+        node.create_timer(LISTEN_AGAIN_S, self.listens)
         self.say()
 
     def recall(self, device: str) -> None:
@@ -91,6 +94,24 @@ class Emergency:
         self.latches.e_stop = self.latches.e_stop or before.e_stop
         self.latches.trip = self.latches.trip or before.trip
         self.say()
+
+    def listens(self) -> bool:
+        """Whether `pneu stop` reaches this bridge; begins to listen where it does not yet.
+
+        Without that nothing may be driven.
+        """
+        if self._ear is not None and not self._ear.listening:
+            self._ear.close()
+            self._ear = None
+        if self._ear is None:
+            try:
+                self._ear = StopListener(self._name, self._on_call)
+            except OSError as error:
+                self._node.get_logger().error(
+                    f"'pneu stop' cannot reach this bridge, which so drives nothing: {error}",
+                    throttle_duration_sec=10.0,
+                )
+        return self._ear is not None
 
     def keep(self) -> None:
         """Keeps for the next start what must not be forgotten."""
@@ -126,7 +147,8 @@ class Emergency:
         if not (shared or device == self._device or space == self._namespace):
             return {}
         before = self.latches.e_stop
-        safe, message = self._stop(str(asked.get("reason") or "called for"))
+        reason = one_line(asked.get("reason") or "called for", LONGEST_REASON)
+        safe, message = self._stop(reason)
         self._calls.append({"passed": "by" in asked, "before": before})
         self._called.trigger()
         return {

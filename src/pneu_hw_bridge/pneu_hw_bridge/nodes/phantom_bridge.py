@@ -120,6 +120,8 @@ class PhantomBridge(Bridge):
         Args:
             state: The state before.
         """
+        if not self._emergency.listens():
+            return TransitionCallbackReturn.FAILURE
         self._emergency.driving = True
         self._emergency.keep()  # before anything can move
         self._active = True

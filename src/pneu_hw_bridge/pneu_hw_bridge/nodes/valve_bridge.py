@@ -172,6 +172,8 @@ class ValveBridge(Bridge):
         Args:
             state: The state before.
         """
+        if not self._emergency.listens():
+            return TransitionCallbackReturn.FAILURE
         if self._link is not None:
             self._look_around()
             self._emergency.driving = True

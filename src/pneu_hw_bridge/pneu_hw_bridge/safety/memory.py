@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pneu_common.files import replacing
+from pneu_common.text import one_line
 from pneu_hw_bridge.safety.supervisor import Latches
 
 FOLDER_VARIABLE = "PNEU_STATE_DIR"
@@ -81,8 +82,8 @@ class Memory:
         except (OSError, ValueError, TypeError) as error:
             return Latches(e_stop=f"{self.path} cannot be read ({error})")
         self._last = last
-        e_stop = last.e_stop or (KILLED if last.driving else "")
-        return Latches(e_stop=e_stop, trip=last.trip)
+        e_stop, trip = (one_line(text) if text else "" for text in (last.e_stop, last.trip))
+        return Latches(e_stop=e_stop or (KILLED if last.driving else ""), trip=trip)
 
     def keep(self, latches: Latches, driving: bool) -> None:
         """Writes what is to be known next time, where it has changed.
