@@ -127,6 +127,13 @@ class Rig:
         """What the controller commands."""
         return {"voltage": self.volts}
 
+    def reset(self):
+        """Releases stop and trip, and activates anew; returns why not."""
+        refused = self.link.reset()
+        if not refused:
+            self.link.enable(True)
+        return refused
+
     def fall_silent(self):
         """Has the controller send no more commands."""
         self._silent.set()

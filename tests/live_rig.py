@@ -14,6 +14,8 @@ import sys
 import time
 from pathlib import Path
 
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from std_srvs.srv import Trigger
 from tests.live_graph import wait_and_see, wait_for
 from tests.measured import MachineStalledError, Watch
@@ -28,6 +30,13 @@ LAUNCH = ROOT / "ros_ws/src/pneu_bringup/launch/rig.launch.yaml"
 PARAMETERS = ROOT / "ros_ws/src/pneu_bringup/config/lab.yaml"
 ALMOST_S = 0.02
 """A stall by which the device's watchdog may come before the bridge's."""
+
+
+def activate_anew(graph, bridge):
+    """Deactivates and activates a bridge, which a reset alone does not set in motion."""
+    for which in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE):
+        request = ChangeState.Request(transition=Transition(id=which))
+        assert graph.call(ChangeState, f"{bridge}/change_state", request).success
 
 
 class Processes:
@@ -263,9 +272,10 @@ class HardwareRig:
         self.follows()
 
     def reset(self):
-        """Releases an emergency stop or a trip."""
+        """Releases an emergency stop or a trip, and activates the bridge anew."""
         answer = self.graph.call(Trigger, "/lab/valve_bridge/reset_e_stop", Trigger.Request())
         assert answer.success, answer.message
+        activate_anew(self.graph, "/lab/valve_bridge")
 
     def watch(self, *others):
         """A watch for which the bridge, the lab, and other processes of the graph have to run."""

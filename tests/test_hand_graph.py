@@ -136,6 +136,10 @@ def arm_behind_its_bridge(graph: Graph, devices: Path, udp: int, web: int) -> No
     assert not any(got["joints"][-1].effort)
     assert "called for by service" in graph.status("phantom_bridge: safety").message
     assert graph.call(Trigger, "phantom_bridge/reset_e_stop", Trigger.Request()).success
+    time.sleep(0.3)
+    assert not any(got["joints"][-1].effort), "a reset alone moves nothing"
+    graph.run_in_executor(bridge.trigger_deactivate)
+    graph.run_in_executor(bridge.trigger_activate)
     wait_for(lambda: reaches(got, 0.1))
     graph.run_in_executor(bridge.end)
 

@@ -9,7 +9,7 @@ import time
 import pytest
 from tests.bridges import wait_until
 from tests.live_graph import own_domain, running_graph, wait_for
-from tests.live_rig import ALMOST_S, LaunchedNodes
+from tests.live_rig import ALMOST_S, LaunchedNodes, activate_anew
 from tests.measured import MachineStalledError, Watch
 from tests.robots import KOKORO, SEEN_S, STOP, kokoro_lab
 
@@ -88,6 +88,7 @@ class Robot:
         self.lab.ask("clear")
         wait_for(lambda: abs(self.elbow()) < 0.93, 5.0)
         wait_for(lambda: self.graph.call(Trigger, RESET, Trigger.Request()).success, 10.0)
+        activate_anew(self.graph, "/lab/valve_bridge")
 
 
 @pytest.fixture(scope="module")

@@ -282,7 +282,7 @@ def test_slow_replies(reply_s, healthy_lab, wait_until):
         rig.link.e_stop("test")
         assert rig.bus.vent().verified
         judge(safe_since(lab)[0], begun_s)
-        assert rig.link.reset() == ""
+        assert rig.reset() == ""
         wait_until(lambda: lab.volts() == 5.5)
         judge = watch(lab).judge
         begun_s = lab.ask("fault", name="out_of_range", channel="end", value=9.5e5)["steady_s"]
@@ -290,7 +290,7 @@ def test_slow_replies(reply_s, healthy_lab, wait_until):
         wait_until(lambda: lab.volts() == 0.0)
         judge(safe_since(lab)[0], begun_s)
         lab.ask("clear", name="out_of_range")
-        wait_until(lambda: rig.link.reset() == "")
+        wait_until(lambda: rig.reset() == "")
         wait_until(lambda: lab.volts() == 5.5)
         judge, begun_s = watch(lab).judge, time.monotonic()
         rig.fall_silent()

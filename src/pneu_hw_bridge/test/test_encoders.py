@@ -248,6 +248,7 @@ def test_a_joint_beyond_its_limit_trips_until_it_is_back_and_somebody_resets():
     step(one, now_s := now_s + 0.002, 0.9)
     assert one.state(now_s) is State.TRIPPED
     assert one.reset(now_s) == ""
+    one.enable()
     step(one, now_s := now_s + 0.002, 0.9)
     assert one.state(now_s) is State.FOLLOWING
 

@@ -50,7 +50,7 @@ def check_fault(name, lab, profile, wait_until):
 
         def follows():
             if may_trip and rig.link.report().state is State.TRIPPED:
-                rig.link.reset()
+                rig.reset()
             return rig.follows()
 
         wait_until(follows, 4.0)
@@ -91,16 +91,16 @@ def test_e_stop_and_over_pressure_through_the_bus(healthy_lab, wait_until):
         vented = rig.bus.vent()
         assert vented.verified
         judge(safe_since(lab)[0], begun_s, within_s=0.05)
-        assert rig.link.reset() == ""
+        assert rig.reset() == ""
         wait_until(rig.follows)
         judge = watch(lab).judge
         begun_s = lab.ask("fault", name="out_of_range", channel="end", value=9.5e5)["steady_s"]
         wait_until(lambda: rig.state is State.TRIPPED)
         wait_until(lambda: lab.volts() == 0.0)
         judge(safe_since(lab)[0], begun_s)
-        assert "still at" in rig.link.reset()
+        assert "still at" in rig.reset()
         lab.ask("clear")
         time.sleep(0.1)
         assert rig.state is State.TRIPPED
-        assert rig.link.reset() == ""
+        assert rig.reset() == ""
         wait_until(rig.follows)

@@ -152,6 +152,7 @@ def test_an_encoder_that_jumps_trips(counts: list[int], says: str) -> None:
     assert says in arm.governor.tripped
     assert not any(any(t) for t in arm.run(1.0))
     assert arm.governor.reset(arm.now_s) == ""
+    arm.governor.enable(True)
     assert any(arm.run(0.01)[-1])
 
 
@@ -184,6 +185,11 @@ def test_a_stop_lasts_until_it_is_reset() -> None:
     assert arm.run(1.0)[-1] == [0.0, 0.0]
     assert arm.governor.state()[0] is State.E_STOP
     assert arm.governor.reset(arm.now_s) == ""
+    assert not any(any(t) for t in arm.run(0.5)), "a reset alone moves nothing (ISO 13850)"
+    assert "without torque, or to be activated anew" in arm.refused
+    given, arm.command = arm.command, [JointCommand(effort_n_m=0.0)] * 2
+    arm.run(STEP_S)
+    arm.command = given
     assert any(arm.run(0.01)[-1])
 
 

@@ -220,6 +220,8 @@ def bench(shared: Bench) -> Bench:
     time.sleep(0.1)  # an encoder that jumped has jumped back
     if shared.servo.ended or shared.servo.ask(reset=True).get("refused", "no answer"):
         shared.open()
+    else:
+        shared.servo.tell(enable=True)  # a reset alone moves nothing
     if shared.out_of_range():
         shared.put_back()
     shared.follow()
@@ -338,6 +340,9 @@ def test_a_stop_answers_once_torques_are_zero(bench: Bench) -> None:
     time.sleep(0.3)
     assert not bench.torques()
     assert bench.servo.ask(reset=True)["refused"] == ""
+    time.sleep(0.3)
+    assert not bench.torques()
+    bench.servo.tell(enable=True)
     bench.follow()
 
 

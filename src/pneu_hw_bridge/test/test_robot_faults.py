@@ -53,7 +53,7 @@ def test_both_valves_are_safe_in_time(name, healthy, wait_until):
         healthy.ask("clear")
         time.sleep(1.5)
         assert rig.state is State.TRIPPED, "until it is reset"
-        wait_until(lambda: not rig.link.reset(), 5.0)  # vented, the arm falls back
+        wait_until(lambda: not rig.reset(), 5.0)  # vented, the arm falls back
         rig.fall_silent()
 
 

@@ -121,6 +121,8 @@ def test_over_pressure_latches_until_reset_and_the_pressure_has_fallen():
     assert bench.step(command=7.0)[0] == SAFE_V, "a lower pressure alone releases nothing"
     assert bench.supervisor.reset(bench.now) == ""
     assert bench.step()[0] == SAFE_V, "no command from before the reset is followed"
+    assert bench.step(command=7.0)[0] == SAFE_V, "nor one that goes on"
+    bench.step(command=SAFE_V)
     assert bench.step(command=7.0)[0] == 7.0
 
 
@@ -133,6 +135,7 @@ def test_a_sensor_at_the_end_of_its_range_trips_where_that_is_above_the_limit():
     bench.pressure = 3e5
     assert bench.step(command=7.0)[0] == SAFE_V
     assert bench.supervisor.reset(bench.now) == ""
+    bench.step(command=SAFE_V)
     assert bench.step(command=7.0)[0] == 7.0
 
 
@@ -173,7 +176,33 @@ def test_e_stop_is_latched_and_wins():
     assert bench.step(command=7.0)[0] == SAFE_V
     assert bench.state is State.E_STOP
     assert bench.supervisor.reset(bench.now) == ""
+    assert bench.step(command=7.0)[0] == SAFE_V
+    bench.supervisor.disable()
+    bench.supervisor.enable()
     assert bench.step(command=7.0)[0] == 7.0
+
+
+@pytest.mark.parametrize("stop", ["stopped", "tripped"])
+@pytest.mark.parametrize("first_v", [7.0, SAFE_V + 0.011, SAFE_V + 0.009, SAFE_V])
+def test_a_reset_restarts_no_motion(stop, first_v):
+    """ISO 13850: whoever went on commanding first commands the safe voltage, or is let in anew."""
+    bench = Bench()
+    bench.step(command=7.0)
+    if stop == "stopped":
+        bench.supervisor.e_stop("test")
+    else:
+        healthy, bench.pressure = bench.pressure, 9.5e5
+        bench.step(command=7.0)
+        bench.pressure = healthy
+    bench.step(command=7.0)
+    assert bench.supervisor.reset(bench.now) == ""
+    assert {bench.step(0.01, command=7.0)[0] for _ in range(300)} == {SAFE_V}
+    told = "waits after a reset for the safe voltage (voltage 1 V), or to be activated anew"
+    assert bench.step(command=7.0) == (SAFE_V, told) and told in bench.supervisor.explain(bench.now)
+    assert bench.supervisor.reset(bench.now) == "", "a second reset changes nothing"
+    bench.step(0.01, command=first_v)
+    released = first_v <= SAFE_V + 0.01
+    assert bench.step(0.01, command=7.0)[0] == (7.0 if released else SAFE_V)
 
 
 def test_latches_outlive_a_new_supervisor():

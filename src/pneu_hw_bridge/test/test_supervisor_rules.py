@@ -437,11 +437,13 @@ def test_no_command_from_before_is_followed_afterwards_and_nothing_is_waited_for
         bench.one.e_stop("somebody")
         assert bench.one.output(bench.now) == SAFE
         assert bench.one.reset(bench.now) == ""
+        bench.one.enable()
     else:
         bench.one.reading("end", 550000.0, bench.now)
         assert bench.one.output(bench.now) == SAFE
         bench.sense()
         assert bench.one.reset(bench.now) == ""
+        bench.one.enable()
     assert bench.one.output(bench.now) == SAFE
     assert bench.reasons() == ["command head: none yet", "command rod: none yet"]
     bench.step(2.0**-8)
@@ -657,6 +659,11 @@ def test_a_reset_of_nothing_does_not_shorten_the_wait_after_a_fault():
     assert bench.reasons() == ["waits 0.7 s after: sensor end: nan Pa is out of its range"]
     bench.one.e_stop("somebody")
     assert bench.one.reset(bench.now) == ""
+    bench.step(TICK_S)
+    assert [reason.partition(" for")[0] for reason in bench.reasons()][:1] == [
+        "waits after a reset"
+    ]
+    bench.one.enable()
     bench.step(TICK_S)
     assert bench.reasons() == []
 

@@ -24,6 +24,8 @@ from pneu_hw_bridge.stopping import LONGEST_REASON, StopListener, call_all
 MOST_CALLS = 64
 """Calls for a stop that the node has still to hear of."""
 
+AFTER_RESET = "what is driven moves after a safe command, or once the bridge is activated anew"
+
 LISTEN_AGAIN_S = 1.0
 """After so long at most a socket that was removed is there again."""
 
@@ -188,7 +190,7 @@ class Emergency:
         del request
         refused = self._reset()
         response.success = not refused
-        response.message = refused or "released; the next command is followed"
+        response.message = refused or f"released; {AFTER_RESET}"
         self.keep()
         self.say()
         return response

@@ -27,6 +27,8 @@ from dataclasses import dataclass, field
 from pneu_sim.hand.drive import JointCommand, VelocityFilter, torque_of
 from pneu_sim.hand.settings import JointSettings
 
+AFTER_RESET = "waits after a reset for a command without torque, or to be activated anew"
+
 BEYOND_RAD = 0.1
 """Past the end of its range by more, a joint cannot be."""
 
@@ -127,6 +129,7 @@ class Governor:
         self._sensor = "no record yet"
         self._followed = False
         self._free_from_s = -math.inf
+        self._to_rest = False  # whether after a reset a command without torque is awaited
         self._why = ""
         self._heat = [0.0] * count
         self._heat_s = -math.inf
@@ -140,6 +143,7 @@ class Governor:
             on: Which.
         """
         self.enabled = on
+        self._to_rest = False
         self._forget()
         if on:
             self._free_from_s = -math.inf
@@ -158,6 +162,9 @@ class Governor:
     def reset(self, now_s: float) -> str:
         """Releases the emergency stop and a trip, where nothing speaks against it.
 
+        That alone moves nothing (ISO 13850, 4.1.4): a controller that went on commanding is
+        followed after a command without torque, or after `enable`.
+
         Args:
             now_s: Now.
 
@@ -169,6 +176,7 @@ class Governor:
                 return "the joints' positions are not known"
             if wrong := self._out_of_range():
                 return f"still, {wrong}"
+        self._to_rest = self._to_rest or bool(self.e_stopped or self.tripped)
         self.e_stopped = self.tripped = ""
         self._free_from_s = -math.inf
         self._forget()
@@ -248,6 +256,19 @@ class Governor:
             self._forget()
             self._refused = wrong
             return wrong
+        if self._to_rest and any(
+            torque_of(*one) != 0.0
+            for one in zip(
+                self.limits.joints,
+                command,
+                self.position_rad,
+                self.velocity.velocity_rad_s,
+                strict=True,
+            )
+        ):
+            self._refused = AFTER_RESET
+            return AFTER_RESET
+        self._to_rest = False
         self.counters.accepted += 1
         self._refused = ""
         self._command, self._command_s = tuple(command), sent_s

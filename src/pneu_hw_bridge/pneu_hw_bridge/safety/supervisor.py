@@ -28,6 +28,10 @@ from dataclasses import dataclass, field
 from pneu_hw_bridge.safety.limits import SHORTEST_WATCHDOG_S, Limits
 from pneu_hw_bridge.safety.motion import EncoderWatch
 
+AT_REST = 1e-3
+"""Share of an output's range within which a command is its safe voltage: the step of a converter of
+ten bits."""
+
 
 class State(enum.Enum):
     """What the supervisor lets through."""
@@ -120,6 +124,7 @@ class Supervisor:
         self._output = self.safe()
         self._output_s: float | None = None
         self._followed = False
+        self._to_rest: set[str] = set()  # outputs whose safe voltage is awaited after a reset
         self._wait_from_s = -math.inf
         self._waits_for = ""
         self._mostly_s = 0.0
@@ -134,6 +139,7 @@ class Supervisor:
     def enable(self) -> None:
         """Lets commands through from now on; older ones are forgotten."""
         self.enabled = True
+        self._to_rest.clear()
         self._wait_from_s = -math.inf
         self._forget_commands()
 
@@ -155,6 +161,9 @@ class Supervisor:
 
     def reset(self, now_s: float) -> str:
         """Releases the emergency stop and a trip, where nothing speaks against it.
+
+        That alone moves nothing (ISO 13850, 4.1.4): a controller that went on commanding is
+        followed after it has commanded the safe voltage of every output, or after `enable`.
 
         Args:
             now_s: Now.
@@ -182,6 +191,7 @@ class Supervisor:
                 watch.forget()
         if self.latches.e_stop or self.latches.trip:
             self._wait_from_s = -math.inf
+            self._to_rest = set(self.limits.outputs)
         self.latches.e_stop = ""
         self.latches.trip = ""
         self._forget_commands()
@@ -269,6 +279,12 @@ class Supervisor:
             return self.latches.e_stop or self.latches.trip
         if not self.enabled:
             return "not active"
+        for name, value in taken.items():
+            limit = self.limits.outputs[name]
+            if abs(value - limit.safe_v) <= AT_REST * (limit.upper_v - limit.lower_v):
+                self._to_rest.discard(name)
+        if self._to_rest:
+            return self._awaits()
         self.counters.accepted += 1
         for name, value in taken.items():
             limit = self.limits.outputs[name]
@@ -278,6 +294,11 @@ class Supervisor:
             self._target[name] = clamped
             self._fresh_s[name] = now_s
         return ""
+
+    def _awaits(self) -> str:
+        """What is awaited after a reset, for people."""
+        outputs = ", ".join(f"{n} {v:g} V" for n, v in self.safe().items() if n in self._to_rest)
+        return f"waits after a reset for the safe voltage ({outputs}), or to be activated anew"
 
     def reading(self, name: str, value_pa: float, now_s: float) -> None:
         """Takes a reading; trips where it is too high.
@@ -380,6 +401,8 @@ class Supervisor:
                 f"the device is too slow: valves would be safe after {at_best_s:.2f} s at best,"
                 f" allowed is {within_s:g} s (safe_within_s)"
             )
+        if self._to_rest:
+            found.append(self._awaits())
         watchdog_s = self.watchdog_s
         for name, fresh_s in self._fresh_s.items():
             age_s = now_s - fresh_s
