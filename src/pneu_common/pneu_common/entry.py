@@ -6,16 +6,17 @@ Such subcommands come from the entry-point group `pneu.at_once`; all others from
 
 import sys
 
-from pneu_common import process
+from pneu_common import children, process
 
 AT_ONCE_GROUP = "pneu.at_once"
-COMMAND = (sys.executable, "-m", "pneu_common.entry")
+COMMAND = tuple(children.python("pneu_common.entry"))
 """The `pneu` command for a process of its own, whether or not it is on the path."""
 
 
 def main() -> None:
     """Run the `pneu` command line on `sys.argv` and exit with its status."""
     process.prepare()
+    children.keep_to_installed()
     import importlib.metadata  # slow, therefore after the handlers of signals
 
     if len(sys.argv) > 1:

@@ -11,11 +11,11 @@ import itertools
 import json
 import socket
 import subprocess
-import sys
 import threading
 from collections.abc import Callable
 from typing import Any
 
+from pneu_common.children import python
 from pneu_common.errors import InputError
 
 JSON = b"J"
@@ -75,7 +75,7 @@ class Child:
         with theirs:
             number = theirs.fileno()
             self._process = subprocess.Popen(
-                [sys.executable, "-m", module, str(number)],
+                python(module, str(number)),
                 pass_fds=(number,),
                 start_new_session=True,  # the terminal's signals are its node's, which ends it
             )

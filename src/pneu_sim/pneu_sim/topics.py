@@ -16,6 +16,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from pneu_common.children import has_interfaces
 from pneu_common.errors import InputError
 from pneu_sim.channels import Channel
 from pneu_sim.rig.schema import Rig
@@ -382,6 +383,8 @@ def message_class(type_name: str) -> Any:
     """
     package, kind, name = long_type(type_name).split("/")
     try:
+        if not has_interfaces(package, kind):
+            raise ImportError
         return getattr(importlib.import_module(f"{package}.{kind}"), name)
     except (ImportError, AttributeError):
         raise InputError(f"message type {type_name!r}: it is not known here") from None

@@ -2,11 +2,15 @@
 """Where a recording comes from: machine, user, command line, revision of the source."""
 
 import getpass
+import os
 import platform
 import shlex
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 GIT_TIMEOUT_S = 5.0
 
@@ -23,7 +27,7 @@ def provenance(operator: str = "") -> dict[str, str]:
         "operator": operator or _user(),
         "command": shlex.join(sys.argv),
         "git_revision": _git("rev-parse", "HEAD"),
-        "git_changes": _git("status", "--porcelain", "--untracked-files=no"),
+        "git_changes": _changes(),
     }
 
 
@@ -34,11 +38,37 @@ def _user() -> str:
         return ""
 
 
-def _git(*arguments: str) -> str:
+def _changes() -> str:
+    """Return the changed files of the repository, as `git status` has them.
+
+    A repository's own configuration names programs that `git status` runs: monitors, filters,
+    hooks. A repository that was received is therefore looked at with a configuration of our own.
+    """
+    where = _git("rev-parse", "--show-toplevel", "--git-path", "index", "--git-path", "objects")
+    revision = _git("rev-parse", "HEAD")
+    if len(parts := where.splitlines()) != 3 or not revision:
+        return ""
+    top, index, objects = parts[0], os.path.abspath(parts[1]), os.path.abspath(parts[2])
+    with tempfile.TemporaryDirectory(prefix="pneu-git-") as folder:
+        for name in ("objects", "refs"):
+            (Path(folder) / name).mkdir()
+        (Path(folder) / "HEAD").write_text(f"{revision}\n")
+        (Path(folder) / "config").write_text("[core]\n\trepositoryformatversion = 0\n")
+        shutil.copy(index, Path(folder) / "index")
+        words = ("--work-tree", top, "status", "--porcelain", "--untracked-files=no")
+        return _git(*words, "--ignore-submodules=all", GIT_DIR=folder, GIT_OBJECT_DIRECTORY=objects)
+
+
+def _git(*arguments: str, **environment: str) -> str:
     """Output of git in the working directory; empty where there is no git or no repository."""
     try:
         done = subprocess.run(
-            ["git", *arguments], capture_output=True, text=True, timeout=GIT_TIMEOUT_S, check=True
+            ["git", "--no-optional-locks", *arguments],
+            capture_output=True,
+            text=True,
+            timeout=GIT_TIMEOUT_S,
+            check=True,
+            env={**os.environ, **environment},
         )
     except (OSError, subprocess.SubprocessError):
         return ""

@@ -4,6 +4,7 @@
 import importlib
 from typing import Any
 
+from pneu_common.children import has_interfaces
 from pneu_common.errors import InputError
 from pneu_runtime import hook
 
@@ -27,6 +28,8 @@ def interface_class(type_name: str, kind: str = "msg") -> Any:
     if len(parts) != 3 or parts[1] != kind or not all(part.isidentifier() for part in parts):
         raise InputError(f"type {type_name!r}: is written package/{kind}/Name")
     try:
+        if not has_interfaces(parts[0], kind):
+            raise ImportError
         return getattr(importlib.import_module(f"{parts[0]}.{kind}"), parts[2])
     except (ImportError, AttributeError):
         raise InputError(

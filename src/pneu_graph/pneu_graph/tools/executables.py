@@ -3,10 +3,10 @@
 
 import importlib.metadata
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from pneu_common.children import python
 from pneu_common.errors import InputError
 
 GROUP = "pneu.executables"
@@ -49,7 +49,7 @@ def command_of(package: str, name: str) -> list[str]:
         InputError: There is no such executable.
     """
     if (package, name) in entry_points():
-        return [sys.executable, "-m", "pneu_graph.tools.run", package, name]
+        return python("pneu_graph.tools.run", package, name)
     installed = _installed(package, name)
     if installed is None:
         raise _unknown(package, name)

@@ -13,7 +13,6 @@ import os
 import random
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -22,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pneu_common.children import python
 from pneu_common.errors import InputError
 from pneu_graph.launch.guard import on_death_of_parent
 from pneu_graph.tools.executables import command_of
@@ -183,7 +183,7 @@ class LiveRig:
         self._rig = self._write_rig()
         scratch = Path(self._stack.enter_context(tempfile.TemporaryDirectory()))
         ready = scratch / "ready.json"
-        lab = [sys.executable, "-m", "pneu_common.cli", "lab", "--rig", str(self.plant.rig)]
+        lab = python("pneu_common.cli", "lab", "--rig", str(self.plant.rig))
         lab += ["--port", "0", "--control-port", "0", "--ready-file", str(ready)]
         lab += ["--seed", str(self.plant.seed), "--noise", str(self.plant.noise_pa)]
         if self.plant.sealed is not None:

@@ -12,6 +12,8 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+from pneu_common.children import python
+
 GRACE_S = 2.0
 """Seconds that a process has to end by itself when it is told to."""
 
@@ -35,7 +37,7 @@ class Child:
         self._heard, self._gone = heard, gone
         self._told = False
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module],
+            python(module),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
