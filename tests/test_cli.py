@@ -93,7 +93,7 @@ def run(tmp_path, monkeypatch):
         (["raises", "usage"], 2, "pneu: Invalid value: odd (see pneu raises --help)\n"),
         (["raises", "command"], 1, "pneu: odd\n"),
         (["raises", "long", "--count", "800"], 2, f"pneu: {'a' * 799}z\n"),
-        (["raises", "long", "--count", "801"], 2, f"pneu: {'a' * 400} ... {'a' * 399}z\n"),
+        (["raises", "long", "--count", "801"], 2, f"pneu: {'a' * 397} ... {'a' * 396}z\n"),
         (["raises", "control"], 2, "pneu: a\\x1b[31m b\\x00\u00e9\n"),
     ],
 )

@@ -96,6 +96,7 @@ def test_a_rig_that_was_never_calibrated_is_fitted_first(exact: Rig, calibrated:
     assert (str(first.value) == "fit") is not calibrated
 
 
+@pytest.mark.long
 def test_two_effects_are_added_one_after_the_other(exact: Rig, tmp_path: Path) -> None:
     """The whole loop, with few other effects to try, on a recording of 2 s."""
     leak = AttachedEffect(

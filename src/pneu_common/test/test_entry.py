@@ -84,7 +84,7 @@ def run(tmp_path: Path):
 
 
 def test_its_status_is_that_of_the_command(run) -> None:
-    assert (sys.executable, "-m", "pneu_common.entry") == COMMAND
+    assert (sys.executable, "-P", "-m", "pneu_common.entry") == COMMAND
     assert run("quick", "a", "b") == (3, "['a', 'b'] False\nTrue\n", "")
 
 

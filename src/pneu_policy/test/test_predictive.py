@@ -356,6 +356,7 @@ def test_a_controller_sees_virtual_taps_and_does_not_know(lab, tmp_path):
             load_controller(tmp_path / "v.yaml")
 
 
+@pytest.mark.long
 def test_a_policy_that_sees_gas_runs_by_what_an_observer_tells(tmp_path):
     """One tap is there: what the thesis could only simulate (7.3) drives a plant."""
     policy, rig_file = RIGS.parent / "policies" / "short_line_0.npz", RIGS / "rig_a_fitted.yaml"
@@ -393,6 +394,7 @@ def test_a_joint_follows_by_both_its_valves():
     np.testing.assert_allclose(run.volts.sum(axis=0), 10.0, atol=1e-9)
 
 
+@pytest.mark.long
 def test_a_joint_carries_what_nobody_told_it_of():
     """As well as with what it carries in its rig file, after it has found out."""
     known, path = load_rig(RIGS / "kokoro_fitted.yaml"), RIGS.parent / "policies"

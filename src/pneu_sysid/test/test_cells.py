@@ -98,6 +98,7 @@ def test_a_model_without_cells_has_nothing_to_doubt():
     assert problem.doubt_pa is None
 
 
+@pytest.mark.long
 def test_what_cells_get_wrong_of_a_rig_is_made_good():
     """Cells a quarter as long and another flux: of a rig, and of another near it."""
     volume = AttachedEffect(

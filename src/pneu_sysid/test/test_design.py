@@ -261,6 +261,7 @@ def few_pieces(monkeypatch):
     monkeypatch.setattr(designing, "MOST_TRIES", 10)
 
 
+@pytest.mark.long
 def test_a_chosen_plan_tells_more_than_a_random_one_and_keeps_to_its_limits(tmp_path, few_pieces):
     limits = limits_of(FITTED, highest_pa=5.5e5, air_kg=2e-3)
     pair = [

@@ -25,7 +25,8 @@ FRICTION = "cylinders.forearm.friction"
 BREAKAWAY, SPEED = f"{FRICTION}.breakaway_n", f"{FRICTION}.stribeck_m_s"
 
 
-@pytest.mark.parametrize("lost", [pytest.param(False, marks=pytest.mark.long), True])
+@pytest.mark.long
+@pytest.mark.parametrize("lost", [False, True])
 def test_breakaway_that_was_fitted_away_comes_back(lost: bool) -> None:
     known = with_encoders(load_rig(ROOT / "rigs" / "rig_j.yaml"))
     known.grid.dx_m, known.grid.memory = 0.1, False  # cheap: plant and model are alike

@@ -26,7 +26,7 @@ VALLEY = {VOLUME: 4.7e-6, PLACE: 0.053, EXHAUST: 7e-9}
 tap that is elsewhere."""
 
 
-@pytest.mark.parametrize("there", [False, True])
+@pytest.mark.parametrize("there", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_what_is_far_off_is_looked_at_anew_from_where_it_was_known_to_be(there: bool) -> None:
     """It ends there if that is better; what really is far from what was known stays."""
     known = load_rig(ROOT / "rigs" / "rig_b.yaml")

@@ -101,6 +101,7 @@ def test_a_candidate_settles_on_the_cells_that_count() -> None:
     assert again.held_out == pytest.approx(share)
 
 
+@pytest.mark.long
 def test_a_candidate_is_placed_without_what_its_cells_make_of_it() -> None:
     """Cells half as long, no noise: the place is that of the volume, or explains as much."""
     rig = one_tap(0.1)

@@ -47,6 +47,7 @@ def test_a_range_leads_from_where_an_effect_vanishes(leaking: Path) -> None:
         range_of(load_rig(FITTED))
 
 
+@pytest.mark.long
 def test_the_error_is_least_at_the_strength_that_is_hidden(leaking: Path, tmp_path: Path) -> None:
     heard: queue.Queue[dict[str, Any]] = queue.Queue()
     shorten(BAG, tmp_path / "short.mcap", SECONDS)

@@ -365,9 +365,21 @@ def fill_ghosts(gas, vessels, cells, ends, reservoirs, chambers):
             g = index[e, L.E_GHOST] * w + j
             i = index[source, L.E_CELL] * w + j
             u = X[L.W_U, i]
-            v = turn * u
             if kind == L.PORTED:
-                v += 2.0 * ends.flow[e, j] / rho[i]
+                # flow goes on to the ports, and its drag over the last half of the cell with it,
+                # as in steady flow without heat (Fanno; Shapiro 1953, table 6.2)
+                d, p = rho[i], X[L.W_P, i]
+                slow = max(1.0 - d * u * u / (gamma * p), 0.3)
+                fall = index[e, L.E_SIGN] * cells.par[L.LENGTH, i] * cells.wall[L.D_DRAG, i]
+                fall = min(max(fall / (slow * p), -0.5), 0.5)
+                q = p * (1.0 + fall * (1.0 + (gamma - 1.0) * (1.0 - slow)))
+                d1 = d * (1.0 + fall)
+                v = 2.0 * ends.flow[e, j] / (d * (1.0 + 0.5 * fall)) - u
+                rho[g], mom[g], ene[g] = d1, d1 * v, q * i_gm + 0.5 * d1 * v * v
+                X[L.W_U, g], X[L.W_P, g], X[L.W_T, g] = v, q, q / (d1 * gas.r)
+                X[L.W_C, g], X[L.W_RI, g] = math.sqrt(gamma * q / d1), 1.0 / d1
+                continue
+            v = turn * u
             rho[g], mom[g], ene[g] = rho[i], rho[i] * v, ene[i] + 0.5 * rho[i] * (v * v - u * u)
             X[L.W_U, g], X[L.W_P, g], X[L.W_T, g] = v, X[L.W_P, i], X[L.W_T, i]
             X[L.W_C, g], X[L.W_RI, g] = X[L.W_C, i], X[L.W_RI, i]
