@@ -2,6 +2,7 @@
 """Bad input to `pneu`: a non-zero exit, one sentence that names it, and nothing written."""
 
 import importlib.metadata
+import json
 import os
 import re
 import subprocess
@@ -15,6 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
 from pneu_common.cli import COMMANDS_GROUP, build_app
+from pneu_common.errors import InputError
 from pneu_sim.rig import load_rig
 from pneu_sysid.records import even_recording
 from pneu_sysid.records.write import write_bag
@@ -395,3 +397,25 @@ def test_a_position_that_is_no_number(tmp_path, good_bag):
     )
     assert result.exit_code == 2
     assert "position 'nan' is no number of metres" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("=1+1", "'=1+1'"),
+        ("@SUM(A1)", "'@SUM(A1)'"),
+        ("a\nb", r"'a\nb'"),
+        ("\x1b[31mred", r"'\x1b[31mred'"),
+        ("a\u202eb", r"'a\u202eb'"),
+        ("", "''"),
+        ("x" * 101, "'xxx"),
+    ],
+)
+def test_a_part_has_no_name_that_a_table_or_terminal_would_obey(tmp_path, name, shown):
+    rig = load_rig(ROOT / "rigs" / "rig_a.yaml").dump()
+    rig["taps"][name] = rig["taps"].pop("end")
+    path = tmp_path / "rig.yaml"
+    path.write_text(json.dumps(rig))
+    with pytest.raises(InputError, match="taps: found the name") as error:
+        load_rig(path)
+    assert shown in str(error.value) and str(error.value).isprintable()

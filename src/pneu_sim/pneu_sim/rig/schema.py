@@ -95,6 +95,10 @@ class Ambient(Part):
     temperature_k: Positive = 293.15
 
 
+LONGEST_NAME = 100
+"""Characters of the name of a part."""
+
+
 class Tap(Part):
     """A pressure sensor on a pipe or a chamber.
 
@@ -329,6 +333,7 @@ class Rig(Part):
 
     @model_validator(mode="after")
     def _connected(self) -> "Rig":
+        _check_names(self)
         check_network(self)
         for reservoir in self.reservoirs.values():
             if reservoir.room is None:
@@ -481,6 +486,22 @@ def joint_names(rig: Rig) -> list[str]:
         for name, body in rig.bodies.items()
         for field, joint in zip(body.joint_fields, body.joints, strict=True)
     ]
+
+
+def _check_names(rig: Rig) -> None:
+    """Refuse names of parts that could not stand in a heading, a line of a log, or a command."""
+    for field in type(rig).model_fields:
+        part = getattr(rig, field)
+        if field == "recordings" or not isinstance(part, dict):  # those are names of files
+            continue
+        for name in part:
+            bad = not str(name).isprintable() or str(name)[:1] in set("=+-@ ")
+            if bad or not 0 < len(str(name)) <= LONGEST_NAME:
+                raise ValueError(
+                    f"{field}: found the name {str(name)[:LONGEST_NAME]!r}; allowed are 1 to"
+                    f" {LONGEST_NAME} printable characters that do not begin with =, +, -, @ or a"
+                    " space"
+                )
 
 
 def _check_encoders(rig: Rig) -> None:
