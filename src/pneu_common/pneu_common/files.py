@@ -2,7 +2,10 @@
 """Files that are written whole or not at all."""
 
 import contextlib
+import hashlib
 import os
+import platform
+import secrets
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -10,6 +13,45 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from pneu_common.errors import InputError
+
+
+def _mark() -> str:
+    """Return what the names of files begin with that processes of this machine write aside."""
+    return f".pneu-{hashlib.sha256(platform.node().encode()).hexdigest()[:8]}-"
+
+
+def new_beside(path: Path) -> Path:
+    """Make an empty file beside another, which no other writer has or gets.
+
+    Args:
+        path: The other file; its folder must exist.
+
+    Raises:
+        OSError: It cannot be made.
+    """
+    while True:
+        aside = path.with_name(f"{_mark()}{os.getpid()}-{secrets.token_hex(6)}.part")
+        with contextlib.suppress(FileExistsError):
+            os.close(os.open(aside, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+            return aside
+
+
+def remove_abandoned(folder: Path) -> None:
+    """Remove what processes of this machine wrote aside in a folder and were killed over.
+
+    Args:
+        folder: The folder.
+    """
+    mark = _mark()
+    for left in folder.glob(f"{mark}*.part"):
+        process = left.name[len(mark) :].partition("-")[0]
+        try:
+            os.kill(int(process), 0)
+        except ProcessLookupError:
+            with contextlib.suppress(OSError):
+                left.unlink()
+        except (OSError, OverflowError, ValueError):
+            continue
 
 
 @contextmanager
@@ -25,9 +67,9 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OSError: It cannot be written.
     """
-    aside = path.with_name(f".{path.name}.part")
+    remove_abandoned(path.parent)
+    aside = new_beside(path)
     try:
-        aside.unlink(missing_ok=True)  # of one that was killed
         yield aside
         os.replace(aside, path)
     except BaseException:

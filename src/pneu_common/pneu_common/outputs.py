@@ -6,10 +6,13 @@ or what lies beside one in the folder of results. Everything else, a rig file ab
 somebody's work; ``--force`` replaces it all the same.
 """
 
+import contextlib
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from pneu_common.errors import InputError
+from pneu_common.files import new_beside
 
 REPORT_MARK = '<meta name="generator" content="pneu">'
 """What a report of ours has in its head."""
@@ -42,9 +45,9 @@ def check_output(path: Path | None, force: bool = False) -> None:
             raise InputError(
                 f"{path}: exists already and is no result of pneu; --force replaces it"
             )
-        probe = folder / f".{path.name}.part"
-        probe.touch()
-        probe.unlink()
+        with contextlib.suppress(FileNotFoundError):
+            os.lstat(path)  # raises where no file can have the name
+        new_beside(path).unlink()
     except (OSError, ValueError) as error:  # also a name that no file can have
         if isinstance(error, InputError):
             raise

@@ -3,6 +3,8 @@
 
 import resource
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,7 @@ from pneu_common.files import (
     whole,
     write_whole,
 )
+from pneu_common.outputs import check_output
 
 pytestmark = pytest.mark.kernel_free
 
@@ -41,35 +44,62 @@ def test_a_folder_in_its_place(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
 
 
+def asides(folder: Path) -> list[Path]:
+    return sorted(folder.glob(".*.part"))
+
+
 def test_it_is_written_aside(tmp_path: Path) -> None:
     """What a process that was killed has left is gone; the file stays as it was until the end."""
-    path, aside = tmp_path / "a.json", tmp_path / ".a.json.part"
+    path = tmp_path / "a.json"
     path.write_text("old")
-    aside.write_text("killed")
-    with replacing(path) as found:
-        assert found == aside and not aside.exists()
+    code = "import sys; from pathlib import Path; from pneu_common.files import new_beside;"
+    code += "new_beside(Path(sys.argv[1])).write_text('killed')"
+    subprocess.run([sys.executable, "-c", code, str(path)], check=True)
+    (killed,) = asides(tmp_path)
+    others = [tmp_path / ".pneu-0-1-2.part", killed.with_name(killed.name.replace("pneu", "own"))]
+    for other in others:
+        other.write_text("of another machine, or of nobody we know")
+    with replacing(path) as aside:
+        assert asides(tmp_path) == sorted([aside, *others])
+        assert aside.stat().st_mode == path.stat().st_mode
         aside.write_text("new")
         assert path.read_text() == "old"
-    assert path.read_text() == "new" and not aside.exists()
+    assert path.read_text() == "new" and asides(tmp_path) == sorted(others)
 
 
 @pytest.mark.parametrize("written", [False, True])
 def test_what_fails_leaves_nothing_aside(tmp_path: Path, written: bool) -> None:
-    path, aside = tmp_path / "a.json", tmp_path / ".a.json.part"
+    path = tmp_path / "a.json"
     path.write_text("old")
     for cause, keeper in ((OSError("odd"), replacing), (KeyError("x"), replacing),
                           (KeyError("x"), whole)):  # fmt: skip
-        with pytest.raises(type(cause)) as caught, keeper(path):
+        with pytest.raises(type(cause)) as caught, keeper(path) as aside:
             if written:
                 aside.write_text("half")
             raise cause
         assert caught.value is cause
-        assert path.read_text() == "old" and not aside.exists()
+        assert path.read_text() == "old" and not asides(tmp_path)
     for cause, reason in ((OSError("odd"), "odd"), (OSError(28, "No space left"), "No space left")):
-        with pytest.raises(InputError) as refused, whole(path) as found:
-            assert found == aside
+        with pytest.raises(InputError) as refused, whole(path):
             raise cause
         assert str(refused.value) == f"{path}: cannot be written ({reason})"
+
+
+def test_two_writers_of_one_file_do_not_share_what_they_write_aside(tmp_path: Path) -> None:
+    """Nor does a command that only looks whether it may write there disturb one that writes."""
+    path = tmp_path / "a.json"
+    with replacing(path) as first, replacing(path) as second:
+        first.write_text("the first, complete")
+        held = second.open("w")
+        held.write("the sec")
+        held.flush()
+        check_output(path, force=True)
+        with replacing(path) as third:
+            third.write_text("the third")
+        assert path.read_text() == "the third"
+        held.write("ond, complete")
+        held.close()
+    assert path.read_text() == "the first, complete" and not asides(tmp_path)
 
 
 def test_names_that_are_text() -> None:

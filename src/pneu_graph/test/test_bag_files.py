@@ -5,6 +5,7 @@ Files are made by the writers and changed at known places, so that it is known w
 """
 
 import contextlib
+import errno
 import os
 import resource
 import signal
@@ -20,6 +21,7 @@ from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.writer import IndexType, Writer
 
+from pneu_common import files
 from pneu_common.errors import InputError
 from pneu_graph.bag.bag_writer import Attachment, BagWriter
 from pneu_graph.bag.info import _size, info_text
@@ -463,13 +465,29 @@ def test_a_description_that_cannot_be_written_is_told_of(tmp_path):
     assert said.startswith(f"{folder}: metadata.yaml could not be written (Is a directory);")
     (folder / "metadata.yaml").rmdir()
     assert contents(BagReader(folder)) == [message(0)]
-    (folder / ".metadata.yaml.part").mkdir()
-    with pytest.raises(InputError, match=f"^{folder}: cannot be written \\(Is a directory\\)$"):
+
+
+def test_a_bag_that_cannot_be_recovered_in_its_place_is_told_of(tmp_path, monkeypatch):
+    folder = tmp_path / "bag"
+    writer = BagWriter(folder)
+    writer.add_topic(Topic(A, "a/msg/A"), "")
+    writer.write(*message(0))
+    assert not writer.close()
+
+    def refuse(path):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(files, "new_beside", refuse)
+    (folder / "metadata.yaml").unlink()
+    with pytest.raises(
+        InputError, match=f"^{folder}: cannot be written \\(Read-only file system\\)$"
+    ):
         recover_bag(folder)
     path = folder / "bag_0.mcap"
     os.truncate(path, path.stat().st_size - 20)
-    (folder / ".bag_0.mcap.part").mkdir()
-    with pytest.raises(InputError, match=f"^{path}: cannot be written \\(Is a directory\\)$"):
+    with pytest.raises(
+        InputError, match=f"^{path}: cannot be written \\(Read-only file system\\)$"
+    ):
         recover_bag(folder)
     assert contents(BagReader(folder)) == [message(0)]
 

@@ -59,7 +59,10 @@ def _is_whole(file: FileContent) -> bool:
 
 
 def _rewrite(bag: BagReader, file: FileContent) -> None:
-    with replacing(file.path) as aside, contextlib.closing(BagFile(aside)) as written:
+    with contextlib.ExitStack() as stack:
+        aside = stack.enter_context(replacing(file.path))
+        aside.unlink()  # it is no other writer's, and a bag's file is made anew
+        written = stack.enter_context(contextlib.closing(BagFile(aside)))
         written.entry.path = file.path.name
         for record in side_records(file.path):
             if isinstance(record, Attachment):
