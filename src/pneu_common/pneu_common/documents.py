@@ -15,6 +15,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import ReusedAnchorWarning, YAMLError
+from ruamel.yaml.nodes import MappingNode, SequenceNode
 
 from pneu_common.errors import InputError
 
@@ -86,7 +87,56 @@ def parse_yaml(text: str, name: str, what: str, lines: bool = False) -> Any:
         InputError: It is not YAML, or holds what nobody can compute with.
     """
     loader = YAML() if lines else YAML(typ="safe", pure=True)
-    return _parsed(lambda: loader.load(text), "YAML", name, what)
+
+    def load() -> Any:
+        if "<<" in text:
+            _check_merges(text, name)
+        return loader.load(text)
+
+    return _parsed(load, "YAML", name, what)
+
+
+def _check_merges(text: str, name: str) -> None:
+    """Refuse mappings that merge so many others that reading them alone takes for ever.
+
+    A merged mapping's entries are copied one by one before those that recur are dropped.
+
+    Args:
+        text: YAML.
+        name: What messages call it.
+
+    Raises:
+        InputError: A mapping is made of more than `MOST_VALUES` entries, or of itself.
+    """
+    entries: dict[int, int] = {}
+
+    def size_of(node: Any) -> int:
+        """Entries of a mapping, or of all mappings of a list that is merged."""
+        if isinstance(node, SequenceNode):
+            return sum(size_of(one) for one in node.value if isinstance(one, MappingNode))
+        if not isinstance(node, MappingNode):
+            return 0
+        if id(node) in entries:
+            return entries[id(node)]
+        entries[id(node)] = MOST_VALUES + 1  # of a mapping that merges itself
+        count = sum(size_of(v) if k.value == "<<" else 1 for k, v in node.value)
+        entries[id(node)] = count
+        if count > MOST_VALUES:
+            raise InputError(
+                f"{name}, line {node.start_mark.line + 1}: merges more than {MOST_VALUES} entries,"
+                " which is the most that are read"
+            )
+        return count
+
+    left, seen = [YAML(typ="safe", pure=True).compose(text)], set()
+    while left:
+        node = left.pop()
+        if node is None or id(node) in seen or not isinstance(node, SequenceNode | MappingNode):
+            continue
+        seen.add(id(node))
+        size_of(node)
+        pairs = isinstance(node, MappingNode)
+        left += [one for pair in node.value for one in pair] if pairs else node.value
 
 
 def read_json(path: str | Path, what: str) -> Any:
@@ -109,6 +159,8 @@ def _parsed(load: Callable[[], Any], language: str, name: str, what: str) -> Any
             # An anchor may be set anew; what it stands for is the latest.
             warnings.simplefilter("ignore", ReusedAnchorWarning)
             data = load()
+    except InputError:
+        raise
     except RecursionError:
         raise InputError(f"{name}: is nested too deeply for a {what}") from None
     except YAMLError as error:

@@ -213,3 +213,29 @@ def test_aliases_that_stand_for_too_much_or_for_themselves(monkeypatch: pytest.M
         ("- 0\n- &m [[*m]]", "1.0.0"),
     ):
         assert refusal(parse_yaml, text, "a.yaml", "file") == f"a.yaml: {where}: {expected}"
+
+
+@pytest.mark.parametrize("lines", [False, True])
+def test_merges_that_would_be_copied_for_ever(lines: bool) -> None:
+    """A million entries and no more; of each level ten times those of the one before."""
+    first = "a0: &a0 {" + ", ".join(f"k{k}: 1" for k in range(10)) + "}"
+
+    def text(levels: int, more: str = "") -> str:
+        rows = [
+            f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * 10)}]{more if n == levels else ''}}}"
+            for n in range(1, levels + 1)
+        ]
+        return "\n".join([first, *rows])
+
+    read = parse_yaml(text(3), "a.yaml", "file", lines)
+    assert len(read["a3"]) == 10
+    said = "merges more than 1000000 entries, which is the most that are read"
+    assert refusal(parse_yaml, text(6), "a.yaml", "file", lines) == f"a.yaml, line 7: {said}"
+    told = refusal(parse_yaml, text(5, ", b: 1"), "a.yaml", "file", lines)
+    assert told == f"a.yaml, line 6: {said}"
+    nested = [
+        "s0: &s0 [&m {a: 1}]",
+        *(f"s{n}: &s{n} [{', '.join([f'*s{n - 1}'] * 10)}]" for n in range(1, 30)),
+    ]
+    for odd in ("a: &a {<<: *a}", "a: &a {<<: [*a]}", "\n".join([*nested, "x: {<<: *s29}"])):
+        assert refusal(parse_yaml, odd, "a.yaml", "file", lines).startswith("a.yaml")
