@@ -169,7 +169,7 @@ def test_an_effect_of_one_recording_is_absent_in_the_others(exact: Rig, tmp_path
         assert rig.recordings == {"monday": {"effects.0.parameters.delay_s": 0.0}}
         assert rig.effects[0].parameters["delay_s"] == pytest.approx(3e-3, rel=0.02)
     errors = compare(recordings, [("saved", saved, None)], refine=False).models[0].by_recording
-    assert set(errors) == {"monday", "tuesday"} and max(errors.values()) < 1.8  # by the cells
+    assert set(errors) == {"monday", "tuesday"} and max(errors.values()) < 2.0  # by the cells
 
 
 def test_a_recording_of_one_stretch_is_judged_on_all_of_it(exact: Rig) -> None:

@@ -40,7 +40,7 @@ def _estimated(
     return after, problem, estimate
 
 
-@pytest.mark.parametrize("reached", [0.85, 0.75])
+@pytest.mark.parametrize("reached", [0.85, pytest.param(0.75, marks=pytest.mark.long)])
 def test_a_limit_that_is_hardly_reached_stays(rig: Rig, reached: float) -> None:
     """What would be left without it is not made good by moving it."""
     spool = rig.valves["valve"].spool

@@ -79,6 +79,7 @@ def off(found: list[Estimate], true: np.ndarray) -> tuple[float, float]:
     return float(np.sqrt(np.mean((said - there) ** 2))), float(np.sqrt(np.mean(there**2)))
 
 
+@pytest.mark.long
 def test_force_is_known_ten_milliseconds_later(moved: Any) -> None:
     events, true = moved
     loaded = load_scene(SCENES / "hanging.yaml")
