@@ -385,6 +385,7 @@ def test_commands_are_late_at_all_valves():
     np.testing.assert_allclose(late - known, 0.006)
 
 
+@pytest.mark.long
 def test_a_joint_follows_by_both_its_valves():
     known, path = load_rig(RIGS / "kokoro_fitted.yaml"), RIGS.parent / "policies"
     tasks = JointTasks("elbow", -0.4, 0.4, kinds=("smooth",), runs=1, seconds=1.5)

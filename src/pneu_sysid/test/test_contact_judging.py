@@ -51,6 +51,7 @@ def test_what_shows_where_bodies_touch_alone_is_sure_by_its_sum() -> None:
     assert lead_of(np.array([1e4, *rng.normal(size=9)])) < SURE  # one that went another way
 
 
+@pytest.mark.long
 def test_a_second_look_is_no_second_chance() -> None:
     """Noise is not much more often beyond what decides by the surer of two looks than by one."""
     rng = np.random.default_rng(5)

@@ -41,6 +41,7 @@ Floats = NDArray[np.float64]
 TRUE_M3 = 4e-7
 
 
+@pytest.mark.long
 def test_a_candidate_settles_on_the_cells_that_count() -> None:
     """A volume in a line: on longer cells it is found a little wrong, on the own ones it is not."""
     rig = one_tap(0.1)
