@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 
 from rich.progress import track
-from tests.effect_experiments import EXPERIMENTS, felt_on
+from tests.effect_experiments import EXPERIMENTS, placement_on
 from tests.references import scenes
 from tests.references.effects import COMPARISONS
 
@@ -64,16 +64,16 @@ def main() -> None:
     options = parser.parse_args()
     load_effect_file(ROOT / "examples" / "my_effect.py")
     experiments = {name: experiment() for name, experiment in EXPERIMENTS.items()}
-    felt = {}
+    placements = {}
     for name, effect in registry().items():
         order = [experiments["short_arm"]] if name == "end_cushion" else list(experiments.values())
-        at = felt_on(effect, order)
+        at = placement_on(effect, order)
         if at is None:
             raise SystemExit(f"{name}: no rig responds to it")
-        felt[name] = at
+        placements[name] = at
     rows = []
-    for name, at in track(felt.items(), description="effects", total=len(felt)):
-        others = [one for one in felt.values() if one.experiment is at.experiment]
+    for name, at in track(placements.items(), description="effects", total=len(placements)):
+        others = [one for one in placements.values() if one.experiment is at.experiment]
         properties = proof.prove(at, others)
         one = next(iter(at.effect.comparisons()), COMPARISONS.get(name))
         rows.append(
@@ -145,11 +145,11 @@ def page(
     ]
     for row in rows:
         if row.experiment is not None:
-            told = "; ".join(
+            deviations = "; ".join(
                 f"{s:g}: {_number(f)}"
                 for s, f in zip(row.experiment.strengths, row.reference, strict=True)
             )
-            lines.append(f"| {row.name} | {row.experiment.what} | {told} |")
+            lines.append(f"| {row.name} | {row.experiment.what} | {deviations} |")
     lines += [
         "",
         "## Properties of every effect",

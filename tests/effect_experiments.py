@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def line() -> Experiment:
-    """Rig A; its spool is at its limits, so that a change of them is felt."""
+    """Rig A; its spool is at its limits, so that a change of them shows."""
     rig = load_rig(ROOT / "rigs" / "rig_a.yaml")
     rig.valves["valve"].spool.max_speed_v_s = 200.0
     rig.valves["valve"].spool.max_acceleration_v_s2 = 1e5
@@ -84,7 +84,7 @@ def short_arm() -> Experiment:
 EXPERIMENTS = {one.__name__: one for one in (line, bottle, junction, arm, cart, short_arm)}
 
 
-def felt_on(effect: Effect, experiments: Sequence[Experiment]) -> Placement | None:
+def placement_on(effect: Effect, experiments: Sequence[Experiment]) -> Placement | None:
     """The effect on the first rig on which a typical strength of it changes anything.
 
     Args:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.effect_experiments import EXPERIMENTS, felt_on
+from tests.effect_experiments import EXPERIMENTS, placement_on
 from tests.references.effects import COMPARISONS
 
 from pneu_common.errors import InputError
@@ -37,13 +37,13 @@ def _with_the_example() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def felt() -> dict[str, proof.Placement]:
+def placements() -> dict[str, proof.Placement]:
     """The placement of every effect on the first rig that responds to it."""
     experiments = {name: experiment() for name, experiment in EXPERIMENTS.items()}
     found = {}
     for name in [*NAMES, OWN]:
         order = [experiments["short_arm"]] if name == "end_cushion" else list(experiments.values())
-        at = felt_on(registry()[name], order)
+        at = placement_on(registry()[name], order)
         assert at is not None, name
         found[name] = at
     return found
@@ -59,30 +59,32 @@ def wrong(findings: list[proof.Finding]) -> list[str]:
 
 
 @pytest.mark.parametrize("name", [*NAMES, OWN])
-def test_what_holds_of_every_effect(felt: dict[str, proof.Placement], name: str) -> None:
-    at = felt[name]
-    others = [one for one in felt.values() if one.experiment is at.experiment]
+def test_what_holds_of_every_effect(placements: dict[str, proof.Placement], name: str) -> None:
+    at = placements[name]
+    others = [one for one in placements.values() if one.experiment is at.experiment]
     assert wrong(proof.prove(at, others, grids=False)) == []
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", [*NAMES, OWN])
-def test_no_effect_hangs_on_cells_or_steps(felt: dict[str, proof.Placement], name: str) -> None:
-    assert wrong(proof.grid_independence(felt[name])) == []
-
-
-def test_a_user_s_effect_is_compared_with_what_it_foretells_itself(
-    felt: dict[str, proof.Placement],
+def test_no_effect_depends_on_cells_or_steps(
+    placements: dict[str, proof.Placement], name: str
 ) -> None:
-    (one,) = felt[OWN].effect.comparisons()
-    found = proof.compare(felt[OWN].effect, one)
+    assert wrong(proof.grid_independence(placements[name])) == []
+
+
+def test_a_user_s_effect_is_compared_with_its_own_reference(
+    placements: dict[str, proof.Placement],
+) -> None:
+    (one,) = placements[OWN].effect.comparisons()
+    found = proof.compare(placements[OWN].effect, one)
     assert len(found) == 3 and wrong(found) == []
     other = dataclasses.replace(one, expected=lambda excess_k: 1.02 * one.expected(excess_k))
-    assert len(wrong(proof.compare(felt[OWN].effect, other))) == 3
+    assert len(wrong(proof.compare(placements[OWN].effect, other))) == 3
 
 
 @pytest.mark.parametrize("name", COMPARISONS)
-def test_an_effect_is_what_its_reference_foretells(name: str) -> None:
+def test_an_effect_agrees_with_its_reference(name: str) -> None:
     assert wrong(proof.compare(registry()[name], COMPARISONS[name])) == []
 
 
@@ -94,7 +96,7 @@ def test_every_effect_has_a_reference() -> None:
     "experiment",
     ["cart", *(pytest.param(n, marks=pytest.mark.long) for n in EXPERIMENTS if n != "cart")],
 )
-def test_what_nothing_tells_apart_is_declared(experiment: str) -> None:
+def test_indistinguishable_pairs_are_declared(experiment: str) -> None:
     declared = {
         (a, b) for a, effect in registry().items() for b in effect.indistinguishable_from if a < b
     }

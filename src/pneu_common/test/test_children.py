@@ -101,3 +101,5 @@ def test_the_changes_of_a_received_repository_run_none_of_its_programs(tmp_path,
     assert found["git_changes"] == "M changed" and len(found["git_revision"]) == 40
     subprocess.run(["git", "status"], capture_output=True)
     assert (tmp_path / "ran").exists(), "the trap works"
+    (tmp_path / ".git" / "index").unlink()
+    assert provenance()["git_changes"] == "" and provenance()["git_revision"]

@@ -4,9 +4,10 @@
 Each bridge listens on a datagram socket in the folder of its user, whatever its domain and
 namespace. A word there is at the valve within milliseconds, while joining the graph takes seconds;
 all bridges are called by their service afterwards. Any datagram stops, whoever sends it and
-whatever it holds. That a bridge is safe is believed of the process that made its socket, where it
-belongs to this user, to root, or to a user named in ``PNEU_TRUSTED_USERS``: the kernel tells who
-sent an answer. This file imports little: half of the time that a person waits is spent on imports.
+whatever it holds. An answer counts only if it comes from the process that made the socket, by the
+credentials that the kernel attaches, and if that process runs as this user, as root, or as a user
+in ``PNEU_TRUSTED_USERS``. This file imports little: half of the time that a person waits is spent
+on imports.
 """
 
 import contextlib
@@ -29,7 +30,7 @@ from pneu_common.text import one_line
 FOLDER_VARIABLE = "PNEU_RUN_DIR"
 """Environment variable that names another folder."""
 TRUSTED_VARIABLE = "PNEU_TRUSTED_USERS"
-"""Environment variable with names of users, with commas between, whose bridges are believed."""
+"""Environment variable with names of users, separated by commas, whose bridges are trusted."""
 
 ANSWER_WITHIN_S = 0.5
 LONGEST_MESSAGE = 4096
@@ -86,7 +87,7 @@ def _user(uid: int) -> str:
 
 
 def _trusted(uid: int) -> bool:
-    """Return whether what a user's bridges answer is believed."""
+    """Return whether the answers of a user's bridges are trusted."""
     names = os.environ.get(TRUSTED_VARIABLE, "").split(",")
     return uid in (0, os.getuid()) or _user(uid) in names
 
@@ -215,39 +216,51 @@ def stop_here(reason: str) -> list[Answer]:
     Args:
         reason: Who calls for it.
     """
-    with (
-        tempfile.TemporaryDirectory(prefix="pneu-stop-") as folder,
-        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ours,
-    ):
-        ours.bind(f"{folder}/answers")
-        ours.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
-        os.chmod(folder, 0o711)
-        os.chmod(f"{folder}/answers", 0o666)
+    message = {"reason": reason}
+    with contextlib.ExitStack() as stack:
+        ours = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+        try:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="pneu-stop-"))
+            ours.bind(f"{folder}/answers")
+            ours.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
+            os.chmod(folder, 0o711)
+            os.chmod(f"{folder}/answers", 0o666)
+        except (OSError, AttributeError) as error:  # a full disk, or a kernel that names no sender
+            why = one_line(f"its answer cannot be taken ({error})", LONGEST_REASON)
+            return [Answer(one_line(path.name), False, why) for path in call_all(message)]
         # of a process, those of its sockets that have not answered
         left: dict[int, list[Path]] = {}
-        for path in call_all({"reason": reason}, answer_to=ours):
+        for path in call_all(message, answer_to=ours):
             left.setdefault(_process_of(path), []).append(path)
         answers = []
         end_s = time.monotonic() + ANSWER_WITHIN_S
         while any(left.values()) and (left_s := end_s - time.monotonic()) > 0.0:
             ours.settimeout(left_s)
             try:
-                message, sent_with, _, _ = ours.recvmsg(
+                text, sent_with, _, _ = ours.recvmsg(
                     LONGEST_MESSAGE, socket.CMSG_SPACE(CREDENTIALS.size)
                 )
             except TimeoutError:
                 break
             process, uid = _sender(sent_with)
-            answer = _understood(message, uid)
+            answer = _understood(text, uid)
             # an answer is of the process that made the socket, and of no more sockets than it has
-            waiting = left.get(process, [])
-            mine = [path for path in waiting if answer and path.name == _name_of(process, answer)]
-            if answer and mine and mine[0].lstat().st_uid == uid:
-                waiting.remove(mine[0])
-                answers.append(answer)
+            for path in left.get(process, []):
+                if answer and path.name == _name_of(process, answer) and _owner(path) == uid:
+                    left[process].remove(path)
+                    answers.append(answer)
+                    break
     for path in (path for paths in left.values() for path in paths):
         answers.append(Answer(one_line(path.name, LONGEST_REASON), False, "no answer"))
     return answers
+
+
+def _owner(path: Path) -> int:
+    """Return the user that a socket belongs to; -2 where it is gone."""
+    try:
+        return path.lstat().st_uid
+    except OSError:
+        return -2
 
 
 def _process_of(path: Path) -> int:
@@ -270,15 +283,15 @@ def _sender(sent_with: list[tuple[int, int, bytes]]) -> tuple[int, int]:
 
 
 def _understood(message: bytes, uid: int) -> Answer | None:
-    """Return an answer as far as its sender is believed; None where it is none."""
+    """Return an answer as far as its sender is trusted; None where it is none."""
     try:
-        told = json.loads(message)
+        reply = json.loads(message)
     except (ValueError, RecursionError):
         return None
-    if not isinstance(told, dict) or not isinstance(told.get("bridge"), str):
+    if not isinstance(reply, dict) or not isinstance(reply.get("bridge"), str):
         return None
-    bridge, said = (one_line(told.get(key), LONGEST_REASON) for key in ("bridge", "message"))
+    bridge, said = (one_line(reply.get(key), LONGEST_REASON) for key in ("bridge", "message"))
     if not _trusted(uid):
         said = f"of {_user(uid)}, who is not in {TRUSTED_VARIABLE}, says: {said}"
         return Answer(bridge, False, said)
-    return Answer(bridge, told.get("safe") is True, said)
+    return Answer(bridge, reply.get("safe") is True, said)

@@ -186,7 +186,7 @@ def test_a_stop_lasts_until_it_is_reset() -> None:
     assert arm.governor.state()[0] is State.E_STOP
     assert arm.governor.reset(arm.now_s) == ""
     assert not any(any(t) for t in arm.run(0.5)), "a reset alone moves nothing (ISO 13850)"
-    assert "without torque, or to be activated anew" in arm.refused
+    assert "without torque, or for activation" in arm.refused
     given, arm.command = arm.command, [JointCommand(effort_n_m=0.0)] * 2
     arm.run(STEP_S)
     arm.command = given

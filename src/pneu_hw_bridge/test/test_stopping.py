@@ -271,3 +271,28 @@ def test_a_stop_that_fails_is_not_confirmed_and_the_next_is_heard(tmp_path, monk
     listener.path.unlink()
     assert not listener.listening
     listener.close()
+
+
+@pytest.mark.parametrize("lost", ["room for the answers", "the credentials", "the socket"])
+def test_a_bridge_is_stopped_although_its_answer_cannot_be_taken(tmp_path, monkeypatch, lost):
+    monkeypatch.setenv("PNEU_RUN_DIR", str(tmp_path))
+    stopped = queue.Queue()
+
+    def stop(message):
+        stopped.put(dict(message))
+        if lost == "the socket":  # a bridge that ends at once
+            listener.path.unlink()
+        return {"bridge": "/valve_bridge", "safe": True, "message": "vented"}
+
+    listener = StopListener("/valve_bridge", stop)
+    if lost == "room for the answers":
+
+        def full(**names):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(stopping.tempfile, "TemporaryDirectory", full)
+    elif lost == "the credentials":
+        monkeypatch.delattr(stopping.socket, "SO_PASSCRED")
+    (answer,) = stop_here("smoke")
+    assert stopped.get(timeout=10.0) == {"reason": "smoke"} and not answer.safe
+    listener.close()

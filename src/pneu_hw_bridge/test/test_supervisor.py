@@ -197,7 +197,7 @@ def test_a_reset_restarts_no_motion(stop, first_v):
     bench.step(command=7.0)
     assert bench.supervisor.reset(bench.now) == ""
     assert {bench.step(0.01, command=7.0)[0] for _ in range(300)} == {SAFE_V}
-    told = "waits after a reset for the safe voltage (voltage 1 V), or to be activated anew"
+    told = "waits after a reset for the safe voltage (voltage 1 V), or for activation"
     assert bench.step(command=7.0) == (SAFE_V, told) and told in bench.supervisor.explain(bench.now)
     assert bench.supervisor.reset(bench.now) == "", "a second reset changes nothing"
     bench.step(0.01, command=first_v)

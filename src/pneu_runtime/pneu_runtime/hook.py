@@ -43,6 +43,8 @@ _CLASS_OF = {"msg": message_class, "srv": service_class, "action": action_class}
 class _InterfaceLoader(importlib.abc.Loader):
     """Makes the modules of an interface package; classes are made when first used."""
 
+    holds_interfaces = True  # see `pneu_common.interfaces`
+
     def __init__(self, package: str, kind: str = "") -> None:
         self._package = package
         self._kind = kind

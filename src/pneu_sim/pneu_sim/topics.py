@@ -16,8 +16,8 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pneu_common.children import has_interfaces
 from pneu_common.errors import InputError
+from pneu_common.interfaces import has_interfaces
 from pneu_sim.channels import Channel
 from pneu_sim.rig.schema import Rig
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a recording comes from: machine, user, command line, revision of the source."""
 
+import contextlib
 import getpass
 import os
 import platform
@@ -49,7 +50,7 @@ def _changes() -> str:
     if len(parts := where.splitlines()) != 3 or not revision:
         return ""
     top, index, objects = parts[0], os.path.abspath(parts[1]), os.path.abspath(parts[2])
-    with tempfile.TemporaryDirectory(prefix="pneu-git-") as folder:
+    with contextlib.suppress(OSError), tempfile.TemporaryDirectory(prefix="pneu-git-") as folder:
         for name in ("objects", "refs"):
             (Path(folder) / name).mkdir()
         (Path(folder) / "HEAD").write_text(f"{revision}\n")
@@ -57,6 +58,7 @@ def _changes() -> str:
         shutil.copy(index, Path(folder) / "index")
         words = ("--work-tree", top, "status", "--porcelain", "--untracked-files=no")
         return _git(*words, "--ignore-submodules=all", GIT_DIR=folder, GIT_OBJECT_DIRECTORY=objects)
+    return ""  # no index, or no room
 
 
 def _git(*arguments: str, **environment: str) -> str:

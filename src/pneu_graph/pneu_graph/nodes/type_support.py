@@ -4,8 +4,8 @@
 import importlib
 from typing import Any
 
-from pneu_common.children import has_interfaces
 from pneu_common.errors import InputError
+from pneu_common.interfaces import has_interfaces
 from pneu_runtime import hook
 
 KINDS = ("msg", "srv", "action")

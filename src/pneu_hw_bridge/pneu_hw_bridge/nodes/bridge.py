@@ -59,6 +59,10 @@ class Bridge(LifecycleNode):
         """
         raise NotImplementedError
 
+    def _let_through(self) -> None:
+        """Lets commands through from now on."""
+        raise NotImplementedError
+
     def _close(self) -> None:
         """Closes the hardware and destroys what configuring created."""
         for destroy, entity in self._entities:
@@ -88,6 +92,19 @@ class Bridge(LifecycleNode):
         if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
             raise InputError("autostart: the node could not be configured, see its log")
         self.trigger_activate()
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Lets commands through, where `pneu stop` reaches the bridge.
+
+        Args:
+            state: The state before.
+        """
+        if not self._emergency.ensure_listening():
+            return TransitionCallbackReturn.FAILURE
+        self._emergency.driving = True
+        self._emergency.keep()  # before anything can move
+        self._let_through()
+        return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Makes safe.

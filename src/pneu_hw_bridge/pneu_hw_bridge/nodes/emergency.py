@@ -24,7 +24,7 @@ from pneu_hw_bridge.stopping import LONGEST_REASON, StopListener, call_all
 MOST_CALLS = 64
 """Calls for a stop that the node has still to hear of."""
 
-AFTER_RESET = "what is driven moves after a safe command, or once the bridge is activated anew"
+AFTER_RESET = "commands are followed after a safe one, or once the bridge is activated again"
 
 LISTEN_AGAIN_S = 1.0
 """After so long at most a socket that was removed is there again."""
@@ -74,10 +74,10 @@ class Emergency:
         node.create_service(Trigger, "~/reset_e_stop", self._on_reset)
         self._called = ExecutorCallback(node, self._on_called)
         self._ear: StopListener | None = None
-        self.listens()
+        self.ensure_listening()
         node.create_subscription(Bool, "e_stop", self._on_stop_of_others, E_STOP_QOS)
         # whoever clears the folder of sockets must not make the bridge deaf
-        node.create_timer(LISTEN_AGAIN_S, self.listens)
+        node.create_timer(LISTEN_AGAIN_S, self.ensure_listening)
         self.say()
 
     def recall(self, device: str) -> None:
@@ -97,8 +97,8 @@ class Emergency:
         self.latches.trip = self.latches.trip or before.trip
         self.say()
 
-    def listens(self) -> bool:
-        """Whether `pneu stop` reaches this bridge; begins to listen where it does not yet.
+    def ensure_listening(self) -> bool:
+        """Listen for `pneu stop` if this bridge does not yet, and return whether it does.
 
         Without that nothing may be driven.
         """

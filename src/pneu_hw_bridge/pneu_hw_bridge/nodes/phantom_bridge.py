@@ -114,21 +114,12 @@ class PhantomBridge(Bridge):
         ]
         return super().on_configure(state)
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Lets commands through.
-
-        Args:
-            state: The state before.
-        """
-        if not self._emergency.listens():
-            return TransitionCallbackReturn.FAILURE
-        self._emergency.driving = True
-        self._emergency.keep()  # before anything can move
+    def _let_through(self) -> None:
+        """Lets commands through from now on."""
         self._active = True
         self._look_around()
         if self._servo is not None:
             self._servo.tell(enable=True)
-        return super().on_activate(state)
 
     def make_safe(self, why: str) -> None:
         """Ends torques.

@@ -166,20 +166,11 @@ class ValveBridge(Bridge):
         self._bus.start()
         return super().on_configure(state)
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Lets commands through.
-
-        Args:
-            state: The state before.
-        """
-        if not self._emergency.listens():
-            return TransitionCallbackReturn.FAILURE
+    def _let_through(self) -> None:
+        """Lets commands through from now on."""
         if self._link is not None:
             self._look_around()
-            self._emergency.driving = True
-            self._emergency.keep()  # before anything can move
             self._link.enable(True)
-        return super().on_activate(state)
 
     def make_safe(self, why: str) -> None:
         """Vents: writes the safe voltages to the bus and reads them back.

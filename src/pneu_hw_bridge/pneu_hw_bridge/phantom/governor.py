@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 from pneu_sim.hand.drive import JointCommand, VelocityFilter, torque_of
 from pneu_sim.hand.settings import JointSettings
 
-AFTER_RESET = "waits after a reset for a command without torque, or to be activated anew"
+AFTER_RESET = "waits after a reset for a command without torque, or for activation"
 
 BEYOND_RAD = 0.1
 """Past the end of its range by more, a joint cannot be."""

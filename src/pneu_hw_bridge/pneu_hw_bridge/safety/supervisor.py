@@ -298,7 +298,7 @@ class Supervisor:
     def _awaits(self) -> str:
         """What is awaited after a reset, for people."""
         outputs = ", ".join(f"{n} {v:g} V" for n, v in self.safe().items() if n in self._to_rest)
-        return f"waits after a reset for the safe voltage ({outputs}), or to be activated anew"
+        return f"waits after a reset for the safe voltage ({outputs}), or for activation"
 
     def reading(self, name: str, value_pa: float, now_s: float) -> None:
         """Takes a reading; trips where it is too high.
